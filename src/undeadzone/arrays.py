@@ -1,0 +1,94 @@
+"""Numbers at the public surface: any array-like or nested TOML list in, checked float arrays out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from undeadzone.errors import InputError, ShapeError
+
+Floats = npt.NDArray[np.float64]
+
+if TYPE_CHECKING:
+    Array = npt.ArrayLike
+else:
+    Array = np.ndarray  # what `decode` makes of the numbers in a scenario file
+
+
+def decode(kind: type, value: Any) -> Floats:
+    """Turn what TOML gave for an `Array` field into a float array; raises ValueError for msgspec to locate."""
+    if kind is not Array:
+        raise NotImplementedError(kind)
+    return numeric(value)
+
+
+def numeric(value: Any) -> Floats:
+    """A float array from numbers or nested lists; raises ValueError on text, booleans, ragged or non-finite entries."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ValueError("expected numbers in a rectangular list, found rows of different lengths") from None
+    if array.dtype == bool or array.dtype.kind not in "iuf":
+        found = "a boolean" if array.dtype == bool else f"{value!r:.60}"
+        raise ValueError(f"expected numbers, found {found}")
+    array = array.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError("every number must be finite, found nan or inf")
+    return array
+
+
+def array(key: str, value: Any) -> Floats:
+    """`numeric` with the key named in the error. Raises InputError."""
+    try:
+        return numeric(value)
+    except ValueError as error:
+        raise InputError(f"{key}: {error}") from None
+
+
+def matrix(key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = "") -> Floats:
+    """A 2-D float array of the given shape (None: any). Raises ShapeError that names key, expected and found shape."""
+    found = array(key, value)
+    if found.ndim == 0:
+        found = found.reshape(1, 1)
+    shape = found.shape
+    if found.ndim != 2 or rows not in (None, shape[0]) or columns not in (None, shape[1]) or 0 in shape:
+        want = f"{'any' if rows is None else rows} x {'any' if columns is None else columns}"
+        have = " x ".join(map(str, shape)) if found.ndim == 2 else f"a list of {shape[0]} numbers"
+        raise ShapeError(f"{key}: expected a {want} matrix{why and ' (' + why + ')'}, found {have}")
+    return found
+
+
+def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """A 1-D float array of `size`; one number is repeated, an n x 1 or 1 x n matrix flattened. Raises ShapeError."""
+    found = array(key, value)
+    if found.ndim == 2 and 1 in found.shape:
+        found = found.ravel()
+    if found.ndim == 0:
+        found = np.full(size, float(found))
+    if found.shape != (size,):
+        have = " x ".join(map(str, found.shape))
+        raise ShapeError(f"{key}: expected {size} number{'s' * (size != 1)}{why and ' (' + why + ')'}, found {have}")
+    return found
+
+
+def scalar(key: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
+    """One finite number within bounds. Raises InputError."""
+    found = array(key, value)
+    if found.size != 1:
+        raise ShapeError(f"{key}: expected one number, found {found.size}")
+    number = float(found.reshape(()))
+    if above is not None and not number > above:
+        raise InputError(f"{key}: must be greater than {above:g}, found {number:g}")
+    if least is not None and not number >= least:
+        raise InputError(f"{key}: must be at least {least:g}, found {number:g}")
+    return number
+
+
+def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """`vector` whose entries are >= 0. Raises InputError."""
+    found = vector(key, value, size, why)
+    if (found < 0).any():
+        raise InputError(f"{key}: must not be negative, found {found.min():g}")
+    return found

@@ -1,0 +1,126 @@
+"""The state and input that make a plant's output follow a reference exactly: x_ref, u_ff with C x_ref = r."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.errors import TrackingError
+from undeadzone.plant import Matrices, System
+from undeadzone.signals import Exosystem
+
+
+class Target(NamedTuple):
+    """What to follow at one instant: r (tracked outputs), x_ref (n), u_ff (m)."""
+
+    r: Floats
+    x_ref: Floats
+    u_ff: Floats
+
+
+def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, float]:
+    """(Pi, Gamma, residual) of the regulator equations A Pi + B Gamma = Pi S, C Pi = Q; x_ref = Pi w, u_ff = Gamma w.
+
+    C here holds the tracked outputs only. Least norm where inputs are more than tracked outputs. The residual is
+    relative to Q; it is not small exactly when a zero of the plant meets the spectrum of S.
+    """
+    A, B, C = linear
+    n, m, k, q = A.shape[0], B.shape[1], S.shape[0], C.shape[0]
+    identity = np.eye(k)
+    equations = np.block(
+        [
+            [np.kron(identity, A) - np.kron(S.T, np.eye(n)), np.kron(identity, B)],
+            [np.kron(identity, C), np.zeros((q * k, m * k))],
+        ]
+    )
+    wanted = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
+    scale = np.linalg.norm(equations, axis=0)
+    scale[scale == 0] = 1.0
+    solution = np.linalg.lstsq(equations / scale, wanted, rcond=None)[0] / scale
+    residual = float(np.linalg.norm(equations @ solution - wanted) / max(np.linalg.norm(wanted), 1e-300))
+    return solution[: n * k].reshape(n, k, order="F"), solution[n * k :].reshape(m, k, order="F"), residual
+
+
+def _blocking(linear: Matrices, S: Floats) -> complex:
+    """The eigenvalue of S nearest to being a zero of the plant (least singular value of the Rosenbrock matrix)."""
+    A, B, C = linear
+    zero = np.zeros((C.shape[0], B.shape[1]))
+
+    def gap(s: complex) -> float:
+        rosenbrock = np.block([[A - s * np.eye(A.shape[0]), B], [C, zero]])
+        return float(np.linalg.svd(rosenbrock, compute_uv=False)[-1 if rosenbrock.shape[0] <= rosenbrock.shape[1] else 0])
+
+    return complex(min(np.linalg.eigvals(S), key=gap))
+
+
+def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
+    """Targets at times t [s] for a linear model, continuous or sampled. Raises TrackingError where none exists."""
+    S = exo.S
+    if model.Ts is not None:
+        from scipy.linalg import expm
+
+        S = expm(S * model.Ts)
+    linear = model.linear._replace(C=model.linear.C[tracked])
+    if len(tracked) > model.m:
+        raise TrackingError(
+            f"reference.outputs: the plant has {model.m} input{'s' * (model.m > 1)} and cannot make {len(tracked)} outputs follow; name at most {model.m}"
+        )
+    Pi, Gamma, residual = regulator(linear, S, exo.Q)
+    if residual > 1e-8:
+        s = _blocking(linear, S)
+        if model.Ts is not None:
+            s = np.log(s) / model.Ts
+        where = f"{s.real:.4g}{s.imag:+.4g}j" if abs(s.imag) > 1e-12 else f"{s.real:.4g}"
+        raise TrackingError(
+            f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on the reference's spectrum "
+            f"(regulator equations, residual {residual:.1g}); change the frequency or the tracked outputs"
+        )
+    w = exo.state(t)
+    return Target(exo.value(t), w @ Pi.T, w @ Gamma.T)
+
+
+def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats) -> Target:
+    """Targets for a nonlinear model without zero dynamics: r and its derivatives inverted for x and u by Newton.
+
+    Needs one input per tracked output and relative degrees that add up to n. Raises TrackingError otherwise.
+    """
+    if len(tracked) != model.m:
+        raise TrackingError(f"reference.outputs: a nonlinear plant with {model.m} inputs needs {model.m} tracked outputs, found {len(tracked)}")
+    continuous = model.move
+    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
+    params = ca.SX(model.params)
+    dx = continuous(params, x, u)
+    values, orders, tops = [], [], []
+    for index in tracked:
+        value, order = model.output(params, x)[index], 0
+        while not ca.depends_on(value, u) and order <= model.n:
+            values.append(value)
+            orders.append(order)
+            value, order = ca.jtimes(value, x, dx), order + 1
+        tops.append((value, order))
+    if len(values) != model.n:
+        raise TrackingError(
+            f"reference: the nonlinear plant has zero dynamics (relative degrees {[order for _, order in tops]} add up to "
+            f"{len(values)}, not to n = {model.n}); its feedforward cannot be computed by inversion"
+        )
+    channel = np.repeat(np.arange(len(tracked)), [order for _, order in tops])
+    derivatives = [exo.value(t, order) for order in range(max(order for _, order in tops) + 1)]
+    goals = np.stack(
+        [derivatives[order][:, c] for c, order in zip(channel, orders, strict=True)]
+        + [derivatives[order][:, c] for c, (_, order) in enumerate(tops)],
+        axis=1,
+    )
+    unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])
+    residual = ca.vertcat(*values, *(value for value, _ in tops)) - goal
+    solve = ca.rootfinder("invert", "newton", {"x": unknown, "p": goal, "g": residual}, {"error_on_fail": False, "abstol": 1e-12})
+    found = np.empty_like(goals)
+    guess = np.concatenate([x_eq, np.zeros(model.m)])
+    for k, row in enumerate(goals):
+        guess = np.asarray(solve(guess, row)).ravel()
+        if not np.isfinite(guess).all() or not solve.stats()["success"]:
+            raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {t[k]:.4g} s (Newton's method finds no state and input)")
+        found[k] = guess
+    return Target(exo.value(t), found[:, : model.n], found[:, model.n :])

@@ -1,0 +1,27 @@
+"""Classical Runge-Kutta and cubic dense output, on any values that add and scale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+
+def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
+    """One step of length h [s] of x' = rate(x, c), c in [0, 1] the fraction of the step; k1 = rate(x, 0) if known."""
+    k1 = rate(x, 0.0) if k1 is None else k1
+    k2 = rate(x + h / 2 * k1, 0.5)
+    k3 = rate(x + h / 2 * k2, 0.5)
+    k4 = rate(x + h * k3, 1.0)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
+    """The cubic through x0, x1 with slopes dx0, dx1 over a step h [s], at the fraction c of it; error O(h^4)."""
+    d = x1 - x0
+    return x0 + c * (h * dx0 + c * (3 * d - h * (2 * dx0 + dx1) + c * (h * (dx0 + dx1) - 2 * d)))
+
+
+def hermite_slope(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
+    """The derivative of `hermite` with respect to c."""
+    d = x1 - x0
+    return h * dx0 + c * (2 * (3 * d - h * (2 * dx0 + dx1)) + c * (3 * (h * (dx0 + dx1) - 2 * d)))

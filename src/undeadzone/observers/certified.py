@@ -1,0 +1,129 @@
+"""The repaired observer: the innovation is formed on the side that the sensor itself shows (docs/theory.md, section 2)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, Floats, array, matrix, vector
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
+from undeadzone.plant import System
+from undeadzone.sensor import Zone, offset
+
+
+class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="certified"):
+    """Measured-side adaptive observer; replaces (16)-(25).
+
+    L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a stable plant. gamma: adaptation
+    gain [1/s], one or one per output. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side, the estimates
+    are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
+    so that the integration error falls as h^2 only). Gains are continuous-time ones in either time.
+    """
+
+    L: Array | None = None
+    gamma: Array = 1.0
+    widths0: Array = 0.0
+    width_max: Array = 1e3
+    silence: bool = False
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled. Raises InputError, ShapeError."""
+        p = model.p
+        gamma, limit = vector("observer.gamma", self.gamma, p, "one per output"), vector("observer.width_max", self.width_max, p, "one per output")
+        if (gamma < 0).any():
+            raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
+        if (limit <= 0).any():
+            raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
+        widths = pairs("observer.widths0", self.widths0, p)
+        if (widths < 0).any() or (widths > limit[:, None]).any():
+            raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
+        return measured_side(model, sensor, gains(self.L, model), gamma, widths, limit, self.silence)
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; L and gamma are per step when the model is sampled."""
+
+    model: Any
+    L: Floats
+    gamma: Floats
+    right0: Floats
+    left0: Floats
+    limit: Floats
+    slope: Floats
+    threshold: Floats
+
+
+class State(NamedTuple):
+    """x^ and the widths d_r^, d_l^."""
+
+    x: Any
+    right: Any
+    left: Any
+
+
+def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
+    """L as n x p (a plain list for one output), or P^-1 C' of the model where L is not given. Raises ShapeError."""
+    n, p = model.n, model.p
+    if L is None:
+        from undeadzone.design.passivity import passive_gain
+
+        return passive_gain(model.linear, model.Ts)
+    found = array(key, L)
+    if found.ndim == 1 and p == 1:
+        found = found[:, None]
+    if found.ndim != 2:
+        raise ShapeError(f"{key}: expected {n} x {p} (states x outputs), found {found.size} number{'s' * (found.size != 1)}")
+    return matrix(key, found, n, p, "states x outputs")
+
+
+def pairs(key: str, value: Array, p: int) -> Floats:
+    """(p x 2) of [right, left] from one number, one pair, or one pair per output. Raises ShapeError."""
+    found = array(key, value)
+    if found.ndim < 2 and found.size in (1, 2):
+        return np.broadcast_to(found, (p, 2)).astype(float)
+    return matrix(key, found, p, 2, "one [right, left] per output")
+
+
+def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths: Floats, limit: Floats, silence: bool) -> Observer:
+    """The observer itself; with gamma = 0 and true widths it is the known-width oracle."""
+    jump = sensor.kind == "jump"
+    Ts = model.Ts
+    per_step = 1.0 if Ts is None else Ts
+    keep = 0.0 if Ts is None else 1.0
+    params = Params(model.params, L * per_step, gamma * per_step, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold)
+
+    def init(p: Params) -> State:
+        return State(np.zeros(model.n), p.right0, p.left0)
+
+    def project(p: Params, s: State) -> State:
+        return State(s.x, *(ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left)))
+
+    def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        z, side, y = model.output(p.model, s.x), reading.side, reading.y / p.slope
+        active = side != 0
+        # A silent sensor says -d_l <= z <= d_r (wider by the threshold); beyond an edge, that edge or z^ is wrong.
+        slack = p.threshold / p.slope
+        silent = ca.if_else(ca.logic_and(side == 0, y == y), float(silence), 0.0)
+        over, under = silent * ca.fmax(z - s.right - slack, 0.0), silent * ca.fmin(z + s.left + slack, 0.0)
+        if jump:
+            e = ca.if_else(active, y - z, 0.0)
+            grow_right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
+            grow_left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
+        else:
+            e = ca.if_else(active, y - (z - offset(side, s.right, s.left)), -over - under)
+            grow_right = ca.if_else(ca.logic_or(side > 0, over > 0), -e, 0.0)
+            grow_left = ca.if_else(ca.logic_or(side < 0, under < 0), e, 0.0)
+        after = State(
+            model.move(p.model, s.x, u) + p.L @ e,
+            keep * s.right + p.gamma * grow_right,
+            keep * s.left + p.gamma * grow_left,
+        )
+        if Ts is not None:
+            after = project(p, after)
+        return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
+
+    return Observer(params, init, step, project)

@@ -1,0 +1,55 @@
+"""The classical Luenberger observer, blind to the dead zone: it takes the reading for the output."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, Floats
+from undeadzone.design.poles import observer_gain
+from undeadzone.errors import InputError
+from undeadzone.observers.certified import gains
+from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
+from undeadzone.plant import System
+from undeadzone.sensor import Zone
+
+
+class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="luenberger"):
+    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966): L (n x p), or the poles of A - L C [1/s]."""
+
+    L: Array | None = None
+    poles: Array | None = None
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled. Raises InputError, StructureError."""
+        if (self.L is None) == (self.poles is None):
+            raise InputError("observer: luenberger needs either L or poles")
+        if self.L is None:
+            L = observer_gain(model.linear, self.poles, model.Ts)
+        else:
+            L = gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
+
+        def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+            z = model.output(p.model, s.x)
+            e = ca.if_else(reading.y == reading.y, reading.y / p.slope - z, 0.0)
+            none = ca.SX.zeros(model.p)
+            return State(model.move(p.model, s.x, u) + p.L @ e), estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
+
+        return Observer(Params(model.params, L, sensor.slope), lambda p: State(np.zeros(model.n)), step)
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; L is per step when the model is sampled."""
+
+    model: Any
+    L: Floats
+    slope: Floats
+
+
+class State(NamedTuple):
+    """x^ alone."""
+
+    x: Any

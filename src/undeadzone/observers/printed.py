@@ -1,0 +1,88 @@
+"""The paper's observer as printed, (16)-(17) and (25), with the least that makes its shapes agree."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, Floats, scalar
+from undeadzone.design.riccati import paper_riccati, weight
+from undeadzone.errors import InputError
+from undeadzone.observers.certified import gains, pairs
+from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
+from undeadzone.plant import System
+from undeadzone.sensor import Zone, indicators, saturation
+
+STAND_INS = {
+    "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",
+    "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
+    "(25) P L C": "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L and C",
+    "(42) derivative": "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured",
+}
+
+
+class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="printed"):
+    """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi, P of (34) with A - L C.
+
+    L: gains (n); sigma: adaptation gain; alpha, Q: of (34); sharpness: k_s of (8); widths0: d^(0) = [right, left], A2
+    sets it to the truth; feed_input: add the B u that (16) lacks; left_sign: -1 as printed, +1 with a signed d_l.
+    """
+
+    L: Array
+    sigma: float = 1.0
+    alpha: float = 10.0
+    Q: Array = 1.0
+    sharpness: float = 100.0
+    widths0: Array = 0.0
+    feed_input: bool = False
+    left_sign: float = -1.0
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a continuous-time model of one output. Raises InputError, StructureError."""
+        if model.Ts is not None or model.nonlinear or model.p != 1:
+            raise InputError("observer.method: 'printed' is defined for a linear plant of one output in continuous time (simulation.time)")
+        A, B, C = model.linear
+        L = gains(self.L, model)
+        P = paper_riccati(A - L @ C, B, scalar("observer.alpha", self.alpha, above=0.0), weight("observer.Q", self.Q, model.n)).P
+        right, left = pairs("observer.widths0", self.widths0, 1)[0]
+        params = Params(
+            model.params, L, np.float64(self.sigma), C @ P @ L, np.float64(self.sharpness), np.float64(self.feed_input), np.float64(self.left_sign),
+            np.array([right]), np.array([left]),
+        )  # fmt: skip
+
+        def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+            z = model.output(p.model, s.x)
+            y_hat = z - saturation(z, s.right, s.left)
+            e = reading.y - y_hat
+            chi_r, chi_l = indicators(reading.y, p.sharpness)
+            rate = -p.sigma * e * p.cpl
+            change = State(model.move(p.model, s.x, p.feed_input * u) + p.L @ e, rate * chi_r, p.left_sign * -rate * chi_l)
+            return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
+
+        return Observer(params, lambda p: State(np.zeros(model.n), p.right0, p.left0), step)
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; cpl = C P L."""
+
+    model: Any
+    L: Floats
+    sigma: Any
+    cpl: Floats
+    sharpness: Any
+    feed_input: Any
+    left_sign: Any
+    right0: Floats
+    left0: Floats
+
+
+class State(NamedTuple):
+    """x^ and the widths d_r^, d_l^."""
+
+    x: Any
+    right: Any
+    left: Any
+
+

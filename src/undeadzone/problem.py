@@ -1,0 +1,156 @@
+"""From a scenario's words to checked parts: what is wrong with an input is said here, by key, before anything runs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone import plant as plants
+from undeadzone import signals
+from undeadzone.arrays import Floats, scalar
+from undeadzone.controllers import Controller
+from undeadzone.design.structure import require_structure
+from undeadzone.errors import InputError, StepError, StructureError, TrackingError
+from undeadzone.observers import Observer
+from undeadzone.plant import Plant, System
+from undeadzone.scenario import Scenario
+from undeadzone.sensor import Zone, resolve
+from undeadzone.signals import Exosystem
+
+MEMORY = 4e9  # [bytes] of signals that one run may hold
+
+
+class Problem(NamedTuple):
+    """The checked parts of a scenario. plant and model are sampled when the simulation is; flow is the continuous model."""
+
+    scenario: Scenario
+    plant: System
+    model: System
+    flow: System
+    sensor: Zone
+    observer: Observer
+    controller: Controller
+    reference: Exosystem
+    tracked: list[int]
+    x0: Floats
+    steps: int
+
+
+def resolve_scenario(scenario: Scenario) -> Problem:
+    """Build and check every part. Raises InputError and its kinds, naming the key, what was found and what to do."""
+    step, steps = _time(scenario)
+    true, flow, x0 = systems(scenario)
+    sensor = resolve(scenario.sensor, true.p, step)
+    tracked = _tracked(scenario, true)
+    reference = signals.exosystem("reference", scenario.reference, len(tracked))
+    plant, model = true, flow
+    if scenario.simulation.time == "sampled":
+        if scenario.simulation.substeps < 1:
+            raise InputError(f"simulation.substeps: expected 1 or more, found {scenario.simulation.substeps}")
+        _require_sampling(true, reference, step)
+        plant, model = (plants.sampled(system, step, scenario.simulation.substeps) for system in (true, flow))
+        require_structure(model.linear, f"plant sampled at {step:g} s")
+    observer = scenario.observer.build(model, sensor)
+    controller = scenario.controller.build(model)
+    _require_bounded(model, observer)
+    _require_fine_step(plant, model, observer, controller, step)
+    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, tracked, x0, steps)
+
+
+def systems(scenario: Scenario) -> tuple[System, System, Floats]:
+    """(the plant, the model, x(0)) in continuous time, checked against each other."""
+    plant = plants.system(scenario.plant)
+    require_structure(plant.linear, "plant")
+    model = plant
+    if scenario.model is not None:
+        model = plants.system(_believed(scenario), "model")
+        require_structure(model.linear, "model")
+        if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
+            raise InputError(
+                f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}"
+            )
+    return plant, model, plants.initial_state(scenario.plant, plant.n)
+
+
+def _believed(scenario: Scenario) -> Plant:
+    model, plant = scenario.model, scenario.plant
+    assert model is not None
+    matrices = {name: getattr(model, name) for name in "ABC" if getattr(model, name) is not None}
+    if plant.f is not None:
+        if matrices:
+            raise InputError(f"model.{min(matrices)}: the plant is given by formulas; its model can change parameters only")
+        if unknown := sorted(set(model.parameters) - set(plant.parameters)):
+            raise InputError(f"model.parameters.{unknown[0]}: unknown parameter; the plant has {', '.join(plant.parameters) or 'none'}")
+        return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
+    if model.parameters:
+        raise InputError("model.parameters: only a plant given by formulas has parameters; use A, B, C")
+    linear = plants.matrices(plant)
+    return Plant(**{**linear._asdict(), **matrices})
+
+
+def _time(scenario: Scenario) -> tuple[float, int]:
+    duration = scalar("simulation.duration", scenario.simulation.duration, above=0.0)
+    step = scalar("simulation.step", scenario.simulation.step, above=0.0)
+    if step > duration:
+        raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
+    if scenario.simulation.seed < 0:
+        raise InputError(f"simulation.seed: must not be negative, found {scenario.simulation.seed}")
+    if duration / step * 60 * 8 > MEMORY:
+        raise StepError(f"simulation.step: {duration / step:.3g} steps would need more than {MEMORY / 1e9:g} GB; use a longer step or a shorter duration")
+    return step, round(duration / step)
+
+
+def _tracked(scenario: Scenario, plant: System) -> list[int]:
+    tracked = list(range(min(plant.m, plant.p))) if scenario.tracked is None else scenario.tracked
+    if not tracked or len(set(tracked)) < len(tracked) or not all(0 <= index < plant.p for index in tracked):
+        raise InputError(f"tracked: expected different output numbers from 0 to {plant.p - 1}, found {tracked}")
+    return tracked
+
+
+def _require_sampling(plant: System, reference: Exosystem, step: float) -> None:
+    fastest = float(np.abs(np.linalg.eigvals(plant.linear.A).imag).max())
+    if fastest * step >= np.pi:
+        raise StepError(f"simulation.step: {step:g} s is too coarse: the plant oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that")
+    tone = float(np.abs(np.linalg.eigvals(reference.S).imag).max()) / 2 / np.pi
+    if tone * step >= 0.5:
+        raise TrackingError(f"reference.frequency: {tone:.4g} Hz is not below half the sampling rate, {0.5 / step:.4g} Hz")
+
+
+def _require_bounded(model: System, observer: Observer) -> None:
+    """An unstable model needs an observer whose active mode A - L C is stable."""
+    L = getattr(observer.params, "L", None)
+    if L is None:
+        return
+    free, active = np.linalg.eigvals(model.linear.A), np.linalg.eigvals(model.linear.A - L @ model.linear.C)
+
+    def growth(poles: np.ndarray) -> float:
+        return float(poles.real.max() if model.Ts is None else np.log(np.abs(poles).max()) / model.Ts)
+
+    if growth(free) > 1e-9 and growth(active) >= 0:
+        raise StructureError(
+            f"observer.L: the model is unstable (growth rate {growth(free):.4g} 1/s) and this gain cannot bound the estimation error: "
+            f"A - L C grows at {growth(active):.4g} 1/s; choose L so that A - L C is stable"
+        )
+
+
+def _require_fine_step(plant: System, model: System, observer: Observer, controller: Controller, step: float) -> None:
+    gamma = np.max(getattr(observer.params, "gamma", 0.0))
+    if model.Ts is not None:
+        if gamma >= 2:
+            raise StepError(f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2")
+        return
+    L, K = getattr(observer.params, "L", None), getattr(controller.params, "K", None)
+    parts = {"the plant": plant.linear.A}
+    if L is not None:
+        A, _, C = model.linear
+        parts["the observer, A - L C with gamma,"] = np.block([[A - L @ C, L], [gamma * C, -gamma * np.eye(model.p)]])
+    if K is not None:
+        parts["the controlled model, A - B K,"] = model.linear.A - model.linear.B @ K
+    if (tau := getattr(controller.params, "tau", None)) is not None:
+        parts["the controller's filter"] = np.array([[-1.0 / tau]])
+    for name, matrix in parts.items():
+        fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
+        if fastest * step > 2.5:
+            raise StepError(f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} rad/s; use at most {1.0 / fastest:.2g} s")

@@ -1,0 +1,247 @@
+"""The result of a run: named signals with their units, what was found out about them, and how to keep them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.errors import FileError, InputError
+from undeadzone.scenario import Units
+
+LAST = 2.0  # [s] over which errors are measured
+LIMIT = 1e12  # beyond this a state has diverged
+
+
+class Info(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run knows besides its signals; widths: the true [right, left] of each output."""
+
+    title: str
+    method: str
+    time: str
+    step: float
+    tracked: list[int]
+    widths: list[float]
+    threshold: list[float]
+    certified: bool | None
+    integration_error: float | None
+    identifiable: list[dict[str, Any]]
+    seconds: float
+    units: Units = Units()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """Signals of one run, one row per sample: t [s] (N), the others N x (n, p, m, 2p); V (N) where a certificate exists.
+
+    x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
+    output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
+    """
+
+    t: Floats
+    x: Floats
+    z: Floats
+    y: Floats
+    side: Floats
+    x_hat: Floats
+    z_hat: Floats
+    d_hat: Floats
+    z_inverse: Floats
+    innovation: Floats
+    u: Floats
+    r: Floats
+    V: Floats | None
+    info: Info
+
+    @property
+    def last(self) -> slice:
+        """The samples of the last 2 s (all of a shorter run)."""
+        return slice(int(np.searchsorted(self.t, self.t[-1] - LAST - 1e-12)), None)
+
+    @property
+    def diverged_at(self) -> float | None:
+        """The time [s] at which a signal left +-1e12 or stopped being a number; None if none did."""
+        worst = np.abs(np.hstack([self.x, self.x_hat, self.d_hat, self.u])).max(axis=1)
+        bad = np.flatnonzero(~(worst < LIMIT))
+        return float(self.t[bad[0]]) if bad.size else None
+
+    @property
+    def rms_tracking(self) -> float:
+        """Root mean square of z - r over the last 2 s and the tracked outputs."""
+        return _rms((self.z[:, self.info.tracked] - self.r)[self.last])
+
+    @property
+    def rms_estimation(self) -> float:
+        """Root mean square of z - z_hat over the last 2 s and all outputs."""
+        return _rms((self.z - self.z_hat)[self.last])
+
+    @property
+    def widths(self) -> Floats:
+        """The final width estimates (p x 2): [d_r^, d_l^] of each output."""
+        return self.d_hat[-1].reshape(-1, 2)
+
+    @property
+    def silent_fraction(self) -> float:
+        """The share of samples at which an output is silent."""
+        return float((self.side == 0).mean())
+
+    @property
+    def largest_rise_of_V(self) -> float | None:
+        """The largest increase of V from one sample to the next, relative to V(0); None without a certificate."""
+        if self.V is None or self.V.size < 2:
+            return None
+        return float(max(0.0, np.diff(self.V).max())) / max(float(self.V[0]), 1e-300)
+
+    @property
+    def fully_identifiable(self) -> bool:
+        """Whether every width of every output could be told from this run's readings."""
+        return all(verdict["right"] and verdict["left"] for verdict in self.info.identifiable)
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the run, ready for JSON; lists where there are several outputs."""
+        right, left = (column.tolist() if len(column) > 1 else float(column[0]) for column in self.widths.T)
+        verdicts = self.info.identifiable
+        return {
+            "title": self.info.title,
+            "method": self.info.method,
+            "time": self.info.time,
+            "step": self.info.step,
+            "rms_tracking": finite(self.rms_tracking),
+            "rms_estimation": finite(self.rms_estimation),
+            "d_right": finite(right),
+            "d_left": finite(left),
+            "silent_fraction": self.silent_fraction,
+            "certified": self.info.certified,
+            "largest_rise_of_V": self.largest_rise_of_V,
+            "integration_error": finite(self.info.integration_error),
+            "identifiable": verdicts[0] if len(verdicts) == 1 else verdicts,
+            "diverged_at": self.diverged_at,
+            "seconds": self.info.seconds,
+        }
+
+    def columns(self) -> dict[str, Floats]:
+        """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
+        found = {"t": self.t}
+        for name in ARRAYS[1:]:
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if value.ndim == 1:
+                found[name] = value
+            elif name == "d_hat":
+                found |= {f"d_{edge}[{i // 2}]": value[:, i] for i in range(value.shape[1]) for edge in [("right", "left")[i % 2]]}
+            else:
+                found |= {f"{name}[{i}]": value[:, i] for i in range(value.shape[1])}
+        return found
+
+    def unit(self, name: str) -> str:
+        """The unit of a signal or of one of its columns."""
+        units, (signal, _, index) = self.info.units, name.partition("[")
+        if signal in ("x", "x_hat"):
+            return units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
+        return {"t": "s", "u": units.input, "side": "1", "V": "1"}.get(signal, units.output)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `.npz` (all, exactly) or `.csv` (signals, 17 digits, units in the header). Raises FileError, InputError."""
+        path = Path(path)
+        if path.suffix == ".npz":
+            arrays = {name: value for name in ARRAYS if (value := getattr(self, name)) is not None}
+            with replacing(path) as temporary, open(temporary, "wb") as file:
+                np.savez_compressed(file, info=np.frombuffer(msgspec.json.encode(self.info), np.uint8), **arrays)
+        elif path.suffix == ".csv":
+            columns = self.columns()
+            header = ",".join(f"{name} [{self.unit(name)}]" for name in columns)
+            with replacing(path) as temporary:
+                np.savetxt(temporary, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=",", header=header, comments="")
+        else:
+            raise InputError(f"{path}: the name must end in .npz or .csv")
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Run:
+        """Read a run saved as `.npz`, exactly as it was. Raises FileError."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in ARRAYS if name in file}
+                info = msgspec.json.decode(file["info"].tobytes(), type=Info)
+            return cls(**{"V": None, **arrays}, info=info)
+        except OSError as error:
+            raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
+        except (ValueError, KeyError, TypeError, msgspec.DecodeError, EOFError) as error:
+            raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+        import pandas as pd
+
+        columns = self.columns()
+        return pd.DataFrame({name: values for name, values in columns.items() if name != "t"}, index=pd.Index(columns["t"], name="t"))
+
+    def plot(self, path: str | os.PathLike[str]) -> Path:
+        """Write a figure of the run (PNG, PDF or SVG by suffix): output, error, widths, V. Raises FileError."""
+        from undeadzone.report.figures import overview, write
+
+        return write(overview(self), Path(path))
+
+
+ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
+
+
+def read_columns(path: str | os.PathLike[str]) -> dict[str, Floats]:
+    """The columns of a run saved as `.csv`, by name without units. Raises FileError."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            names = [cell.partition(" [")[0] for cell in file.readline().rstrip("\n").split(",")]
+            table = np.loadtxt(file, delimiter=",", ndmin=2)
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
+    except ValueError as error:
+        raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
+    if table.shape[1] != len(names):
+        raise FileError(f"{path}: the header names {len(names)} columns, the rows have {table.shape[1]}")
+    return dict(zip(names, table.T, strict=True))
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its name once written; nothing is left half-written. Raises FileError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+        os.close(handle)
+    except OSError as error:
+        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if error.errno else error}") from None
+    try:
+        yield Path(name)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, path)
+    except OSError as error:
+        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if error.errno else error}") from None
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _rms(values: Floats) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sqrt(np.mean(values**2)))
+
+
+def finite(value: Any) -> Any:
+    """The value, or None where it is not a finite number (JSON has none)."""
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

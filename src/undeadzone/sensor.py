@@ -1,0 +1,143 @@
+"""The output deadzone, equations (1)-(13) as corrected in docs/theory.md: d_r, d_l > 0 and y = m (z - Sat z).
+
+Every function takes NumPy arrays or CasADi expressions alike. z is the true output, y the reading,
+right = d_r and left = d_l the widths (unit of z), m the slope (unit of y per unit of z).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, Floats, nonnegative, scalar, vector
+from undeadzone.errors import InputError
+
+RIGHT, SILENT, LEFT = 1.0, 0.0, -1.0
+
+
+def _ops(*values: Any) -> Any:
+    """CasADi when any value is a CasADi expression, else NumPy: fmax, fmin, tanh have the same names in both."""
+    if any(type(value).__module__.startswith("casadi") for value in values):
+        import casadi
+
+        return casadi
+    return np
+
+
+def saturation(z: Any, right: Any, left: Any) -> Any:
+    """Sat z of (4): z limited to [-d_l, d_r]."""
+    ops = _ops(z, right, left)
+    return ops.fmax(ops.fmin(z, right), -left)
+
+
+def deadzone(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
+    """The reading y = m (z - Sat z) of (1), (3), (14); exactly 0 inside the zone."""
+    return slope * (z - saturation(z, right, left))
+
+
+def zone(z: Any, right: Any, left: Any) -> Any:
+    """Where the true output is: +1 beyond d_r, -1 below -d_l, 0 inside."""
+    return 1.0 * (z > right) - 1.0 * (z < -left)
+
+
+def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
+    """The reading of a jump sensor: m z outside the zone, 0 inside (velocity sensors)."""
+    return slope * z * (1.0 * (z > right) + 1.0 * (z < -left))
+
+
+def side(y: Any, threshold: Any = 0.0) -> Any:
+    """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0 (silent, also for NaN)."""
+    return 1.0 * (y > threshold) - 1.0 * (y < -threshold)
+
+
+def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
+    """The paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y); both are 1/2 at y = 0."""
+    sign = _ops(y, sharpness).tanh(sharpness * y)
+    return (1.0 + sign) / 2.0, (1.0 - sign) / 2.0
+
+
+def offset(side: Any, right: Any, left: Any) -> Any:
+    """chi_bar d of (12) with chi_bar = [chi_r, -chi_l]: what the deadzone takes off z on that side."""
+    return right * (side > 0) - left * (side < 0)
+
+
+def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> Any:
+    """The reading on a given branch, continued beyond its edge: m (z - chi_bar d), m z for a jump sensor, 0 inside."""
+    taken = 0.0 if kind == "jump" else offset(zone, right, left)
+    return slope * (z - taken) * (1.0 * (zone > 0) + 1.0 * (zone < 0))
+
+
+def inverse(y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone") -> Any:
+    """The deadzone inverse (26): y / m + chi_bar d on the measured side, y / m where silent or of the jump kind."""
+    return y / slope + (0.0 if kind == "jump" else offset(side, right, left))
+
+
+def edges(right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0) -> tuple[Any, Any]:
+    """(z_r, z_l): the side reads right above z_r and left below -z_l, given threshold and additive noise on y."""
+    ops = _ops(right, left, slope, threshold, noise)
+    above, below = (threshold - noise) / slope, (threshold + noise) / slope
+    if kind == "jump":
+        return ops.fmax(right, above), ops.fmax(left, below)
+    return right + ops.fmax(above, 0.0), left + ops.fmax(below, 0.0)
+
+
+def bound(right: Any, left: Any) -> Any:
+    """The least d_M of (2) as corrected, d_r + d_l <= d_M; it bounds |Sat z| too, as (13) asks."""
+    return right + left
+
+
+def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
+    """|y| below which a reading counts as silent, so that white noise of that rms gives `rate` false alarms per second."""
+    if not noise.any():
+        return np.zeros_like(noise)
+    from scipy.special import ndtri
+
+    return np.asarray(noise * -ndtri(min(0.5, rate * step / 2.0)), float)
+
+
+class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An output deadzone of p outputs; each entry is one number or one per output.
+
+    right, left: d_r, d_l [z]; slope: m [y/z]; noise: rms added after the deadzone [y]; noise_before: rms added to z
+    ahead of it [z]; threshold: |y| that counts as silent [y] (default: from noise and false_alarm_rate [1/s]).
+    """
+
+    right: Array
+    left: Array
+    kind: Literal["deadzone", "jump"] = "deadzone"
+    slope: Array = 1.0
+    noise: Array = 0.0
+    noise_before: Array = 0.0
+    threshold: Array | None = None
+    false_alarm_rate: float = 0.01
+
+
+class Zone(msgspec.Struct, frozen=True):
+    """A `Sensor` checked and spread over p outputs, with its silence threshold decided."""
+
+    kind: str
+    right: Floats
+    left: Floats
+    slope: Floats
+    noise: Floats
+    noise_before: Floats
+    threshold: Floats
+
+
+def resolve(sensor: Sensor, p: int, step: float) -> Zone:
+    """Check a sensor against p outputs at a time step [s]. Raises InputError, ShapeError."""
+    why = f"one per output, the plant has {p}"
+    right, left = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("right", "left"))
+    slope = vector("sensor.slope", sensor.slope, p, why)
+    if (slope <= 0).any():
+        raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
+    noise = nonnegative("sensor.noise", sensor.noise, p, why)
+    before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
+    rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
+    if sensor.threshold is None:
+        threshold = noise_threshold(noise, step, rate)
+    else:
+        threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
+    return Zone(sensor.kind, right, left, slope, noise, before, threshold)

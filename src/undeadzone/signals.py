@@ -1,0 +1,209 @@
+"""References and disturbances as outputs of a linear exosystem w' = S w, r = Q w (piecewise where they have corners)."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from scipy.linalg import block_diag
+
+from undeadzone.arrays import Array, Floats, scalar, vector
+from undeadzone.errors import FileError, InputError
+
+
+class Exosystem(NamedTuple):
+    """w' = S w between corners and r = Q w; state(t): w at times t (len(t) x k)."""
+
+    S: Floats
+    Q: Floats
+    state: Callable[[Floats], Floats]
+
+    def value(self, t: Floats, derivative: int = 0) -> Floats:
+        """r, or its derivative of the given order, at times t [s] (len(t) x channels)."""
+        return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
+
+
+class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """amplitude * sin(2 pi frequency t + phase); frequency [Hz], phase [rad]."""
+
+    amplitude: Array
+    frequency: float
+    phase: Array = 0.0
+
+
+class Sine(Tone, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sine"):
+    """One sine about an offset."""
+
+    offset: Array = 0.0
+
+
+class Sines(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sines"):
+    """A sum of sines about an offset."""
+
+    components: list[Tone]
+    offset: Array = 0.0
+
+
+class Step(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="step"):
+    """`before` until `time` [s], then `amplitude`."""
+
+    amplitude: Array
+    time: float = 0.0
+    before: Array = 0.0
+
+
+class Trapezoid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="trapezoid"):
+    """Periodic trapezoid: rise [s] to +amplitude, hold [s], fall to -amplitude, hold, and so on, starting at 0."""
+
+    amplitude: Array
+    rise: float
+    hold: float
+
+
+class Samples(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="csv"):
+    """A CSV file with a time column [s] and one column per channel; held at its ends.
+
+    smooth: cubic spline through the samples, else straight lines. The path is relative to the scenario file.
+    """
+
+    path: str
+    smooth: bool = True
+
+
+class Random(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="random"):
+    """Seeded Gaussian noise of given rms and correlation time [s] (first-order); a disturbance only."""
+
+    rms: Array
+    correlation_time: float
+
+
+Signal = Sine | Sines | Step | Trapezoid | Samples
+Disturbance = Sine | Sines | Step | Trapezoid | Samples | Random
+
+
+def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
+    """The exosystem of a signal with that many channels. Raises InputError, ShapeError, FileError."""
+    why = f"one per channel, there are {channels}"
+    match signal:
+        case Sines():
+            if not signal.components:
+                raise InputError(f"{key}.components: expected at least one sine, found none")
+            return _tones(key, [f"{key}.components[{i}]" for i in range(len(signal.components))], signal.components, signal.offset, channels)
+        case Sine():
+            return _tones(key, [key], [signal], signal.offset, channels)
+        case Step():
+            before, after = (vector(f"{key}.{name}", getattr(signal, name), channels, why) for name in ("before", "amplitude"))
+            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= signal.time, after, before))
+        case Trapezoid():
+            return _trapezoid(key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why))
+        case Samples():
+            t, values = read_csv(key, signal.path, channels)
+            return _piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)
+
+
+def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
+    constant = vector(f"{key}.offset", offset, channels)
+    omegas, blocks, gains = [], [], []
+    for name, tone in zip(keys, tones, strict=True):
+        amplitude, phase = vector(f"{name}.amplitude", tone.amplitude, channels), vector(f"{name}.phase", tone.phase, channels)
+        omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
+        omegas.append(omega)
+        blocks.append([[0.0, omega], [-omega, 0.0]])
+        gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
+    if constant.any():
+        blocks.append([[0.0]])
+        gains.append(constant)
+    rates = np.array(omegas)
+
+    def state(t: Floats) -> Floats:
+        angle = np.outer(t, rates)
+        waves = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, -1)
+        return np.hstack([waves, np.ones((t.size, 1))]) if constant.any() else waves
+
+    return Exosystem(block_diag(*blocks), np.stack(gains, axis=1), state)
+
+
+def _piecewise(derivatives: Callable[[Floats], Floats], channels: int) -> Exosystem:
+    """An exosystem of polynomials: derivatives(t) gives len(t) x order x channels, the value and its derivatives."""
+    order = derivatives(np.zeros(1)).shape[1]
+    identity = np.eye(channels)
+    return Exosystem(
+        np.kron(np.eye(order, k=1), identity),
+        np.kron(np.eye(order)[:1], identity),
+        lambda t: derivatives(t).reshape(t.size, -1),
+    )
+
+
+def _trapezoid(key: str, signal: Trapezoid, amplitude: Floats) -> Exosystem:
+    rise = scalar(f"{key}.rise", signal.rise, above=0.0)
+    hold = scalar(f"{key}.hold", signal.hold, least=0.0)
+    corners = np.cumsum([0.0, rise, hold, 2 * rise, hold, rise])
+    levels = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+    slopes = np.diff(levels) / np.where(np.diff(corners) > 0, np.diff(corners), np.inf)
+
+    def derivatives(t: Floats) -> Floats:
+        phase = np.mod(t, corners[-1])
+        piece = np.clip(np.searchsorted(corners, phase, side="right") - 1, 0, 4)
+        value = levels[piece] + slopes[piece] * (phase - corners[piece])
+        return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
+
+    return _piecewise(derivatives, amplitude.size)
+
+
+def _lines(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
+    slopes = np.diff(values, axis=0) / np.diff(t)[:, None]
+
+    def derivatives(at: Floats) -> Floats:
+        inside = np.clip(at, t[0], t[-1])
+        piece = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, t.size - 2)
+        moving = ((at >= t[0]) & (at < t[-1]))[:, None]
+        return np.stack([values[piece] + slopes[piece] * (inside - t[piece])[:, None], slopes[piece] * moving], axis=1)
+
+    return derivatives
+
+
+def _spline(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
+    from scipy.interpolate import CubicSpline
+
+    curve = CubicSpline(t, values, bc_type="natural" if t.size < 4 else "not-a-knot")
+
+    def derivatives(at: Floats) -> Floats:
+        inside = np.clip(at, t[0], t[-1])
+        moving = ((at >= t[0]) & (at <= t[-1]))[:, None]
+        return np.stack([curve(inside, order) * (1.0 if order == 0 else moving) for order in range(4)], axis=1)
+
+    return derivatives
+
+
+def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
+    """(t, values) of a CSV file: time first, then one column per channel; a header line is allowed. Raises FileError."""
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        raise FileError(f"{key}.path: cannot read {path}: {reason}") from None
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    if not rows:
+        raise FileError(f"{key}.path: {path} holds no samples")
+    for number, row in enumerate(rows, 1):
+        if len(row) != channels + 1:
+            raise FileError(f"{key}.path: {path}: sample {number} has {len(row)} columns, expected {channels + 1} (time and {channels} values)")
+        if not all(_is_number(cell) for cell in row):
+            raise FileError(f"{key}.path: {path}: sample {number} is not all finite numbers: {','.join(row):.60}")
+    table = np.array(rows, float)
+    if table.shape[0] < 2 or (np.diff(table[:, 0]) <= 0).any():
+        raise FileError(f"{key}.path: {path}: needs two samples or more, with time increasing")
+    return table[:, 0], table[:, 1:]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
