@@ -54,8 +54,9 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         require_structure(model.linear, f"plant sampled at {step:g} s")
     observer = scenario.observer.build(model, sensor)
     controller = scenario.controller.build(model)
-    _require_bounded(model, observer)
-    _require_fine_step(plant, model, observer, controller, step)
+    require_observable_step(model, observer, step)
+    if model.Ts is None:
+        _require_fine_step(plant, model, observer, controller, step)
     return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, tracked, x0, steps)
 
 
@@ -118,9 +119,11 @@ def _require_sampling(plant: System, reference: Exosystem, step: float) -> None:
         raise TrackingError(f"reference.frequency: {tone:.4g} Hz is not below half the sampling rate, {0.5 / step:.4g} Hz")
 
 
-def _require_bounded(model: System, observer: Observer) -> None:
-    """An unstable model needs an observer whose active mode A - L C is stable."""
-    L = getattr(observer.params, "L", None)
+def require_observable_step(model: System, observer: Observer, step: float) -> None:
+    """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
+    gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)
+    if model.Ts is not None and gamma >= 2:
+        raise StepError(f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2")
     if L is None:
         return
     free, active = np.linalg.eigvals(model.linear.A), np.linalg.eigvals(model.linear.A - L @ model.linear.C)
@@ -136,11 +139,8 @@ def _require_bounded(model: System, observer: Observer) -> None:
 
 
 def _require_fine_step(plant: System, model: System, observer: Observer, controller: Controller, step: float) -> None:
+    """Raise StepError where RK4 would be unstable or useless on some linear part of the loop."""
     gamma = np.max(getattr(observer.params, "gamma", 0.0))
-    if model.Ts is not None:
-        if gamma >= 2:
-            raise StepError(f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2")
-        return
     L, K = getattr(observer.params, "L", None), getattr(controller.params, "K", None)
     parts = {"the plant": plant.linear.A}
     if L is not None:

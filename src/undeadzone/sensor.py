@@ -47,6 +47,11 @@ def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
     return slope * z * (1.0 * (z > right) + 1.0 * (z < -left))
 
 
+def present(y: Any) -> Any:
+    """1 where a reading is a finite number, 0 where it is missing (NaN, infinite). CasADi takes y == y for true."""
+    return 1.0 * (y < 1e300) * (y > -1e300)
+
+
 def side(y: Any, threshold: Any = 0.0) -> Any:
     """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0 (silent, also for NaN)."""
     return 1.0 * (y > threshold) - 1.0 * (y < -threshold)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from scipy.linalg import block_diag
 
 from undeadzone.arrays import Array, Floats, scalar, vector
 from undeadzone.errors import FileError, InputError
@@ -107,24 +106,25 @@ def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
     constant = vector(f"{key}.offset", offset, channels)
-    omegas, blocks, gains = [], [], []
+    omegas, gains = [], []
     for name, tone in zip(keys, tones, strict=True):
         amplitude, phase = vector(f"{name}.amplitude", tone.amplitude, channels), vector(f"{name}.phase", tone.phase, channels)
         omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
         omegas.append(omega)
-        blocks.append([[0.0, omega], [-omega, 0.0]])
         gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
     if constant.any():
-        blocks.append([[0.0]])
         gains.append(constant)
     rates = np.array(omegas)
+    S = np.zeros((len(gains), len(gains)))
+    waves = 2 * np.arange(rates.size)
+    S[waves, waves + 1], S[waves + 1, waves] = rates, -rates
 
     def state(t: Floats) -> Floats:
         angle = np.outer(t, rates)
-        waves = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, -1)
-        return np.hstack([waves, np.ones((t.size, 1))]) if constant.any() else waves
+        pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, -1)
+        return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
 
-    return Exosystem(block_diag(*blocks), np.stack(gains, axis=1), state)
+    return Exosystem(S, np.stack(gains, axis=1), state)
 
 
 def _piecewise(derivatives: Callable[[Floats], Floats], channels: int) -> Exosystem:

@@ -30,25 +30,27 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
-    signal = _run(problem, 1, progress)
+    loop, state, exogenous = prepare(problem)
+    signal = _run(loop, state, exogenous, progress)
     error = None
     if check_step and problem.plant.Ts is None:
-        error = _difference(signal, _run(problem, 2, progress))
+        halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
+        finer = _run(halved, state, _exogenous(problem, 2), progress)
+        error = _difference(signal, Outputs(*(part[::2] for part in finer)))
     return _result(problem, signal, error, began)
 
 
-def prepare(problem: Problem, refine: int = 1) -> tuple[Loop, Floats, Floats]:
-    """(the closed loop, its initial state with the plant at x0, exogenous inputs (steps + 1 rows)) at step / refine."""
-    step = problem.scenario.simulation.step / refine
-    loop = close(problem.plant, problem.sensor, problem.observer, problem.controller, len(problem.tracked), step)
-    state = tree.pack(loop.state._replace(plant=problem.x0))
-    return loop, state, _exogenous(problem, refine)
+def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
+    """(the closed loop, its initial state with the plant at x0, exogenous inputs (steps + 1 rows))."""
+    loop = close(problem.plant, problem.sensor, problem.observer, problem.controller, len(problem.tracked), problem.scenario.simulation.step)
+    return loop, tree.pack(loop.state._replace(plant=problem.x0)), _exogenous(problem, 1)
 
 
-def _run(problem: Problem, refine: int, progress: Callable[[int], None] | None) -> Outputs:
-    loop, state, exogenous = prepare(problem, refine)
+def _run(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None) -> Outputs:
+    """The outputs of a run by name."""
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params), progress)
-    return _signals(loop, outputs[::refine])
+    widths = [part.size for part in loop.outputs]
+    return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
 
 
 def _exogenous(problem: Problem, refine: int) -> Floats:
@@ -91,12 +93,6 @@ def disturbance(problem: Problem, t: Floats) -> Floats:
         grid = np.arange(problem.steps + 3) * step
         return np.stack([np.interp(t, grid, column) for column in knots.T], axis=1)
     return signals.exosystem("disturbance", signal, m).value(t)
-
-
-def _signals(loop: Loop, outputs: Floats) -> Outputs:
-    """The columns of `outputs` by name."""
-    widths = [part.size for part in loop.outputs]
-    return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
 
 
 def _difference(coarse: Outputs, fine: Outputs) -> float:

@@ -12,7 +12,7 @@ from undeadzone.arrays import Array, Floats, array, matrix, vector
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
 from undeadzone.plant import System
-from undeadzone.sensor import Zone, offset
+from undeadzone.sensor import Zone, offset, present
 
 
 class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="certified"):
@@ -107,7 +107,7 @@ def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths:
         active = side != 0
         # A silent sensor says -d_l <= z <= d_r (wider by the threshold); beyond an edge, that edge or z^ is wrong.
         slack = p.threshold / p.slope
-        silent = ca.if_else(ca.logic_and(side == 0, y == y), float(silence), 0.0)
+        silent = ca.if_else(ca.logic_and(side == 0, present(y)), float(silence), 0.0)
         over, under = silent * ca.fmax(z - s.right - slack, 0.0), silent * ca.fmin(z + s.left + slack, 0.0)
         if jump:
             e = ca.if_else(active, y - z, 0.0)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.sensor import inverse
+from undeadzone.sensor import inverse, present
 
 
 class Reading(NamedTuple):
@@ -44,5 +44,5 @@ class Observer(NamedTuple):
 
 def estimate(x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any) -> Estimate:
     """An `Estimate` with its deadzone inverse; a missing sample is inverted to z^."""
-    inverted = ca.if_else(reading.y == reading.y, inverse(reading.y, reading.side, right, left, slope, kind), z)
+    inverted = ca.if_else(present(reading.y), inverse(reading.y, reading.side, right, left, slope, kind), z)
     return Estimate(x, z, right, left, inverted, innovation)

@@ -14,7 +14,7 @@ from undeadzone.errors import InputError
 from undeadzone.observers.certified import gains
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
 from undeadzone.plant import System
-from undeadzone.sensor import Zone
+from undeadzone.sensor import Zone, present
 
 
 class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="luenberger"):
@@ -34,7 +34,7 @@ class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)
-            e = ca.if_else(reading.y == reading.y, reading.y / p.slope - z, 0.0)
+            e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
             return State(model.move(p.model, s.x, u) + p.L @ e), estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
 

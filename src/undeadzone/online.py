@@ -1,0 +1,91 @@
+"""Live use: one sample in, one estimate out, in microseconds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone import plant as plants
+from undeadzone import tree
+from undeadzone.arrays import Floats, scalar
+from undeadzone.design.structure import require_structure
+from undeadzone.engine.interpret import Stepper
+from undeadzone.observers import Observer, ObserverOptions, Reading
+from undeadzone.plant import Plant, System
+from undeadzone.problem import require_observable_step
+from undeadzone.sensor import Sensor, present, resolve, side
+
+
+class Live(NamedTuple):
+    """One live estimate: x^ (n), z^ (p), d_r^ and d_l^ (p), the deadzone inverse (26) (p), innovation (p), side (p)."""
+
+    x: Floats
+    z: Floats
+    right: Floats
+    left: Floats
+    z_inverse: Floats
+    innovation: Floats
+    side: Floats
+
+
+class Online:
+    """An observer fed one sample at a time: `Online(Certified(L=..., gamma=...), plant, sensor, step).update(y, u)`.
+
+    plant: what the observer believes; sensor: kind, slope, noise and threshold (its widths are used by the oracle only);
+    step: sample time [s]. A reading that is NaN or infinite is missing: nothing is corrected, and `missing` counts it;
+    an input that is not finite is taken to be the last one. Raises InputError and its kinds as a scenario would.
+    """
+
+    def __init__(self, observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float) -> None:
+        Ts = scalar("step", step, above=0.0)
+        system = plants.system(plant)
+        require_structure(system.linear, "plant")
+        self.model = plants.sampled(system, Ts)
+        zone = resolve(sensor, self.model.p, Ts)
+        built = observer.build(self.model, zone)
+        require_observable_step(self.model, built, Ts)
+        graph, state, params = _graph(self.model, built, zone.threshold)
+        self.samples = 0
+        self.missing = 0
+        self._step = Stepper(graph, state, params)
+        self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
+        n, p = self.model.n, self.model.p
+        self._cuts = [slice(0, n), *(slice(n + i * p, n + (i + 1) * p) for i in range(6))]
+
+    def update(self, y: float | Floats, u: float | Floats) -> Live:
+        """The estimate from reading y (p) and all before it; u (m) acts from this sample to the next."""
+        self._w[: self._p] = y
+        self._w[self._p :] = u
+        self._step()
+        self.samples += 1
+        out = self._out.copy()
+        if out[-1]:
+            self.missing += 1
+        a, b, c, d, e, f, g = self._cuts
+        return Live(out[a], out[b], out[c], out[d], out[e], out[f], out[g])
+
+    def peek(self, y: float | Floats) -> Live:
+        """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances."""
+        state, samples, missing = self._step.state.copy(), self.samples, self.missing
+        found = self.update(y, 0.0)
+        self._step.state[:] = state
+        self.samples, self.missing = samples, missing
+        return found
+
+
+def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Function, Floats, Floats]:
+    """(step(s, w, p) -> (next, out), state, params) of an observer alone; w = [y; u], out ends with 'y was missing'."""
+    values = (observer.params, threshold)
+    column, (params, eps) = tree.symbols(values, "p")
+    state = (observer.init(observer.params), np.zeros(model.m))
+    s_column, (s, held) = tree.symbols(state, "s")
+    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
+    seen = ca.if_else(present(y), y, np.nan)
+    used = ca.if_else(present(u), u, held)
+    reading = Reading(seen, side(seen, eps))
+    after, estimate = observer.step(params, s, used, reading)
+    out = ca.vertcat(tree.stack(estimate), reading.side, ca.mmin(present(y)) == 0)
+    function = ca.Function("live", [s_column, ca.vertcat(y, u), column], [tree.stack((after, used)), out], {"cse": True})
+    return function, tree.pack(state), tree.pack(values)
