@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from undeadzone.errors import InputError, ShapeError
 
-Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.floating[Any]]
 
 if TYPE_CHECKING:
     Array = npt.ArrayLike
@@ -19,7 +19,7 @@ else:
 
 def decode(kind: type, value: Any) -> Floats:
     """Turn what TOML gave for an `Array` field into a float array; raises ValueError for msgspec to locate."""
-    if kind is not Array:
+    if kind is not np.ndarray:
         raise NotImplementedError(kind)
     return numeric(value)
 

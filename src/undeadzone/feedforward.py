@@ -40,7 +40,7 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
     scale = np.linalg.norm(equations, axis=0)
     scale[scale == 0] = 1.0
     solution = np.linalg.lstsq(equations / scale, wanted, rcond=None)[0] / scale
-    residual = float(np.linalg.norm(equations @ solution - wanted) / max(np.linalg.norm(wanted), 1e-300))
+    residual = float(np.linalg.norm(equations @ solution - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
     return solution[: n * k].reshape(n, k, order="F"), solution[n * k :].reshape(m, k, order="F"), residual
 
 
@@ -109,8 +109,7 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
     channel = np.repeat(np.arange(len(tracked)), [order for _, order in tops])
     derivatives = [exo.value(t, order) for order in range(max(order for _, order in tops) + 1)]
     goals = np.stack(
-        [derivatives[order][:, c] for c, order in zip(channel, orders, strict=True)]
-        + [derivatives[order][:, c] for c, (_, order) in enumerate(tops)],
+        [derivatives[order][:, c] for c, order in zip(channel, orders, strict=True)] + [derivatives[order][:, c] for c, (_, order) in enumerate(tops)],
         axis=1,
     )
     unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])

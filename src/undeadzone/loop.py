@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 
 from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import Controller
 from undeadzone.feedforward import Target
 from undeadzone.observers import Observer, Reading

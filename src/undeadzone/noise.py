@@ -11,10 +11,7 @@ AFTER, BEFORE, DISTURBANCE = 0, 1, 2
 
 def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) -> Floats:
     """samples x channels standard normal numbers, a function of (seed, run, stream, channel, sample) alone."""
-    columns = [
-        np.random.Generator(np.random.Philox(key=seed, counter=[0, run, stream, channel])).standard_normal(samples)
-        for channel in range(channels)
-    ]
+    columns = [np.random.Generator(np.random.Philox(key=seed, counter=[0, run, stream, channel])).standard_normal(samples) for channel in range(channels)]
     return np.stack(columns, axis=1) if columns else np.empty((samples, 0))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone import plant as plants
 from undeadzone import tree
-from undeadzone.arrays import Floats, scalar
+from undeadzone.arrays import Array, Floats, scalar
 from undeadzone.design.structure import require_structure
 from undeadzone.engine.interpret import Stepper
 from undeadzone.observers import Observer, ObserverOptions, Reading
@@ -54,7 +54,7 @@ class Online:
         n, p = self.model.n, self.model.p
         self._cuts = [slice(0, n), *(slice(n + i * p, n + (i + 1) * p) for i in range(6))]
 
-    def update(self, y: float | Floats, u: float | Floats) -> Live:
+    def update(self, y: Array, u: Array) -> Live:
         """The estimate from reading y (p) and all before it; u (m) acts from this sample to the next."""
         self._w[: self._p] = y
         self._w[self._p :] = u
@@ -66,7 +66,7 @@ class Online:
         a, b, c, d, e, f, g = self._cuts
         return Live(out[a], out[b], out[c], out[d], out[e], out[f], out[g])
 
-    def peek(self, y: float | Floats) -> Live:
+    def peek(self, y: Array) -> Live:
         """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances."""
         state, samples, missing = self._step.state.copy(), self.samples, self.missing
         found = self.update(y, 0.0)

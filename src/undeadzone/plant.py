@@ -107,10 +107,7 @@ def companion(a: Any, b: Any = (1.0,)) -> Matrices:
 
 
 def _transfer_function(key: str, given: TransferFunction) -> Matrices:
-    num, den = (
-        vector(f"{key}.{name}", value, np.size(value))
-        for name, value in (("numerator", given.numerator), ("denominator", given.denominator))
-    )
+    num, den = (vector(f"{key}.{name}", value, np.size(value)) for name, value in (("numerator", given.numerator), ("denominator", given.denominator)))
     num, den = np.trim_zeros(num, "f"), np.trim_zeros(den, "f")
     if den.size < 2 or num.size == 0:
         raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
@@ -178,9 +175,12 @@ def _nonlinear(plant: Plant, key: str) -> System:
     if callable(plant.f) != callable(plant.h):
         raise InputError(f"{key}: f and h must both be formulas or both be callables")
     if callable(plant.f):
-        if plant.x0 is None and plant.states is None:
+        if plant.states is not None:
+            n = len(plant.states)
+        elif plant.x0 is not None:
+            n = np.size(plant.x0)
+        else:
             raise InputError(f"{key}: a plant given by callables needs x0 or states, to know its order")
-        n = len(plant.states) if plant.states is not None else np.size(plant.x0)
         m = len(plant.inputs) if plant.inputs is not None else 1
 
         def move(params: Any, x: Any, u: Any) -> Any:
@@ -194,7 +194,7 @@ def _nonlinear(plant: Plant, key: str) -> System:
             raise InputError(f"{key}: formulas need lists f and h and the names in states (and inputs)")
         if len(plant.f) != len(states):
             raise ShapeError(f"{key}.f: expected {len(states)} formulas (one per state), found {len(plant.f)}")
-        if len(set([*states, *inputs, *names])) < len(states) + len(inputs) + len(names):
+        if len({*states, *inputs, *names}) < len(states) + len(inputs) + len(names):
             raise InputError(f"{key}: a name is used twice among states, inputs and parameters")
         if not all(isinstance(text, str) for text in [*plant.f, *plant.h]) or not plant.h:
             raise InputError(f"{key}: every entry of f and h must be a formula in quotes, and h must not be empty")

@@ -66,18 +66,18 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     require_structure(plant.linear, "plant")
     model = plant
     if scenario.model is not None:
-        model = plants.system(_believed(scenario), "model")
+        model = plants.system(believed_plant(scenario), "model")
         require_structure(model.linear, "model")
         if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
-            raise InputError(
-                f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}"
-            )
+            raise InputError(f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}")
     return plant, model, plants.initial_state(scenario.plant, plant.n)
 
 
-def _believed(scenario: Scenario) -> Plant:
+def believed_plant(scenario: Scenario) -> Plant:
+    """The plant as observer and controller see it: [model] over [plant]. Raises InputError."""
     model, plant = scenario.model, scenario.plant
-    assert model is not None
+    if model is None:
+        return plant
     matrices = {name: getattr(model, name) for name in "ABC" if getattr(model, name) is not None}
     if plant.f is not None:
         if matrices:

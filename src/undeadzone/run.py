@@ -95,15 +95,20 @@ class Run:
 
     @property
     def largest_rise_of_V(self) -> float | None:
-        """The largest increase of V from one sample to the next, relative to V(0); None without a certificate."""
+        """The largest increase of V from one sample to the next, relative to the largest V; None without a certificate."""
         if self.V is None or self.V.size < 2:
             return None
-        return float(max(0.0, np.diff(self.V).max())) / max(float(self.V[0]), 1e-300)
+        return float(max(0.0, np.diff(self.V).max())) / max(float(self.V.max()), 1e-300)
 
     @property
     def fully_identifiable(self) -> bool:
         """Whether every width of every output could be told from this run's readings."""
         return all(verdict["right"] and verdict["left"] for verdict in self.info.identifiable)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the observer changed its width estimates at all."""
+        return bool((self.d_hat != self.d_hat[0]).any())
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""

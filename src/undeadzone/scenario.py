@@ -136,7 +136,15 @@ def _explain(message: str, data: dict[str, Any]) -> str:
         near = difflib.get_close_matches(found[1], known, 1)
         advice = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
         return f"{prefix}unknown choice {found[1]!r}; {advice}"
-    words = {"`object`": "a table", "`array`": "a list", "`float`": "a number", "`int`": "a whole number", "`str`": "text", "`bool`": "true or false", "`null`": "nothing"}
+    words = {
+        "`object`": "a table",
+        "`array`": "a list",
+        "`float`": "a number",
+        "`int`": "a whole number",
+        "`str`": "text",
+        "`bool`": "true or false",
+        "`null`": "nothing",
+    }
     for word, plain in words.items():
         body = body.replace(word, plain)
     return prefix + body[:1].lower() + body[1:]

@@ -46,9 +46,9 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
         except ValueError as error:
             raise StructureError(f"{key}: the poles cannot be placed: {error}") from None
     got = np.poly(A - B @ K)
-    error = np.abs(got - np.poly(poles)).max() / np.abs(np.poly(poles)).max()
-    if not error < 1e-6:
-        raise StructureError(f"{key}: the poles cannot be placed accurately (characteristic polynomial off by {error:.1g}); the pair is nearly uncontrollable")
+    off = np.abs(got - np.poly(poles)).max() / np.abs(np.poly(poles)).max()
+    if not off < 1e-6:
+        raise StructureError(f"{key}: the poles cannot be placed accurately (characteristic polynomial off by {off:.1g}); the pair is nearly uncontrollable")
     return np.asarray(K)
 
 

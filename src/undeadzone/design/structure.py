@@ -15,7 +15,7 @@ TOLERANCE = 1e-9
 
 def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
     """Eigenvalues of A that C does not see (Hautus test on singular values, relative to the matrices' size)."""
-    scale = max(np.linalg.norm(A, 2), 1e-300)
+    scale = max(float(np.linalg.norm(A, 2)), 1e-300)
     C = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), 1e-300) * scale
     n = A.shape[0]
     return [complex(s) for s in np.linalg.eigvals(A) if np.linalg.svd(np.vstack([A - s * np.eye(n), C]), compute_uv=False)[-1] < TOLERANCE * scale]
@@ -57,7 +57,7 @@ def identifiable(linear: Matrices, right: list[bool], left: list[bool], jump: bo
     n, p = A.shape[0], C.shape[0]
     if jump:
         return [_verdict(right[i], left[i], right[i] and left[i], right[i] and left[i], _unvisited(right[i], left[i]), False) for i in range(p)]
-    A = A / max(np.linalg.norm(A, 2), 1e-300)
+    A = A / max(float(np.linalg.norm(A, 2)), 1e-300)
     powers = [np.linalg.matrix_power(A, k) for k in range(n + 1)]
     rows = []
     for i in range(p):

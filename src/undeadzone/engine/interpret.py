@@ -12,9 +12,7 @@ from undeadzone.arrays import Floats
 CHUNK = 500
 
 
-def run(
-    step: ca.Function, state: Floats, exogenous: Floats, params: Floats, progress: Callable[[int], None] | None = None
-) -> tuple[Floats, Floats]:
+def run(step: ca.Function, state: Floats, exogenous: Floats, params: Floats, progress: Callable[[int], None] | None = None) -> tuple[Floats, Floats]:
     """(outputs (N x outputs), final state) of `step` along exogenous (N x inputs); progress is told of steps done."""
     total = exogenous.shape[0]
     outputs = np.empty((total, step.size1_out(1)))
@@ -25,12 +23,12 @@ def run(
         many = step.mapaccum(count) if count > 1 else step
         repeated, states = np.tile(params, (count, 1)), np.empty((count, state.size))
         buffer, evaluate = many.buffer()
-        buffer.set_arg(0, memoryview(state))
-        buffer.set_arg(2, memoryview(repeated))
-        buffer.set_res(0, memoryview(states))
+        buffer.set_arg(0, state.data)
+        buffer.set_arg(2, repeated.data)
+        buffer.set_res(0, states.data)
         while total - start >= count and start < total:
-            buffer.set_arg(1, memoryview(exogenous[start : start + count]))
-            buffer.set_res(1, memoryview(outputs[start : start + count]))
+            buffer.set_arg(1, exogenous[start : start + count].data)
+            buffer.set_res(1, outputs[start : start + count].data)
             evaluate()
             state[:] = states[-1]
             start += count
@@ -49,11 +47,11 @@ class Stepper:
         self._params = np.array(params, float)
         self._next = np.empty_like(self.state)
         self._buffer, self._evaluate = step.buffer()
-        self._buffer.set_arg(0, memoryview(self.state))
-        self._buffer.set_arg(1, memoryview(self.w))
-        self._buffer.set_arg(2, memoryview(self._params))
-        self._buffer.set_res(0, memoryview(self._next))
-        self._buffer.set_res(1, memoryview(self.out))
+        self._buffer.set_arg(0, self.state.data)
+        self._buffer.set_arg(1, self.w.data)
+        self._buffer.set_arg(2, self._params.data)
+        self._buffer.set_res(0, self._next.data)
+        self._buffer.set_res(1, self.out.data)
 
     def __call__(self) -> None:
         """Evaluate `out` at the present state and `w`, then advance the state."""

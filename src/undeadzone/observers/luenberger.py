@@ -25,12 +25,12 @@ class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled. Raises InputError, StructureError."""
-        if (self.L is None) == (self.poles is None):
-            raise InputError("observer: luenberger needs either L or poles")
-        if self.L is None:
+        if self.poles is not None and self.L is None:
             L = observer_gain(model.linear, self.poles, model.Ts)
-        else:
+        elif self.L is not None and self.poles is None:
             L = gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
+        else:
+            raise InputError("observer: luenberger needs either L or poles")
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)

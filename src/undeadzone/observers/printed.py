@@ -84,5 +84,3 @@ class State(NamedTuple):
     x: Any
     right: Any
     left: Any
-
-

@@ -1,0 +1,59 @@
+"""The command line: thin, one file per command; a command imports what it needs when it runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+import undeadzone
+from undeadzone.cli.init import init
+from undeadzone.cli.paper import paper
+from undeadzone.cli.run import run
+from undeadzone.cli.watch import watch
+from undeadzone.errors import UndeadzoneError
+
+DONE, NO, BAD_INPUT = 0, 1, 2
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(undeadzone.__version__, prog_name="undeadzone")
+def group() -> None:
+    """See through a sensor's dead zone.
+
+    \b
+    undeadzone paper                  run the paper's example, check its claims, draw its figures
+    undeadzone init mine.toml         write a commented scenario to start from
+    undeadzone run mine.toml          simulate your plant, sensor, observer and controller
+    undeadzone watch mine.toml < log  estimate from samples as they come
+
+    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not identifiable); 2 bad input.
+    """
+
+
+for command in (paper, run, init, watch):
+    group.add_command(command)
+
+
+def main() -> None:
+    """Entry point: run a command, turn errors into one line on stderr and an exit code."""
+    try:
+        code = group.main(standalone_mode=False)
+        sys.stdout.flush()
+        sys.exit(code if isinstance(code, int) else DONE)
+    except click.exceptions.Exit as error:
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        where = f"{error.ctx.command_path}: " if isinstance(error, click.UsageError) and error.ctx else "undeadzone: "
+        click.echo(where + error.format_message(), err=True)
+        sys.exit(BAD_INPUT)
+    except UndeadzoneError as error:
+        click.echo(f"undeadzone: {error}", err=True)
+        sys.exit(BAD_INPUT)
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("undeadzone: interrupted", err=True)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(DONE)

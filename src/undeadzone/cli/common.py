@@ -1,0 +1,79 @@
+"""What the commands share: their common options, the progress bar, printing of numbers."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+PATIENCE = 2.0  # [s] before a progress bar appears
+
+
+def common(command: Command) -> Command:
+    """Add --out, --json and --no-figures."""
+    for option in (
+        click.option("--no-figures", is_flag=True, help="Compute only; draw nothing."),
+        click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there."),
+        click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help="Folder for the files written (made if missing)."),
+    ):
+        command = option(command)
+    return command
+
+
+def print_json(value: Any) -> None:
+    """One JSON object on stdout; numbers that are not finite become null."""
+    click.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(child) for key, child in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(child) for child in value]
+    if isinstance(value, float) and not (-1e308 <= value <= 1e308):
+        return None
+    return value
+
+
+def print_pairs(pairs: dict[str, Any]) -> None:
+    """Aligned `name  value` lines."""
+    width = max(map(len, pairs))
+    for name, value in pairs.items():
+        click.echo(f"{name:<{width}}  {f'{value:.6g}' if isinstance(value, float) else value}")
+
+
+@contextmanager
+def progress(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A function to call with the steps just done; a bar on stderr once 2 s have passed, if stderr is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done: None
+        return
+    began, bar, task, waiting = time.monotonic(), None, None, 0
+
+    def advance(done: int) -> None:
+        nonlocal bar, task, waiting
+        waiting += done
+        if bar is None and time.monotonic() - began > PATIENCE:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            bar.start()
+            task = bar.add_task(what, total=total)
+        if bar is not None and task is not None:
+            bar.advance(task, waiting)
+            waiting = 0
+
+    try:
+        yield advance
+    finally:
+        if bar is not None:
+            bar.stop()

@@ -1,0 +1,87 @@
+"""undeadzone run SCENARIO.toml"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import common, print_json, print_pairs, progress
+
+if TYPE_CHECKING:
+    from undeadzone.run import Run
+
+
+@click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results")
+@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@common
+def run(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> int:
+    """Simulate a scenario: its plant behind its dead zone, watched by its observer, driven by its controller.
+
+    Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a certificate
+    holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default: NAME-results beside where you are);
+    with --no-figures and no --out it writes nothing. Exit code 1: it diverged, or its widths cannot be identified.
+    """
+    from undeadzone.scenario import read
+    from undeadzone.simulate import simulate
+
+    problem = read(scenario)
+    runs = 3 if problem.simulation.time == "continuous" else 1
+    with progress("simulating", round(runs * problem.simulation.duration / max(problem.simulation.step, 1e-12))) as advance:
+        result = simulate(problem, progress=advance)
+    folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-results")
+    written = write(result, folder, not no_figures) if folder is not None else []
+    summary = result.summary()
+    if as_json:
+        print_json(summary | {"files": [str(path) for path in written]})
+    else:
+        _print(result, written)
+    return 0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
+
+
+def write(result: Run, folder: Path, figures: bool) -> list[Path]:
+    """The files of a run: signals always, figure and page where wanted."""
+    written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
+    if figures:
+        from undeadzone.report.figures import overview
+        from undeadzone.report.figures import write as write_figure
+        from undeadzone.report.html import run_page, write_page
+
+        figure = overview(result)
+        written.append(write_figure(figure, folder / "figure.png"))
+        written.append(write_page(run_page(result, [figure]), folder / "report.html"))
+    return written
+
+
+def _print(result: Run, written: list[Path]) -> None:
+    summary = result.summary()
+    unit = result.info.units.output
+    shown: dict[str, Any] = {
+        "scenario": summary["title"],
+        "observer": f"{summary['method']}, {summary['time']} time, step {summary['step']:g} s",
+        "rms z - r": f"{result.rms_tracking:.4g} {unit} (last 2 s)",
+        "rms z - z^": f"{result.rms_estimation:.4g} {unit} (last 2 s)",
+        "d_right": f"{_listed(result.widths[:, 0])} (true {_listed(result.info.widths[0::2])})",
+        "d_left": f"{_listed(result.widths[:, 1])} (true {_listed(result.info.widths[1::2])})",
+        "silent": f"{100 * result.silent_fraction:.1f} % of the time",
+    }
+    if summary["certified"] is not None:
+        rise = summary["largest_rise_of_V"]
+        shown["certificate"] = f"holds; along this run V rose by at most {rise:.1g} of its peak" if rise is not None else "none found for these gains"
+    if summary["integration_error"] is not None:
+        shown["integration"] = f"error {summary['integration_error']:.2g} (against half the step)"
+    for output, verdict in enumerate(result.info.identifiable):
+        where = f" of output {output}" if len(result.info.identifiable) > 1 else ""
+        known = ", ".join(f"{name} {'yes' if verdict[name] else 'NO'}" for name in ("right", "left", "width", "centre"))
+        shown[f"identifiable{where}"] = "; ".join([known, *verdict["reasons"]])
+    if result.diverged_at is not None:
+        shown["DIVERGED"] = f"at {result.diverged_at:g} s"
+    if written:
+        shown["written"] = ", ".join(map(str, written))
+    print_pairs(shown)
+
+
+def _listed(widths: Iterable[float]) -> str:
+    return ", ".join(f"{width:.6g}" for width in widths)

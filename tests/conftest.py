@@ -1,0 +1,6 @@
+"""Shared by all tests: hypothesis without deadlines, since machines are shared and slow at times."""
+
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+settings.load_profile("shared")

@@ -1,0 +1,83 @@
+"""What several tests share: the paper's scenario with changes, an observer's step on numbers, random plants."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from undeadzone import tree
+from undeadzone.arrays import Floats
+from undeadzone.observers import Estimate, Observer, Reading
+from undeadzone.plant import Matrices, Plant, System, system
+from undeadzone.scenario import Scenario, convert
+
+PAPER = """
+title = "Paper example"
+plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]], x0 = [0.5, 0.0] }
+sensor = { right = 1.0, left = 1.0 }
+reference = { kind = "sine", amplitude = 5.0, frequency = 1.0 }
+observer = { method = "certified", L = [1.0, 1.5], gamma = 10.0, widths0 = [0.2, 0.2], width_max = 3.0 }
+controller = { method = "state_feedback", alpha = 10.0 }
+simulation = { duration = 2.0, step = 1e-3 }
+"""
+
+
+def table(**changes: Any) -> dict[str, Any]:
+    """The tables of `PAPER`; changes to `sensor` and `simulation` are merged, other tables replaced (None: dropped)."""
+    data = tomllib.loads(PAPER)
+    for key, value in changes.items():
+        data[key] = data[key] | value if key in ("sensor", "simulation") else value
+    return {key: value for key, value in data.items() if value is not None}
+
+
+def scene(**changes: Any) -> Scenario:
+    """The scenario of `table`."""
+    return convert(table(**changes))
+
+
+def linear(A: Any, B: Any, C: Any) -> System:
+    """A linear `System`."""
+    return system(Plant(A=A, B=B, C=C))
+
+
+PAPER_PLANT = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+
+
+def random_plant(rng: np.random.Generator, n: int, m: int = 1, p: int = 1, stable: bool = True) -> System:
+    """A random linear plant; stable: with poles left of about -0.2."""
+    A = rng.normal(size=(n, n))
+    if stable:
+        A = A - (np.linalg.eigvals(A).real.max() + 0.2 + rng.uniform()) * np.eye(n)
+    return linear(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)))
+
+
+def response(plant: Matrices, s: complex) -> Any:
+    """C (sI - A)^-1 B."""
+    A, B, C = plant
+    return C @ np.linalg.solve(s * np.eye(A.shape[0]) - A, B)
+
+
+def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Estimate]]:
+    """An observer's step as a function of numbers: (state, u, y, side) -> (next state or derivative, estimate)."""
+    like = observer.init(observer.params)
+    p, params = tree.symbols(observer.params, "p")
+    s, state = tree.symbols(like, "s")
+    u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
+    after, estimate = observer.step(params, state, u, Reading(y, side))
+    function = ca.Function("step", [p, s, u, y, side], [*after, *estimate])
+    numbers = tree.pack(observer.params)
+
+    def step(state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
+        parts = [value.full().ravel() for value in function(numbers, tree.pack(tuple(state)), u, y, side)]
+        return type(like)(*parts[: len(like)]), Estimate(*parts[len(like) :])
+
+    return step
+
+
+def slopes(steps: Any, errors: Any) -> Floats:
+    """The orders that successive errors show: log(e_i / e_{i+1}) / log(h_i / h_{i+1})."""
+    return np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(steps)))
