@@ -34,6 +34,6 @@ from .signals import Sines as Sines
 from .signals import Step as Step
 from .signals import Tone as Tone
 from .signals import Trapezoid as Trapezoid
-from .simulate import simulate as simulate
+from .simulation import simulate as simulate
 
 __version__: str

@@ -13,7 +13,7 @@ from undeadzone.feedforward import Target
 from undeadzone.observers import Observer, Reading
 from undeadzone.plant import System
 from undeadzone.sensor import Zone, branch, deadzone, edges, jump, side, zone
-from undeadzone.switching import located_step
+from undeadzone.switching import Crossing, located_step
 
 
 class Exogenous(NamedTuple):
@@ -164,13 +164,21 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
     def output(column: ca.SX) -> ca.SX:
         return wires.plant.output(wires.p.plant, tree.unpack(like, column).plant)
 
+    before = wires.mode(*at(start, 0.0))
     above, below = edges(right, left, slope, wires.kind, threshold, noise.after)
+
+    def after(crossing: Crossing) -> _Mode:
+        edge = ca.if_else(crossing.upper, above, -below)
+        rising, falling = zone_beyond(edge, right, left), -zone_beyond(-edge, left, right)
+        entered = ca.if_else(crossing.rising, rising, falling)
+        return _Mode(ca.if_else(crossing.changed, entered, before.zone), ca.if_else(crossing.changed, crossing.side, before.side))
+
     following = located_step(
         rate,
         output,
         levels=(above - noise.before, -below - noise.before),
-        first=wires.mode(*at(start, 0.0)),
-        second=lambda new, level: _Mode(ca.if_else(new != 0, new, zone(level + noise.before, right, left)), new),
+        first=before,
+        second=after,
         x=start,
         h=h,
     )

@@ -80,12 +80,17 @@ def inverse(y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: st
 
 
 def edges(right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0) -> tuple[Any, Any]:
-    """(z_r, z_l): the side reads right above z_r and left below -z_l, given threshold and additive noise on y."""
+    """(z_r, z_l): the side reads right above z_r and left below -z_l, given threshold and additive noise on y.
+
+    Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that side.
+    """
     ops = _ops(right, left, slope, threshold, noise)
-    above, below = (threshold - noise) / slope, (threshold + noise) / slope
-    if kind == "jump":
-        return ops.fmax(right, above), ops.fmax(left, below)
-    return right + ops.fmax(above, 0.0), left + ops.fmax(below, 0.0)
+
+    def edge(own: Any, other: Any, margin: Any) -> Any:
+        outer, inner = (ops.fmax(own, margin), ops.fmin(-other, margin)) if kind == "jump" else (own + margin, margin - other)
+        return outer * (margin >= 0) + inner * (margin < 0)
+
+    return edge(right, left, (threshold - noise) / slope), edge(left, right, (threshold + noise) / slope)
 
 
 def bound(right: Any, left: Any) -> Any:
@@ -99,7 +104,8 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
         return np.zeros_like(noise)
     from scipy.special import ndtri
 
-    return np.asarray(noise * -ndtri(min(0.5, rate * step / 2.0)), float)
+    chance = min(0.5, max(rate * step / 2.0, np.finfo(float).tiny))
+    return np.asarray(noise * -ndtri(chance), float)
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
@@ -19,12 +19,21 @@ class Mode(Protocol):
         ...
 
 
+class Crossing(NamedTuple):
+    """What changed, per output: whether anything did, the side entered, which level was met, in which direction."""
+
+    changed: Any
+    side: Any
+    upper: Any
+    rising: Any
+
+
 def located_step(
     rate: Callable[[ca.SX, Any, Any], ca.SX],
     output: Callable[[ca.SX], ca.SX],
     levels: tuple[ca.SX, ca.SX],
     first: Mode,
-    second: Callable[[ca.SX, ca.SX], Mode],
+    second: Callable[[Crossing], Mode],
     x: ca.SX,
     h: ca.SX,
 ) -> ca.SX:
@@ -32,7 +41,7 @@ def located_step(
 
     The side is right above levels[0], left below levels[1] of z = output(x). RK4 runs on the branch `first`; if the
     side has changed at its end, the earliest change is located on the cubic dense output of z, and RK4 runs again from
-    there on second(new side, level). Branch-free: both are always computed. One change a step is located.
+    there on second(crossing). Branch-free: both are always computed. One change a step is located.
     """
     above, below = levels
     k1 = rate(x, 0.0, first)
@@ -47,15 +56,15 @@ def located_step(
     enters_left = ca.logic_and(first.side >= 0, z1 < below)
     leaves_right = ca.logic_and(first.side > 0, z1 < above)
     leaves_left = ca.logic_and(first.side < 0, z1 > below)
-    upper = ca.logic_or(leaves_right, ca.logic_and(first.side == 0, enters_right))
+    silent = first.side == 0
+    upper = ca.logic_or(leaves_right, ca.logic_and(silent, enters_right))
     crosses = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
-    level = ca.if_else(upper, above, below)
 
-    c = ca.if_else(crosses, _root(z0, dz0, z1, dz1, h, level), 1.0)
+    c = ca.if_else(crosses, _root(z0, dz0, z1, dz1, h, ca.if_else(upper, above, below)), 1.0)
     split = ca.mmin(c)
-    changed = ca.logic_and(crosses, c <= split)
-    entered = 1.0 * ca.logic_and(first.side == 0, enters_right) - 1.0 * ca.logic_and(first.side == 0, enters_left)
-    mode = second(ca.if_else(changed, entered, first.side), level)
+    entered = 1.0 * ca.logic_and(silent, enters_right) - 1.0 * ca.logic_and(silent, enters_left)
+    rising = ca.logic_or(leaves_left, ca.logic_and(silent, enters_right))
+    mode = second(Crossing(ca.logic_and(crosses, c <= split), entered, upper, rising))
 
     rest = 1.0 - split
     middle = hermite(x, k1, trial, k5, h, split)

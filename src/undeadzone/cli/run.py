@@ -25,7 +25,7 @@ def run(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> in
     with --no-figures and no --out it writes nothing. Exit code 1: it diverged, or its widths cannot be identified.
     """
     from undeadzone.scenario import read
-    from undeadzone.simulate import simulate
+    from undeadzone.simulation import simulate
 
     problem = read(scenario)
     runs = 3 if problem.simulation.time == "continuous" else 1
