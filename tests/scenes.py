@@ -80,4 +80,5 @@ def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Es
 
 def slopes(steps: Any, errors: Any) -> Floats:
     """The orders that successive errors show: log(e_i / e_{i+1}) / log(h_i / h_{i+1})."""
-    return np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(steps)))
+    found: Floats = np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(steps)))
+    return found

@@ -33,13 +33,13 @@ def test_published_responses(right: float, left: float, amplitude: float, low: f
 def saturation_describing_function(ratio: float) -> float:
     """N_sat(d / A) = 2/pi (asin q + q sqrt(1 - q^2)), Gelb and Vander Velde (1968), table of describing functions."""
     q = min(ratio, 1.0)
-    return 2 / np.pi * (np.arcsin(q) + q * np.sqrt(1 - q**2))
+    return float(2 / np.pi * (np.arcsin(q) + q * np.sqrt(1 - q**2)))
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 1.1, 2.0, 5.0, 40.0])
 @pytest.mark.parametrize(("right", "left", "slope"), [(1.0, 1.0, 1.0), (1.3, 0.6, 1.0), (0.4, 2.0, 2.5)])
 def test_describing_function_is_one_minus_that_of_saturation(amplitude: float, right: float, left: float, slope: float) -> None:
-    corners = [np.arcsin(right / amplitude)] * (right < amplitude) + [-np.arcsin(left / amplitude)] * (left < amplitude)
+    corners = [np.arcsin(edge / amplitude) for edge in (right, -left) if abs(edge) < amplitude]
     points = sorted([c for corner in corners for c in (corner, np.sign(corner) * np.pi - corner)])
     harmonic = quad(lambda a: deadzone(amplitude * np.sin(a), right, left, slope) * np.sin(a), -np.pi, np.pi, points=points or None, limit=200)[0]
     closed = slope * (1 - (saturation_describing_function(right / amplitude) + saturation_describing_function(left / amplitude)) / 2)

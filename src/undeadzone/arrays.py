@@ -54,9 +54,10 @@ def matrix(key: str, value: Any, rows: int | None = None, columns: int | None = 
         found = found.reshape(1, 1)
     shape = found.shape
     if found.ndim != 2 or rows not in (None, shape[0]) or columns not in (None, shape[1]) or 0 in shape:
-        want = f"{'any' if rows is None else rows} x {'any' if columns is None else columns}"
+        exact = f"a {rows} x {columns} matrix" if rows and columns else f"a matrix with {rows} rows" if rows else f"a matrix with {columns} columns"
+        want = exact if rows or columns else "a matrix (a list of rows)"
         have = " x ".join(map(str, shape)) if found.ndim == 2 else f"a list of {shape[0]} numbers"
-        raise ShapeError(f"{key}: expected a {want} matrix{why and ' (' + why + ')'}, found {have}")
+        raise ShapeError(f"{key}: expected {want}{why and ' (' + why + ')'}, found {have}")
     return found
 
 

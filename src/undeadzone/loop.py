@@ -169,17 +169,11 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
 
     def after(crossing: Crossing) -> _Mode:
         edge = ca.if_else(crossing.upper, above, -below)
-        rising, falling = zone_beyond(edge, right, left), -zone_beyond(-edge, left, right)
-        entered = ca.if_else(crossing.rising, rising, falling)
-        return _Mode(ca.if_else(crossing.changed, entered, before.zone), ca.if_else(crossing.changed, crossing.side, before.side))
+        # On an edge itself, motion decides which zone follows.
+        rising, falling = 1.0 * (edge >= right) - 1.0 * (edge < -left), 1.0 * (edge > right) - 1.0 * (edge <= -left)
+        entered = _Mode(ca.if_else(crossing.rising, rising, falling), crossing.side)
+        return _Mode(*(ca.if_else(crossing.changed, new, old) for new, old in zip(entered, before, strict=True)))
 
-    following = located_step(
-        rate,
-        output,
-        levels=(above - noise.before, -below - noise.before),
-        first=before,
-        second=after,
-        x=start,
-        h=h,
-    )
+    levels = (above - noise.before, -below - noise.before)
+    following = located_step(rate, output, levels, before, after, start, h)
     return tree.stack(wires.project(tree.unpack(like, following)))

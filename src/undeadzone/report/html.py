@@ -1,0 +1,137 @@
+"""One self-contained HTML page: sections, tables and figures as text; plain strings are escaped, nothing is fetched."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from undeadzone import __version__
+from undeadzone.report.style import png
+from undeadzone.run import Run, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_CSS = """
+:root { color-scheme: light dark; --text: #1d2129; --soft: #5c6370; --paper: #fdfdfc; --line: #dfe2e7; --head: #f1f3f5; --link: #0072b2;
+        --yes: #00704f; --mid: #8a5a00; --no: #b03a00; }
+@media (prefers-color-scheme: dark) { :root { --text: #e4e6ea; --soft: #a0a7b4; --paper: #15181d; --line: #343a43; --head: #20252c; --link: #6cb8e6;
+        --yes: #4fc79b; --mid: #e6b450; --no: #ff8a57; } }
+body { margin: 2.5rem auto; max-width: 72rem; padding: 0 1.2rem; background: var(--paper); color: var(--text);
+       font: 16px/1.55 system-ui, sans-serif; }
+h1 { font-size: 1.7rem; line-height: 1.25; margin-bottom: .3rem; } h2 { font-size: 1.25rem; margin-top: 2.6rem; border-bottom: 1px solid var(--line); }
+p { max-width: 52rem; } .note { color: var(--soft); font-size: .9rem; } a { color: var(--link); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: .88rem; margin: 1rem 0; }
+th, td { text-align: left; vertical-align: top; padding: .35rem .7rem; border-bottom: 1px solid var(--line); } th { background: var(--head); }
+td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.yes { color: var(--yes); font-weight: 600; } .mid { color: var(--mid); font-weight: 600; } .no { color: var(--no); font-weight: 600; }
+figure { margin: 1.2rem 0; } img { max-width: 100%; background: #fff; border: 1px solid var(--line); border-radius: 6px; }
+figcaption { color: var(--soft); font-size: .9rem; max-width: 52rem; } details { margin: 1rem 0; } summary { cursor: pointer; }
+"""
+
+
+class Html(NamedTuple):
+    """A piece of finished HTML; any other value is text, and escaped where it is used."""
+
+    text: str
+
+
+def html(value: Any) -> str:
+    """The HTML of a value: an `Html` as it is, numbers to five digits, None as a dash, the rest as escaped text."""
+    if isinstance(value, Html):
+        return value.text
+    if value is None:
+        return "&ndash;"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return escape(f"{value:.5g}" if isinstance(value, float) else str(value))
+
+
+def join(parts: Iterable[Any]) -> Html:
+    """Pieces one after another."""
+    return Html("\n".join(map(html, parts)))
+
+
+def tag(name: str, content: Any, style: str = "") -> Html:
+    """One element, with a class of the page's style sheet."""
+    return Html(f"<{name}{style and f' class={chr(34)}{escape(style)}{chr(34)}'}>{html(content)}</{name}>")
+
+
+def paragraph(text: Any, style: str = "") -> Html:
+    """A paragraph."""
+    return tag("p", text, style)
+
+
+def section(title: str, *parts: Any) -> Html:
+    """A heading and what stands under it."""
+    return join([tag("h2", title), *parts])
+
+
+def folded(title: str, *parts: Any) -> Html:
+    """A part that opens on a click."""
+    return tag("details", join([tag("summary", title), *parts]))
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
+    """A table; numbers are set right."""
+
+    def style(cell: Any) -> str:
+        return "number" if isinstance(cell, int | float) and not isinstance(cell, bool) else ""
+
+    heads = tag("tr", join(tag("th", name) for name in head))
+    body = join(tag("tr", join(tag("td", cell, style(cell)) for cell in row)) for row in rows)
+    return Html(f'<div class="wide"><table><thead>{heads.text}</thead><tbody>{body.text}</tbody></table></div>')
+
+
+def picture(figure: Figure, caption: str) -> Html:
+    """A figure, embedded as PNG, with its caption."""
+    data = base64.b64encode(png(figure)).decode("ascii")
+    return Html(f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">{tag("figcaption", caption).text}</figure>')
+
+
+def page(title: str, *parts: Any) -> str:
+    """A whole document that needs nothing but itself."""
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title><style>{_CSS}</style>'
+    body = join([tag("h1", title), *parts, paragraph(f"Written by undeadzone {__version__}.", "note")])
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body.text}\n</body></html>\n'
+
+
+def write_page(text: str, path: Path) -> Path:
+    """Write a page; nothing is left half-written. Raises FileError."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def run_page(run: Run, figures: Sequence[Figure]) -> str:
+    """The page of one run: its numbers, what its readings can tell, its figures."""
+    unit = run.info.units.output
+    lines = [
+        ("observer", run.info.method),
+        ("time", f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s"),
+        ("diverged at [s]", run.diverged_at),
+        (f"rms of z − r, last 2 s [{unit}]", run.rms_tracking),
+        (f"rms of z − z^, last 2 s [{unit}]", run.rms_estimation),
+        ("share of silent samples", run.silent_fraction),
+        ("certificate found for these gains", run.info.certified),
+        ("largest rise of V, relative to its largest value", run.largest_rise_of_V),
+        ("integration error (against half the step)", run.info.integration_error),
+    ]
+    widths = [
+        (i, float(right), run.info.widths[2 * i], float(left), run.info.widths[2 * i + 1], *(verdict[key] for key in ("right", "left", "width", "centre")))
+        for i, ((right, left), verdict) in enumerate(zip(run.widths, run.info.identifiable, strict=True))
+    ]
+    reasons = [reason for verdict in run.info.identifiable for reason in verdict["reasons"]]
+    return page(
+        run.info.title,
+        *(picture(figure, "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.") for figure in figures),
+        section("Numbers", table(("what", "value"), lines)),
+        section(
+            "Widths, and what these readings can tell of them",
+            table(("output", f"d_r^ [{unit}]", "true", f"d_l^ [{unit}]", "true", "right known", "left", "d_r + d_l", "d_r − d_l"), widths),
+            *map(paragraph, reasons),
+        ),
+    )

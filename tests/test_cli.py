@@ -1,0 +1,187 @@
+"""The command line, as a user meets it: outputs, exit codes, one clear line for every mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undeadzone.run import Run, read_columns
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
+
+
+def undeadzone(*arguments: str | Path, cwd: Path | None = None, stdin: str = "") -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *map(str, arguments)], cwd=cwd, input=stdin, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    assert undeadzone("init", tmp_path / "mine.toml").returncode == 0
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("duration = 20.0 ", "duration = 6.0 "))
+    return path
+
+
+def test_version_and_help() -> None:
+    assert re.fullmatch(r"undeadzone, version \d+\.\d+\.\d+\n", undeadzone("--version").stdout)
+    for command in ([], ["run"], ["paper"], ["init"], ["watch"]):
+        shown = undeadzone(*command, "--help")
+        assert shown.returncode == 0
+        assert "undeadzone" in shown.stdout
+        assert "Example" in shown.stdout or command == []
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys\nimport undeadzone.cli\nprint([m for m in ('numpy', 'casadi', 'scipy', 'numba', 'matplotlib', 'rich') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
+    code = (
+        "import sys\nfrom undeadzone.cli import group\n"
+        f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
+        "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr == "[]\n"
+
+
+def test_run_json_is_one_object_and_writes_nothing(scenario: Path) -> None:
+    done = undeadzone("run", scenario, "--json", "--no-figures", cwd=scenario.parent)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    result = json.loads(done.stdout)
+    assert {"rms_tracking", "rms_estimation", "d_right", "d_left", "silent_fraction", "seconds"} <= set(result)
+    assert 0 < result["rms_tracking"] < 1
+    assert sorted(path.name for path in scenario.parent.iterdir()) == ["mine.toml"]
+
+
+def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
+    out = scenario.parent / "deep" / "results"
+    done = undeadzone("run", scenario, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in out.iterdir()) == ["figure.png", "report.html", "run.csv", "run.npz"]
+    run = Run.load(out / "run.npz")
+    np.testing.assert_array_equal(read_columns(out / "run.csv")["z[0]"], run.z[:, 0])
+    page = (out / "report.html").read_text()
+    assert not re.search(r"(src|href)=[\"']https?:", page)
+    assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_init_does_not_overwrite(scenario: Path) -> None:
+    before = scenario.read_text()
+    done = undeadzone("init", scenario)
+    assert (done.returncode, scenario.read_text()) == (2, before)
+    assert "--force" in done.stderr
+    assert undeadzone("init", scenario, "--force").returncode == 0
+
+
+def test_integrators_are_answered_with_no(tmp_path: Path) -> None:
+    done = undeadzone("run", EXAMPLES / "integrators.toml", "--no-figures")
+    assert done.returncode == 1
+    assert "centre is not identifiable" in done.stdout
+    assert "only the width" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("right = 1.0 ", "rigth = 1.0 ", ["sensor.rigth", "unknown key", "right"]),
+        ("right = 1.0 ", "", ["sensor.right", "missing"]),
+        ("right = 1.0 ", "right = -1.0 ", ["sensor.right", "negative", "-1"]),
+        ("right = 1.0 ", "right = nan ", ["sensor.right", "finite"]),
+        ("right = 1.0 ", 'right = "wide" ', ["sensor.right", "wide"]),
+        ("right = 1.0 ", "right = [1.0, 2.0] ", ["sensor.right", "expected 1", "found 2"]),
+        ("B = [[0.0], [1.0]]", "B = [[0.0], [1.0], [2.0]]", ["plant.B", "2 rows", "found 3 x 1"]),
+        ("A = [[0.0, 1.0], [-1.0, -2.0]]", "A = [[0.0, 1.0], [-1.0]]", ["plant.A", "different lengths"]),
+        ("C = [[1.0, 0.0]] ", "C = [[0.0, 0.0]] ", ["(A, C)", "unobservable"]),
+        ("B = [[0.0], [1.0]]", "B = [[0.0], [0.0]]", ["(A, B)", "uncontrollable"]),
+        ("A = [[0.0, 1.0], [-1.0, -2.0]]", "A = [[0.0, 1.0], [1.0, -2.0]]\n# ", ["observer.L", "unstable"]),
+        ("step = 1e-3 ", "step = 0.5 ", ["simulation.step", "too coarse"]),
+        ("duration = 6.0 ", "duration = 0.0 ", ["simulation.duration", "greater than 0"]),
+        ('method = "certified"', 'method = "certifed"', ["observer.method", "certifed", "certified"]),
+        ('kind = "sine"', 'kind = "csv"\npath = "no.csv"\n#', ["reference", "amplitude"]),
+        ('title = "My plant"', "title = ", ["TOML"]),
+    ],
+)
+def test_wrong_input_is_one_clear_line(scenario: Path, old: str, new: str, words: list[str]) -> None:
+    text = scenario.read_text()
+    assert old in text
+    scenario.write_text(text.replace(old, new, 1).replace("L = [1.0, 1.5]", "L = [0.5, 0.0]") if "observer.L" in words else text.replace(old, new, 1))
+    done = undeadzone("run", scenario, "--json")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+def test_reference_that_cannot_be_followed(scenario: Path) -> None:
+    text = scenario.read_text()
+    plant = "transfer_function = { numerator = [1.0, 0.0, 39.47841760435743], denominator = [1.0, 3.0, 3.0, 1.0] }\n"
+    start = text.index("A = [[0.0")
+    text = text[:start] + plant + "#" + text[text.index("# Other forms") :]
+    scenario.write_text(text.replace("L = [1.0, 1.5] ", "#").replace("Q = [[1.0, 0.0], [0.0, 1.0]]", ""))
+    done = undeadzone("run", scenario)
+    assert done.returncode == 2
+    assert "zero of the plant" in done.stderr
+    assert "6.283j" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_unwritable_folder(scenario: Path, tmp_path: Path) -> None:
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    done = undeadzone("run", scenario, "--out", locked / "out")
+    assert done.returncode == 2
+    assert "cannot write" in done.stderr
+
+
+def test_out_is_a_file(scenario: Path) -> None:
+    done = undeadzone("run", scenario, "--no-figures", "--out", scenario)
+    assert done.returncode == 2
+    assert "cannot write" in done.stderr
+
+
+def test_usage_errors() -> None:
+    for arguments, words in ((["rn"], "run"), (["run"], "SCENARIO.toml"), (["run", "a.toml", "--jsn"], "--json")):
+        done = undeadzone(*arguments)
+        assert done.returncode == 2
+        assert words in done.stderr
+
+
+def test_watch_answers_each_sample(scenario: Path) -> None:
+    done = undeadzone("watch", scenario, stdin="y,u\n0.5,1.0\n,2.0\nnan,\n-0.2,0.0\n")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("t,x_hat[0],x_hat[1],z_hat[0],d_right[0],d_left[0]")
+    assert len(lines) == 5
+    assert "4 samples, 2 missing" in done.stderr
+    assert all(np.isfinite([float(cell) for cell in line.split(",")]).all() for line in lines[1:])
+
+
+def test_watch_flushes_every_line(scenario: Path) -> None:
+    with subprocess.Popen([*COMMAND, "watch", str(scenario), "--json"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        for k in range(3):
+            process.stdin.write(f"{0.1 * k},1.0\n")
+            process.stdin.flush()
+            assert json.loads(process.stdout.readline())["t"] == pytest.approx(k * 1e-3)
+        process.stdin.close()
+        assert process.wait(20) == 0
+
+
+@pytest.mark.parametrize(("stdin", "words"), [("", "no samples"), ("1.0,x\n", "'x'"), ("1.0\n", "found 1"), ("1,2,3,4\n", "found 4")])
+def test_watch_wrong_input(scenario: Path, stdin: str, words: str) -> None:
+    done = undeadzone("watch", scenario, stdin=stdin)
+    assert done.returncode == 2
+    assert words in done.stderr

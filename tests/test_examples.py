@@ -1,0 +1,80 @@
+"""Every example runs and shows what it is there to show."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import undeadzone as uz
+
+FOLDER = Path(__file__).parents[1] / "examples"
+RUNS: dict[str, uz.Run] = {}
+
+
+def run(name: str) -> uz.Run:
+    if name not in RUNS:
+        RUNS[name] = uz.simulate(uz.read(FOLDER / f"{name}.toml"))
+    return RUNS[name]
+
+
+def test_every_example_is_tested() -> None:
+    tested = {"paper_5sin", "paper_2sin", "asymmetric_noise", "jump_velocity", "third_order", "two_outputs", "integrators", "pendulum"}
+    assert {path.stem for path in FOLDER.glob("*.toml")} >= tested
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.toml")))
+def test_runs_to_the_end(name: str) -> None:
+    result = run(name)
+    assert result.diverged_at is None
+    assert np.isfinite(result.rms_tracking)
+
+
+@pytest.mark.parametrize("name", ["paper_5sin", "paper_2sin"])
+def test_paper(name: str) -> None:
+    result = run(name)
+    assert result.rms_tracking < 1e-3
+    np.testing.assert_allclose(result.widths, 1.0, atol=1e-3)
+    assert result.V is not None
+    assert result.info.integration_error is not None
+    assert np.diff(result.V).max() <= result.info.integration_error
+    assert result.info.integration_error < 1e-8
+
+
+def test_asymmetric_noise() -> None:
+    np.testing.assert_allclose(run("asymmetric_noise").widths, [[1.3, 0.6]], atol=0.03)
+
+
+def test_jump_velocity() -> None:
+    np.testing.assert_allclose(run("jump_velocity").widths, [[0.5, 0.3]], atol=0.03)
+
+
+def test_third_order() -> None:
+    np.testing.assert_allclose(run("third_order").widths, [[0.4, 0.8]], atol=0.1)
+
+
+def test_two_outputs() -> None:
+    np.testing.assert_allclose(run("two_outputs").widths, [[0.5, 0.3], [0.2, 0.6]], atol=1e-6)
+
+
+def test_integrators_give_the_width_alone() -> None:
+    result = run("integrators")
+    verdict = result.info.identifiable[0]
+    assert (verdict["width"], verdict["centre"], verdict["right"], verdict["left"]) == (True, False, False, False)
+    assert result.widths.sum() == pytest.approx(2.0, abs=1e-4)
+    assert abs(result.widths[0, 0] - 1.2) > 0.1
+
+
+def test_pendulum() -> None:
+    result = run("pendulum")
+    np.testing.assert_allclose(result.widths, [[0.12, 0.05]], atol=1e-6)
+    assert result.rms_tracking < 1e-6
+
+
+def test_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = runpy.run_path(str(FOLDER / "your_plant.py"))
+    np.testing.assert_allclose(found["run"].widths, [[1.0, 0.7]], atol=1e-3)
+    assert (tmp_path / "your_plant.png").stat().st_size > 10_000
