@@ -56,8 +56,8 @@ def _blocking(linear: Matrices, S: Floats) -> complex:
     return complex(min(np.linalg.eigvals(S), key=gap))
 
 
-def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
-    """Targets at times t [s] for a linear model, continuous or sampled. Raises TrackingError where none exists."""
+def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Floats, Floats]:
+    """(Pi, Gamma): x_ref = Pi w and u_ff = Gamma w of a linear model, continuous or sampled. Raises TrackingError where none exists."""
     S = exo.S
     if model.Ts is not None:
         from scipy.linalg import expm
@@ -78,6 +78,12 @@ def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats)
             f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on the reference's spectrum "
             f"(regulator equations, residual {residual:.1g}); change the frequency or the tracked outputs"
         )
+    return Pi, Gamma
+
+
+def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
+    """Targets at times t [s] for a linear model, continuous or sampled. Raises TrackingError where none exists."""
+    Pi, Gamma = steady_state(model, exo, tracked)
     w = exo.state(t)
     return Target(exo.value(t), w @ Pi.T, w @ Gamma.T)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 from collections.abc import Callable
+from fractions import Fraction
 from typing import NamedTuple
 
 import msgspec
@@ -15,11 +17,16 @@ from undeadzone.errors import FileError, InputError
 
 
 class Exosystem(NamedTuple):
-    """w' = S w between corners and r = Q w; state(t): w at times t (len(t) x k)."""
+    """w' = S w between corners and r = Q w; state(t): w at times t (len(t) x k).
+
+    period [s]: of r, None where it has none; corners [s]: where w jumps, of the first period if there is one.
+    """
 
     S: Floats
     Q: Floats
     state: Callable[[Floats], Floats]
+    period: float | None = None
+    corners: Floats = np.empty(0)
 
     def value(self, t: Floats, derivative: int = 0) -> Floats:
         """r, or its derivative of the given order, at times t [s] (len(t) x channels)."""
@@ -96,12 +103,12 @@ def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
             return _tones(key, [key], [signal], signal.offset, channels)
         case Step():
             before, after = (vector(f"{key}.{name}", getattr(signal, name), channels, why) for name in ("before", "amplitude"))
-            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= signal.time, after, before))
+            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= signal.time, after, before), corners=np.array([signal.time]))
         case Trapezoid():
             return _trapezoid(key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why))
         case Samples():
             t, values = read_csv(key, signal.path, channels)
-            return _piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)
+            return _piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)._replace(corners=t)
 
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
@@ -124,7 +131,16 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
         pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, -1)
         return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
 
-    return Exosystem(S, np.stack(gains, axis=1), state)
+    return Exosystem(S, np.stack(gains, axis=1), state, _common_period([tone.frequency for tone in tones]))
+
+
+def _common_period(frequencies: list[float]) -> float | None:
+    """The least common period [s] of frequencies [Hz]; None if their ratios are not those of whole numbers up to 1000."""
+    ratios = [Fraction(f / frequencies[0]).limit_denominator(1000) for f in frequencies]
+    if any(abs(f / frequencies[0] - ratio) > 1e-12 * ratio for f, ratio in zip(frequencies, ratios, strict=True)):
+        return None
+    cycles = Fraction(math.lcm(*(ratio.denominator for ratio in ratios)), math.gcd(*(ratio.numerator for ratio in ratios)))
+    return float(cycles) / frequencies[0]
 
 
 def _piecewise(derivatives: Callable[[Floats], Floats], channels: int) -> Exosystem:
@@ -151,7 +167,7 @@ def _trapezoid(key: str, signal: Trapezoid, amplitude: Floats) -> Exosystem:
         value = levels[piece] + slopes[piece] * (phase - corners[piece])
         return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
 
-    return _piecewise(derivatives, amplitude.size)
+    return _piecewise(derivatives, amplitude.size)._replace(period=float(corners[-1]), corners=corners)
 
 
 def _lines(t: Floats, values: Floats) -> Callable[[Floats], Floats]:

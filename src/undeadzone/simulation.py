@@ -31,11 +31,11 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     loop, state, exogenous = prepare(problem)
-    signal = _run(loop, state, exogenous, progress)
+    signal = run_loop(loop, state, exogenous, progress)
     error = None
     if check_step and problem.plant.Ts is None:
         halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        finer = _run(halved, state, _exogenous(problem, 2), progress)
+        finer = run_loop(halved, state, _exogenous(problem, 2), progress)
         error = _difference(signal, Outputs(*(part[::2] for part in finer)))
     return _result(problem, signal, error, began)
 
@@ -46,8 +46,8 @@ def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
     return loop, tree.pack(loop.state._replace(plant=problem.x0)), _exogenous(problem, 1)
 
 
-def _run(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None) -> Outputs:
-    """The outputs of a run by name."""
+def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None = None) -> Outputs:
+    """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time)."""
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params), progress)
     widths = [part.size for part in loop.outputs]
     return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))

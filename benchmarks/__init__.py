@@ -1,0 +1,1 @@
+"""Benchmarks: one module each with `table() -> str` (Markdown); `python -m benchmarks [NAME ...]` runs them."""

@@ -1,0 +1,26 @@
+"""Run the benchmarks named on the command line (default: all) and write their tables to benchmarks/RESULTS.md."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import sys
+from pathlib import Path
+
+NAMES = ("cold_start", "live_step", "accuracy")
+HEAD = "# Results\n\nWritten by `make bench`. Times are ratios within one run; machines differ, ratios less so.\n"
+
+
+def main() -> None:
+    names = sys.argv[1:] or NAMES
+    parts = [HEAD, f"Python {platform.python_version()}, {platform.machine()}.\n"]
+    for name in names:
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        parts.append(importlib.import_module(f"benchmarks.{name}").table())
+    text = "\n".join(parts)
+    if not sys.argv[1:]:
+        Path(__file__).with_name("RESULTS.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+main()

@@ -1,0 +1,134 @@
+"""Every variant of the example as printed: what leaves the dead zone, what moves d^, what diverges.
+
+A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD law (the two halves
+of (42) contradict each other) and the sign convention of d_l: 48 for each plant and start. The loop's graph is built
+once; plant, gains and signs are its run-time parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import product
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone import tree
+from undeadzone.arrays import Floats
+from undeadzone.controllers import PD
+from undeadzone.design.poles import observer_gain
+from undeadzone.loop import Loop, Outputs
+from undeadzone.observers import Printed
+from undeadzone.paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
+from undeadzone.plant import System, system
+from undeadzone.problem import resolve_scenario
+from undeadzone.scenario import Simulation
+from undeadzone.sensor import Zone
+from undeadzone.simulation import prepare, run_loop
+
+STEP: Final = 4e-3  # [s]; the counts are the same at 1 ms
+LAST: Final = 4.0  # [s] over which the steady amplitude is read
+LIMIT: Final = 1e6  # beyond it a variant has diverged
+MOVED: Final = 1e-9  # change of d^ that counts as a move
+
+GAINS: Final = ("printed", "negated", "placed")
+STARTS: Final = {"from rest, d^(0) = 0": (0.0, 0.0), f"x1(0) = {STARTED:g}, d^(0) = 0": (STARTED, 0.0), "from rest, d^(0) = d": (0.0, D)}
+
+
+class Variant(NamedTuple):
+    """One choice of everything that the paper leaves open or contradicts."""
+
+    plant: str
+    start: str
+    L: str
+    feeds_input: bool
+    sigma: float
+    pd_sign: float  # +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
+    left_sign: float  # -1: (25) with d_l > 0; +1: with a signed d_l < 0
+
+
+class Outcome(NamedTuple):
+    """What a variant did: max |z| over the last 4 s (None: diverged) and over all, and three facts."""
+
+    variant: Variant
+    steady: float | None
+    peak: float
+    leaves_zone: bool
+    moves_widths: bool
+    diverged_at: float | None
+
+
+class Count(NamedTuple):
+    """How many of the variants of one plant and start did what."""
+
+    plant: str
+    start: str
+    total: int
+    leave_zone: int
+    stay_outside: int  # leave it in the last 4 s still, without diverging
+    move_widths: int
+    diverge: int
+
+
+def variants() -> Iterator[Variant]:
+    """All of them: 4 plants x 3 starts x 48."""
+    yield from map(Variant._make, product(READINGS, STARTS, GAINS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)))
+
+
+def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]:
+    """Run every variant with r = 5 sin 2 pi t for 20 s; progress is told of steps done."""
+    problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=Simulation(step=STEP)))
+    loop, _, exogenous = prepare(problem)
+    return [_run(loop, exogenous, problem.sensor, variant, progress) for variant in variants()]
+
+
+def gain(name: str, model: System) -> Floats:
+    """L by name: (40), its negative, or the one that places the poles of (40) for this plant."""
+    return observer_gain(model.linear, POLES, None) if name == "placed" else np.array(L_PRINTED) * (1.0 if name == "printed" else -1.0)
+
+
+def count(outcomes: Iterable[Outcome]) -> list[Count]:
+    """The outcomes counted per plant and start, in the order they came."""
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault((outcome.variant.plant, outcome.variant.start), []).append(outcome)
+    return [
+        Count(
+            *key,
+            total=len(group),
+            leave_zone=sum(o.leaves_zone for o in group),
+            stay_outside=sum(o.steady is not None and o.steady > D for o in group),
+            move_widths=sum(o.moves_widths for o in group),
+            diverge=sum(o.diverged_at is not None for o in group),
+        )
+        for key, group in groups.items()
+    ]
+
+
+def _run(loop: Loop, exogenous: Floats, sensor: Zone, variant: Variant, progress: Callable[[int], None] | None) -> Outcome:
+    x1, width = STARTS[variant.start]
+    model = system(READINGS[variant.plant].plant)
+    L = gain(variant.L, model)
+    observer = Printed(L=L, sigma=variant.sigma, alpha=ALPHA, widths0=width, feed_input=variant.feeds_input, left_sign=variant.left_sign).build(model, sensor)
+    law: Any = PD(L=L, alpha=ALPHA).build(model).params
+    law = law._replace(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d)
+    here = loop._replace(params=loop.params._replace(plant=model.params, observer=observer.params, controller=law))
+    state = loop.state._replace(plant=np.array([x1, 0.0]), observer=observer.init(observer.params))
+    return _judge(variant, run_loop(here, tree.pack(state), exogenous, progress))
+
+
+def _judge(variant: Variant, signal: Outputs) -> Outcome:
+    """The outcome, from the signals up to where one of them leaves +-LIMIT."""
+    largest = np.abs(np.hstack(signal)).max(axis=1)
+    bad = np.flatnonzero(~(largest < LIMIT))
+    end = int(bad[0]) if bad.size else largest.size
+    z, widths = np.abs(signal.z[:end, 0]), np.hstack([signal.right, signal.left])[:end]
+    return Outcome(
+        variant,
+        steady=None if bad.size else float(z[-round(LAST / STEP) :].max()),
+        peak=float(z.max()),
+        leaves_zone=bool(z.max() > D),
+        moves_widths=bool(np.abs(widths - widths[0]).max() > MOVED),
+        diverged_at=end * STEP if bad.size else None,
+    )

@@ -1,0 +1,54 @@
+"""What the documentation shows is run: Python blocks, console blocks with their numbers, pages written by a command."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+
+
+def blocks(kind: str) -> list[tuple[str, str]]:
+    return [(f"{page.name}:{i}", text) for page in PAGES for i, text in enumerate(re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S))]
+
+
+@pytest.mark.parametrize(("name", "code"), blocks("python"))
+def test_python_blocks_run(name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, name, "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize(("name", "text"), blocks("console"))
+def test_console_blocks_show_what_happens(name: str, text: str) -> None:
+    command, *expected = text.rstrip("\n").split("\n")
+    words = shlex.split(command.removeprefix("$ undeadzone "))
+    code = "from undeadzone.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    shown = done.stdout.rstrip("\n").split("\n")
+    assert [NUMBER.sub("#", line) for line in shown] == [NUMBER.sub("#", line) for line in expected]
+    for a, b in zip(NUMBER.findall("\n".join(shown)), NUMBER.findall("\n".join(expected)), strict=True):
+        tolerance = 0.02 if abs(float(b)) > 1e-7 else 10.0  # an integration error is known to its order of magnitude
+        assert abs(float(a) - float(b)) <= tolerance * abs(float(b)) + 1e-12
+
+
+def test_scenario_page_is_up_to_date() -> None:
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs" / "reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run: python docs/reference.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_point_to_files(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target

@@ -1,0 +1,202 @@
+"""Plants: constructors against each other, SciPy and python-control; the exact hold; nonlinear plants against matrices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import PAPER_PLANT, random_plant, response, scene, slopes
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from undeadzone.arrays import Floats
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.interop import from_control, from_scipy, to_control, to_scipy
+from undeadzone.plant import Matrices, Plant, SecondOrder, System, TransferFunction, initial_state, matrices, sampled, system, zoh
+from undeadzone.simulation import simulate
+
+seeds = st.integers(0, 2**32 - 1)
+FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]
+PENDULUM: dict[str, Any] = {
+    "f": ["rate", "-g / l * sin(angle) - b * rate + torque"],
+    "h": ["angle"],
+    "states": ["angle", "rate"],
+    "inputs": ["torque"],
+    "parameters": {"g": 9.81, "l": 0.5, "b": 0.8},
+}
+
+
+def move(plant: System, x: Any, u: Any) -> Floats:
+    """The plant's derivative or next value, in numbers."""
+    return np.asarray(ca.DM(plant.move(plant.params, ca.SX(x), ca.SX(u)))).ravel()
+
+
+@given(st.floats(0, 3), st.floats(0.1, 30), st.floats(0.1, 30))
+def test_second_order_has_the_response_of_its_formula(zeta: float, omega: float, gain: float) -> None:
+    found = matrices(Plant(second_order=SecondOrder(zeta=zeta, omega_n=omega, gain=gain)))
+    for s in 1j * np.array(FREQUENCIES) + 0.01:
+        assert response(found, s)[0, 0] == pytest.approx(gain / (s**2 + 2 * zeta * omega * s + omega**2))
+
+
+def test_the_papers_plant_in_every_form() -> None:
+    forms = [
+        Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]]),
+        Plant(second_order=SecondOrder(zeta=1.0, omega_n=1.0)),
+        Plant(companion=[1.0, 2.0]),
+        Plant(transfer_function=TransferFunction(numerator=[3.0], denominator=[3.0, 6.0, 3.0])),
+    ]
+    for form in forms:
+        for found, expected in zip(matrices(form), PAPER_PLANT.linear, strict=True):
+            assert found.tolist() == expected.tolist()
+
+
+@given(seeds, st.integers(1, 5))
+def test_companion_has_its_polynomial_and_reads_the_first_state(seed: int, n: int) -> None:
+    a = np.random.default_rng(seed).normal(size=n)
+    A, B, C = matrices(Plant(companion=a))
+    assert np.poly(A) == pytest.approx([1.0, *a[::-1]], abs=1e-9)
+    assert (B.ravel().tolist(), C.ravel().tolist()) == ([0.0] * (n - 1) + [1.0], [1.0] + [0.0] * (n - 1))
+
+
+def test_chain_of_integrators_integrates() -> None:
+    A, B, C = matrices(Plant(integrators=3))
+    assert (C @ expm(A * 2.0) @ B)[0, 0] == pytest.approx(2.0**2 / 2)
+
+
+@given(seeds, st.integers(1, 5))
+def test_transfer_function_has_the_response_of_scipys(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    num, den = rng.normal(size=rng.integers(1, n + 1)), rng.normal(size=n + 1)
+    found = matrices(Plant(transfer_function=TransferFunction(numerator=num, denominator=den)))
+    _, expected = scipy.signal.freqresp((num, den), FREQUENCIES)
+    assert [response(found, 1j * w)[0, 0] for w in FREQUENCIES] == pytest.approx(expected, rel=1e-6)
+
+
+@given(seeds, st.integers(1, 4), st.integers(1, 3), st.floats(1e-4, 2.0))
+def test_hold_equals_scipys_also_with_integrators(seed: int, n: int, m: int, Ts: float) -> None:
+    A, B, C = random_plant(np.random.default_rng(seed), n, m, stable=False).linear
+    A = A.copy()
+    A[0] = 0.0
+    found = zoh(Matrices(A, B, C), Ts)
+    Ad, Bd, Cd, _, _ = scipy.signal.cont2discrete((A, B, C, np.zeros((1, m))), Ts)
+    for ours, theirs in zip(found, (Ad, Bd, Cd), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-12, abs=1e-12)
+
+
+def test_interop_round_trips_and_refusals() -> None:
+    import control
+
+    plant = Plant(A=[[0, 1, 0], [0, 0, 1], [-1, -2, -3]], B=[[0, 1], [1, 0], [0, 2]], C=[[1, 0, 0]])
+    for there, back in ((to_scipy, from_scipy), (to_control, from_control)):
+        for found, expected in zip(matrices(back(there(plant))), matrices(plant), strict=True):
+            assert found.tolist() == expected.tolist()
+    theirs = control.tf([2.0], [1.0, 3.0, 5.0])
+    ours = matrices(from_control(control.ss(theirs)))
+    assert response(ours, 2j)[0, 0] == pytest.approx(theirs(2j))
+    assert control.poles(to_control(plant)) == pytest.approx(np.linalg.eigvals(matrices(plant).A))
+    assert from_scipy(to_scipy(plant), x0=[1, 2, 3]).x0 == [1, 2, 3]
+    with pytest.raises(InputError, match="continuous-time system, found sample time 0.1"):
+        from_control(control.ss(theirs).sample(0.1))
+    with pytest.raises(InputError, match="D must be 0"):
+        from_scipy(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]]))
+    with pytest.raises(InputError, match="nonlinear"):
+        to_control(Plant(**PENDULUM))
+
+
+def test_formulas_equal_matrices_in_the_loop() -> None:
+    formulas = {"f": ["v", "-x - 2 * v + u"], "h": ["x"], "states": ["x", "v"], "x0": [0.5, 0.0]}
+    given_by_formulas, given_by_matrices = simulate(scene(plant=formulas)), simulate(scene())
+    for name in ("x", "x_hat", "d_hat", "u", "r"):
+        assert getattr(given_by_formulas, name) == pytest.approx(getattr(given_by_matrices, name), abs=1e-9)
+
+
+def test_callables_equal_formulas_also_in_the_loop() -> None:
+    g, l, b = (PENDULUM["parameters"][name] for name in "glb")
+    callables = Plant(
+        f=lambda x, u: ca.vertcat(x[1], -g / l * ca.sin(x[0]) - b * x[1] + u), h=lambda x: x[0], states=["angle", "rate"], x0=[0.3, 0.1]
+    )
+    formulas = Plant(**PENDULUM, x0=[0.3, 0.1])
+    for one, other in zip(system(callables).linear, system(formulas).linear, strict=True):
+        assert one == pytest.approx(other)
+    tables: dict[str, Any] = {"observer": {"method": "certified", "L": [2.0, 3.0]}, "simulation": {"duration": 0.3, "step": 0.01}}
+    reference = {"kind": "sine", "amplitude": 1.5, "frequency": 0.5}
+    by_formulas = simulate(scene(plant=PENDULUM | {"x0": [0.3, 0.1]}, reference=reference, **tables))
+    scenario = scene(plant=PENDULUM, reference=reference, **tables)
+    by_callables = simulate(type(scenario)(**{name: getattr(scenario, name) for name in scenario.__struct_fields__} | {"plant": callables}))
+    assert by_callables.x == pytest.approx(by_formulas.x, abs=1e-12)
+
+
+def test_linearisation_is_that_of_the_pendulum() -> None:
+    at_rest, upright = system(Plant(**PENDULUM)), system(Plant(**PENDULUM, x_eq=[np.pi, 0.0]))
+    assert at_rest.linear.A == pytest.approx(np.array([[0, 1], [-9.81 / 0.5, -0.8]]))
+    assert upright.linear.A == pytest.approx(np.array([[0, 1], [9.81 / 0.5, -0.8]]))
+    assert (at_rest.n, at_rest.m, at_rest.p, at_rest.nonlinear) == (2, 1, 1, True)
+
+
+def test_sampled_nonlinear_plant_has_order_four_in_its_substeps() -> None:
+    plant, Ts, start, u = system(Plant(**PENDULUM)), 0.5, np.array([2.0, -1.0]), 3.0
+    exact = solve_ivp(lambda t, x: [x[1], -9.81 / 0.5 * np.sin(x[0]) - 0.8 * x[1] + u], (0, Ts), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    counts = np.array([4, 8, 16, 32])
+    errors = [np.abs(move(sampled(plant, Ts, int(count)), start, u) - exact).max() for count in counts]
+    assert slopes(1.0 / counts, errors) == pytest.approx(4.0, abs=0.3)
+
+
+def test_sampled_linear_plant_is_the_exact_hold() -> None:
+    found = sampled(PAPER_PLANT, 0.2)
+    Ad, Bd, _ = zoh(PAPER_PLANT.linear, 0.2)
+    assert move(found, [1.0, 2.0], 3.0) == pytest.approx(Ad @ [1, 2] + 3 * Bd[:, 0], abs=1e-15)
+    assert found.Ts == 0.2
+
+
+def test_initial_state() -> None:
+    assert initial_state(Plant(integrators=2), 2).tolist() == [0, 0]
+    assert initial_state(Plant(integrators=2, x0=[[1.0], [2.0]]), 2).tolist() == [1, 2]
+    with pytest.raises(ShapeError, match=r"plant.x0: expected 2 numbers \(one per state\), found 3"):
+        initial_state(Plant(integrators=2, x0=[1, 2, 3]), 2)
+
+
+A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({}, InputError, "plant: give exactly one form .*, found none"),
+        ({"A": A2, "integrators": 2}, InputError, "plant: give exactly one form .*, found A and integrators"),
+        ({"A": A2, "B": [[0.0], [1.0]]}, InputError, "plant.C: missing"),
+        ({"A": [[0.0, 1.0]], "B": [[1.0]], "C": [[1.0]]}, ShapeError, "plant.A: expected a 1 x 1 matrix .*square.*, found 1 x 2"),
+        ({"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a 2 x any matrix .*, found 1 x 1"),
+        ({"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a 2 x any matrix .*, found a list of 2 numbers"),
+        ({"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]}, ShapeError, "plant.C: expected a any x 2 matrix"),
+        ({"A": [[0.0, 1.0], [1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: .*rows of different lengths"),
+        ({"A": [[0.0, np.nan], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: every number must be finite"),
+        ({"integrators": 0}, InputError, "plant.integrators: expected 1 to 50, found 0"),
+        ({"integrators": 2, "C": [[1.0, 0.0]]}, InputError, "plant.C: not used .*integrators"),
+        ({"companion": []}, InputError, "plant.companion: "),
+        ({"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)}, InputError, "plant.second_order: omega_n must be positive"),
+        ({"second_order": SecondOrder(zeta=0.5, omega_n=1e200)}, InputError, "plant.second_order: "),
+        ({"transfer_function": TransferFunction(numerator=[1, 2, 3], denominator=[1, 2, 3])}, InputError, "strictly proper"),
+        ({"transfer_function": TransferFunction(numerator=[0.0], denominator=[1, 2, 3])}, InputError, "non-zero numerator"),
+        ({"transfer_function": TransferFunction(numerator=[1.0], denominator=[1e-320, 2, 3])}, InputError, "plant.transfer_function"),
+        ({"transfer_function": TransferFunction(numerator=[[1], [2, 3]], denominator=[1, 2, 3])}, InputError, "plant.transfer_function.numerator"),
+        (PENDULUM | {"f": ["rate"]}, ShapeError, r"plant.f: expected 2 formulas \(one per state\), found 1"),
+        (PENDULUM | {"h": None}, InputError, "plant: formulas need lists f and h"),
+        (PENDULUM | {"h": []}, InputError, "h must not be empty"),
+        (PENDULUM | {"h": ["agle"]}, InputError, "did you mean 'angle'"),
+        (PENDULUM | {"h": ["angle", 1.0]}, InputError, "plant: every entry of f and h must be a formula in quotes"),
+        (PENDULUM | {"inputs": ["rate"]}, InputError, "a name is used twice"),
+        (PENDULUM | {"h": ["1 / angle"]}, InputError, "cannot be linearised at x_eq, u_eq"),
+        (PENDULUM | {"x_eq": [1.0]}, ShapeError, "plant.x_eq: expected 2 numbers"),
+        (PENDULUM | {"h": lambda x: x[0]}, InputError, "both be formulas or both be callables"),
+        ({"f": lambda x, u: x, "h": lambda x: x[0]}, InputError, "needs x0 or states"),
+        ({"f": lambda x, u: x[0], "h": lambda x: x[0], "x0": [0.0, 0.0]}, ShapeError, "plant.f: expected 2 derivatives"),
+    ],
+)
+def test_wrong_plants(options: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        system(Plant(**options))
