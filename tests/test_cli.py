@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undeadzone.run import Run, read_columns
+from undeadzone.run import Run
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
@@ -69,7 +69,7 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in out.iterdir()) == ["figure.png", "report.html", "run.csv", "run.npz"]
     run = Run.load(out / "run.npz")
-    np.testing.assert_array_equal(read_columns(out / "run.csv")["z[0]"], run.z[:, 0])
+    np.testing.assert_array_equal(Run.load(out / "run.csv").z, run.z)
     page = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=[\"']https?:", page)
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -10,10 +10,10 @@ import pytest
 import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import PAPER_PLANT, random_plant, response, scene, slopes
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from scenes import PAPER_PLANT, random_plant, response, scene, slopes
 from undeadzone.arrays import Floats
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interop import from_control, from_scipy, to_control, to_scipy
@@ -100,7 +100,7 @@ def test_interop_round_trips_and_refusals() -> None:
     assert response(ours, 2j)[0, 0] == pytest.approx(theirs(2j))
     assert control.poles(to_control(plant)) == pytest.approx(np.linalg.eigvals(matrices(plant).A))
     assert from_scipy(to_scipy(plant), x0=[1, 2, 3]).x0 == [1, 2, 3]
-    with pytest.raises(InputError, match="continuous-time system, found sample time 0.1"):
+    with pytest.raises(InputError, match=r"found sample time 0\.1"):
         from_control(control.ss(theirs).sample(0.1))
     with pytest.raises(InputError, match="D must be 0"):
         from_scipy(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]]))
@@ -117,9 +117,7 @@ def test_formulas_equal_matrices_in_the_loop() -> None:
 
 def test_callables_equal_formulas_also_in_the_loop() -> None:
     g, l, b = (PENDULUM["parameters"][name] for name in "glb")
-    callables = Plant(
-        f=lambda x, u: ca.vertcat(x[1], -g / l * ca.sin(x[0]) - b * x[1] + u), h=lambda x: x[0], states=["angle", "rate"], x0=[0.3, 0.1]
-    )
+    callables = Plant(f=lambda x, u: ca.vertcat(x[1], -g / l * ca.sin(x[0]) - b * x[1] + u), h=lambda x: x[0], states=["angle", "rate"], x0=[0.3, 0.1])
     formulas = Plant(**PENDULUM, x0=[0.3, 0.1])
     for one, other in zip(system(callables).linear, system(formulas).linear, strict=True):
         assert one == pytest.approx(other)
@@ -133,15 +131,15 @@ def test_callables_equal_formulas_also_in_the_loop() -> None:
 
 def test_linearisation_is_that_of_the_pendulum() -> None:
     at_rest, upright = system(Plant(**PENDULUM)), system(Plant(**PENDULUM, x_eq=[np.pi, 0.0]))
-    assert at_rest.linear.A == pytest.approx(np.array([[0, 1], [-9.81 / 0.5, -0.8]]))
-    assert upright.linear.A == pytest.approx(np.array([[0, 1], [9.81 / 0.5, -0.8]]))
+    np.testing.assert_allclose(at_rest.linear.A, [[0, 1], [-9.81 / 0.5, -0.8]])
+    np.testing.assert_allclose(upright.linear.A, [[0, 1], [9.81 / 0.5, -0.8]], rtol=1e-6)
     assert (at_rest.n, at_rest.m, at_rest.p, at_rest.nonlinear) == (2, 1, 1, True)
 
 
 def test_sampled_nonlinear_plant_has_order_four_in_its_substeps() -> None:
     plant, Ts, start, u = system(Plant(**PENDULUM)), 0.5, np.array([2.0, -1.0]), 3.0
     exact = solve_ivp(lambda t, x: [x[1], -9.81 / 0.5 * np.sin(x[0]) - 0.8 * x[1] + u], (0, Ts), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
-    counts = np.array([4, 8, 16, 32])
+    counts = np.array([8, 16, 32, 64])
     errors = [np.abs(move(sampled(plant, Ts, int(count)), start, u) - exact).max() for count in counts]
     assert slopes(1.0 / counts, errors) == pytest.approx(4.0, abs=0.3)
 
@@ -170,19 +168,25 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
         ({"A": A2, "integrators": 2}, InputError, "plant: give exactly one form .*, found A and integrators"),
         ({"A": A2, "B": [[0.0], [1.0]]}, InputError, "plant.C: missing"),
         ({"A": [[0.0, 1.0]], "B": [[1.0]], "C": [[1.0]]}, ShapeError, "plant.A: expected a 1 x 1 matrix .*square.*, found 1 x 2"),
-        ({"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a 2 x any matrix .*, found 1 x 1"),
-        ({"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a 2 x any matrix .*, found a list of 2 numbers"),
-        ({"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]}, ShapeError, "plant.C: expected a any x 2 matrix"),
+        ({"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]}, ShapeError, r"plant.B: expected a matrix with 2 rows \(as many rows as A, 2\), found 1 x 1"),
+        ({"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a matrix with 2 rows .*, found a list of 2 numbers"),
+        ({"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]}, ShapeError, "plant.C: expected a matrix with 2 columns .*, found 1 x 3"),
         ({"A": [[0.0, 1.0], [1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: .*rows of different lengths"),
         ({"A": [[0.0, np.nan], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: every number must be finite"),
         ({"integrators": 0}, InputError, "plant.integrators: expected 1 to 50, found 0"),
-        ({"integrators": 2, "C": [[1.0, 0.0]]}, InputError, "plant.C: not used .*integrators"),
-        ({"companion": []}, InputError, "plant.companion: "),
-        ({"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)}, InputError, "plant.second_order: omega_n must be positive"),
-        ({"second_order": SecondOrder(zeta=0.5, omega_n=1e200)}, InputError, "plant.second_order: "),
+        ({"integrators": 2, "C": [[1.0, 0.0]]}, InputError, "plant.C: has no meaning for a plant given by integrators"),
+        ({"integrators": 2, "x_eq": np.zeros(2)}, InputError, "plant.x_eq: has no meaning"),
+        ({"integrators": 2, "parameters": {"g": 9.81}}, InputError, "plant.parameters: has no meaning"),
+        ({"companion": []}, InputError, "plant.companion: expected at least one number"),
+        ({"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)}, InputError, "plant.second_order.omega_n: must be greater than 0, found -1"),
+        ({"second_order": SecondOrder(zeta=0.5, omega_n=1e200)}, InputError, "plant.second_order.omega_n: every number must be below 1e.50"),
         ({"transfer_function": TransferFunction(numerator=[1, 2, 3], denominator=[1, 2, 3])}, InputError, "strictly proper"),
         ({"transfer_function": TransferFunction(numerator=[0.0], denominator=[1, 2, 3])}, InputError, "non-zero numerator"),
-        ({"transfer_function": TransferFunction(numerator=[1.0], denominator=[1e-320, 2, 3])}, InputError, "plant.transfer_function"),
+        (
+            {"transfer_function": TransferFunction(numerator=[1.0], denominator=[1e-320, 2, 3])},
+            InputError,
+            "plant.transfer_function: its numbers are too far apart",
+        ),
         ({"transfer_function": TransferFunction(numerator=[[1], [2, 3]], denominator=[1, 2, 3])}, InputError, "plant.transfer_function.numerator"),
         (PENDULUM | {"f": ["rate"]}, ShapeError, r"plant.f: expected 2 formulas \(one per state\), found 1"),
         (PENDULUM | {"h": None}, InputError, "plant: formulas need lists f and h"),

@@ -11,6 +11,8 @@ from undeadzone.errors import InputError, ShapeError
 
 Floats = npt.NDArray[np.floating[Any]]
 
+LARGEST = 1e50  # beyond this no unit makes sense, and squares and products overflow
+
 if TYPE_CHECKING:
     Array = npt.ArrayLike
 else:
@@ -25,7 +27,7 @@ def decode(kind: type, value: Any) -> Floats:
 
 
 def numeric(value: Any) -> Floats:
-    """A float array from numbers or nested lists; raises ValueError on text, booleans, ragged or non-finite entries."""
+    """A float array from numbers or nested lists; raises ValueError on text, booleans, ragged, non-finite or huge entries."""
     try:
         array = np.asarray(value)
     except ValueError:
@@ -36,6 +38,8 @@ def numeric(value: Any) -> Floats:
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise ValueError("every number must be finite, found nan or inf")
+    if np.abs(array).max(initial=0.0) > LARGEST:
+        raise ValueError(f"every number must be below {LARGEST:g} in size, found {np.abs(array).max():g}")
     return array
 
 
@@ -74,13 +78,21 @@ def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
     return found
 
 
+def series(key: str, value: Any) -> Floats:
+    """A 1-D float array of any size but 0. Raises InputError, ShapeError."""
+    found = array(key, value)
+    if found.size == 0:
+        raise ShapeError(f"{key}: expected at least one number, found none")
+    return vector(key, found, found.size)
+
+
 def scalar(key: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
     """One finite number within bounds. Raises InputError."""
     found = array(key, value)
     if found.size != 1:
         raise ShapeError(f"{key}: expected one number, found {found.size}")
     number = float(found.reshape(()))
-    if above is not None and not number > above:
+    if above is not None and not number > above + 1 / LARGEST:
         raise InputError(f"{key}: must be greater than {above:g}, found {number:g}")
     if least is not None and not number >= least:
         raise InputError(f"{key}: must be at least {least:g}, found {number:g}")

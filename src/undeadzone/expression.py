@@ -27,13 +27,19 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
     """The value of formula `text` with `names` bound; only arithmetic and elementary functions. Raises InputError."""
 
     def fail(what: str) -> InputError:
-        return InputError(f"{key}: {what} in formula {text!r}")
+        return InputError(f"{key}: {what} in formula {text!r:.80}")
 
     def unknown(name: str, known: list[str]) -> InputError:
         near = difflib.get_close_matches(name, known, 1)
         return fail(f"unknown name {name!r}" + (f" (did you mean {near[0]!r}?)" if near else f"; known: {', '.join(known)}"))
 
     def value(node: ast.expr) -> Any:
+        found = compute(node)
+        if isinstance(found, complex) or (isinstance(found, float) and not math.isfinite(found)):
+            raise OverflowError
+        return found
+
+    def compute(node: ast.expr) -> Any:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return float(number)
@@ -49,10 +55,10 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
                 if name not in _FUNCTIONS:
                     raise unknown(name, list(_FUNCTIONS))
                 return _FUNCTIONS[name](*map(value, args))
-        raise fail(f"only numbers, names, + - * / ** and elementary functions are allowed, found {ast.unparse(node)!r}")
+        raise fail(f"only numbers, names, + - * / ** and elementary functions are allowed, found {ast.unparse(node)!r:.80}")
 
     try:
-        return value(ast.parse(text, mode="eval").body)
+        return value(ast.parse(text.strip(), mode="eval").body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
@@ -60,4 +66,4 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
     except (NotImplementedError, TypeError):
         raise fail("a function has the wrong number of arguments") from None
     except (ZeroDivisionError, OverflowError):
-        raise fail("a constant part divides by zero or overflows") from None
+        raise fail("a constant part is not a finite real number") from None

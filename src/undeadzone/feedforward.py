@@ -10,6 +10,7 @@ import numpy as np
 from undeadzone.arrays import Floats
 from undeadzone.errors import TrackingError
 from undeadzone.plant import Matrices, System
+from undeadzone.scaling import sizes
 from undeadzone.signals import Exosystem
 
 
@@ -24,8 +25,8 @@ class Target(NamedTuple):
 def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, float]:
     """(Pi, Gamma, residual) of the regulator equations A Pi + B Gamma = Pi S, C Pi = Q; x_ref = Pi w, u_ff = Gamma w.
 
-    C here holds the tracked outputs only. Least norm where inputs are more than tracked outputs. The residual is
-    relative to Q; it is not small exactly when a zero of the plant meets the spectrum of S.
+    C here holds the tracked outputs only. Least scaled norm where inputs are more than tracked outputs. The residual
+    is relative; it is not small exactly when a zero of the plant meets the spectrum of S.
     """
     A, B, C = linear
     n, m, k, q = A.shape[0], B.shape[1], S.shape[0], C.shape[0]
@@ -37,10 +38,13 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
         ]
     )
     wanted = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
-    scale = np.linalg.norm(equations, axis=0)
-    scale[scale == 0] = 1.0
-    solution = np.linalg.lstsq(equations / scale, wanted, rcond=None)[0] / scale
-    residual = float(np.linalg.norm(equations @ solution - wanted) / max(float(np.linalg.norm(wanted)), 1e-300))
+    scale = np.concatenate([*(sizes(A, B, float(np.linalg.norm(column))) for column in S.T), np.ones(m * k)])
+    rows = np.abs(equations * scale).max(axis=1)
+    rows[rows == 0] = 1.0
+    scaled, goal = equations * scale / rows[:, None], wanted / rows
+    solution = np.linalg.lstsq(scaled, goal, rcond=None)[0]
+    residual = float(np.linalg.norm(scaled @ solution - goal) / max(float(np.linalg.norm(goal)), 1e-300))
+    solution = solution * scale
     return solution[: n * k].reshape(n, k, order="F"), solution[n * k :].reshape(m, k, order="F"), residual
 
 
@@ -53,26 +57,29 @@ def _blocking(linear: Matrices, S: Floats) -> complex:
         rosenbrock = np.block([[A - s * np.eye(A.shape[0]), B], [C, zero]])
         return float(np.linalg.svd(rosenbrock, compute_uv=False)[-1 if rosenbrock.shape[0] <= rosenbrock.shape[1] else 0])
 
-    return complex(min(np.linalg.eigvals(S), key=gap))
+    poles = np.linalg.eigvals(S)
+    return complex(min(poles[poles.imag >= 0], key=gap))
 
 
 def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Floats, Floats]:
     """(Pi, Gamma): x_ref = Pi w and u_ff = Gamma w of a linear model, continuous or sampled. Raises TrackingError where none exists."""
-    S = exo.S
+    A, B, C = model.linear
+    S, linear = exo.S, Matrices(A, B, C[tracked])
     if model.Ts is not None:
         from scipy.linalg import expm
 
-        S = expm(S * model.Ts)
-    linear = model.linear._replace(C=model.linear.C[tracked])
+        # The same equations less the identity, per second: well scaled for short samples too.
+        S = (expm(S * model.Ts) - np.eye(S.shape[0])) / model.Ts
+        linear = Matrices((A - np.eye(model.n)) / model.Ts, B / model.Ts, C[tracked])
     if len(tracked) > model.m:
         raise TrackingError(
-            f"reference.outputs: the plant has {model.m} input{'s' * (model.m > 1)} and cannot make {len(tracked)} outputs follow; name at most {model.m}"
+            f"tracked: the plant has {model.m} input{'s' * (model.m > 1)} and cannot make {len(tracked)} outputs follow; name at most {model.m}"
         )
     Pi, Gamma, residual = regulator(linear, S, exo.Q)
     if residual > 1e-8:
         s = _blocking(linear, S)
         if model.Ts is not None:
-            s = np.log(s) / model.Ts
+            s = np.log(1 + s * model.Ts) / model.Ts
         where = f"{s.real:.4g}{s.imag:+.4g}j" if abs(s.imag) > 1e-12 else f"{s.real:.4g}"
         raise TrackingError(
             f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on the reference's spectrum "
@@ -94,7 +101,8 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
     Needs one input per tracked output and relative degrees that add up to n. Raises TrackingError otherwise.
     """
     if len(tracked) != model.m:
-        raise TrackingError(f"reference.outputs: a nonlinear plant with {model.m} inputs needs {model.m} tracked outputs, found {len(tracked)}")
+        many = "s" * (model.m != 1)
+        raise TrackingError(f"tracked: a nonlinear plant with {model.m} input{many} needs {model.m} tracked output{many}, found {len(tracked)}")
     continuous = model.move
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     params = ca.SX(model.params)

@@ -1,7 +1,9 @@
-"""Gaussian beliefs on CasADi expressions: predict, update by one reading, cut at a bound (docs/filters.md)."""
+"""Gaussian beliefs on CasADi expressions: move through a model, correct by a reading, cut at a bound (docs/filters.md)."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -20,43 +22,69 @@ def triangle(cov: Any) -> Any:
 
 
 def symmetric(column: Any, size: int) -> Any:
-    """The symmetric size x size matrix of a `triangle`."""
+    """The symmetric size x size matrix whose `triangle` is given."""
     return ca.triu2symm(ca.SX(ca.Sparsity.upper(size), column))
 
 
-def predict(belief: Gaussian, mean: Any, F: Any, Q: Any) -> Gaussian:
-    """The belief after x+ = f(x) + w: mean f(x^), F = df/dx at x^, Q = cov w."""
-    return Gaussian(mean, ca.triu2symm(ca.triu(F @ belief.cov @ F.T + Q)))
+def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
+    """f and its Jacobian at a column."""
+    X = ca.SX.sym("X", at.shape[0])
+    value = f(X)
+    found, slope = ca.substitute([value, ca.jacobian(value, X)], [X], [at])
+    return found, slope
+
+
+def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.0) -> Gaussian:
+    """The belief after x+ = f(x) + w, cov w = Q (N x N), to second order; exact for f of degree 2, lasting = 1.
+
+    What f bends beyond its mean is not white: it keeps its sign for about `lasting` steps and counts that much more.
+    """
+    P, X = belief.cov, ca.SX.sym("X", belief.mean.shape[0])
+    value = f(X)
+    bent = [row for row, nonlinear in enumerate(ca.which_depends(value, X, 2, True)) if nonlinear]
+    curvatures = [ca.hessian(value[row], X)[0] for row in bent]
+    mean, F, *curvatures = ca.substitute([value, ca.jacobian(value, X), *curvatures], [X], [belief.mean])
+    spread = [H @ P for H in curvatures]
+    cov = F @ P @ F.T + Q
+    for row, M in zip(bent, spread, strict=True):
+        mean[row] += ca.trace(M) / 2
+        for column, other in zip(bent, spread, strict=True):
+            cov[row, column] += lasting * ca.dot(M, other.T) / 2
+    return Gaussian(mean, _from_upper(cov))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
-    """(the belief after one reading, its innovation variance): innovation e, row h (1 x N), noise variance R.
+    """(the belief after one reading h x + v, variance of its innovation e); unchanged where `use` is 0.
 
-    Joseph's form, so that rounding cannot make the covariance indefinite; unchanged where `use` is 0.
+    Joseph's form, so that rounding cannot make the covariance indefinite.
     """
-    m, P = belief
+    mean, P = belief
     S = h @ P @ h.T + R
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
-    return Gaussian(m + K @ ca.if_else(use, e, 0.0), ca.triu2symm(ca.triu(half - (half @ h.T) @ K.T + R * (K @ K.T)))), S
+    return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(half - (half @ h.T) @ K.T + R * (K @ K.T))), S
 
 
-def room(belief: Gaussian, h: Any, bound: Any, R: Any) -> Any:
-    """alpha = (bound - h x^) / std(h x + v), v of variance R: h x + v <= bound has probability Phi(alpha)."""
-    return (bound - h @ belief.mean) / ca.sqrt(h @ belief.cov @ h.T + R)
+def cut(belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float) -> tuple[Gaussian, Any]:
+    """(the belief given that excess + h (x - x^) + v <= 0, 1 where that was used), by matching mean and covariance.
 
-
-def cut(belief: Gaussian, h: Any, bound: Any, R: Any, use: Any) -> Gaussian:
-    """The belief given h x + v <= bound, by matching mean and covariance; unchanged where `use` is 0."""
-    m, P = belief
-    alpha = room(belief, h, bound, R)
-    ratio = ca.if_else(use, hazard(alpha), 0.0)
-    along = P @ h.T / ca.sqrt(h @ P @ h.T + R)
-    return Gaussian(m - ratio * along, ca.triu2symm(ca.triu(P - ratio * (ratio + alpha) * (along @ along.T))))
+    Used where `use` holds and the belief does not say so already: where its probability is below Phi(limit).
+    """
+    mean, P = belief
+    std = ca.sqrt(h @ P @ h.T + R)
+    alpha = -excess / std
+    used = ca.logic_and(use, alpha < limit)
+    ratio = ca.if_else(used, hazard(alpha), 0.0)
+    along = P @ h.T / std
+    return Gaussian(mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))), used
 
 
 def hazard(alpha: Any) -> Any:
-    """phi(alpha) / Phi(alpha) of the standard normal distribution; its asymptotic series below -5."""
+    """phi(alpha) / Phi(alpha) of the standard normal distribution; its asymptotic series below -5 (1e-4 accurate there)."""
     near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
-    exact = ca.exp(-(near**2) / 2) / (1.2533141373155003 * (1 + ca.erf(near / 1.4142135623730951)))
+    exact = ca.exp(-(near**2) / 2) / (math.sqrt(math.pi / 2) * (1 + ca.erf(near / math.sqrt(2))))
     return ca.if_else(alpha > -5.0, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
+
+
+def _from_upper(cov: Any) -> Any:
+    return ca.triu2symm(ca.triu(ca.densify(cov)))

@@ -59,13 +59,18 @@ class Outputs(NamedTuple):
     z: Any
     y: Any
     side: Any
+    u: Any
     x_hat: Any
     z_hat: Any
     right: Any
     left: Any
     z_inverse: Any
     innovation: Any
-    u: Any
+    x_std: Any
+    right_std: Any
+    left_std: Any
+    width_std: Any
+    innovation_std: Any
 
 
 class Loop(NamedTuple):
@@ -141,7 +146,7 @@ class _Wires(NamedTuple):
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
         plant = self.plant.move(self.p.plant, s.plant, u + w.w)
-        return State(plant, observer, controller), Outputs(s.plant, z, y, mode.side, *estimate, u)
+        return State(plant, observer, controller), Outputs(s.plant, z, y, mode.side, u, *estimate)
 
     def project(self, s: State) -> State:
         """The admissible state nearest to s."""

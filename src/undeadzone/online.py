@@ -19,7 +19,7 @@ from undeadzone.sensor import Sensor, present, resolve, side
 
 
 class Live(NamedTuple):
-    """One live estimate: x^ (n), z^ (p), d_r^ and d_l^ (p), the deadzone inverse (26) (p), innovation (p), side (p)."""
+    """One live estimate: the fields of `Estimate` as arrays (empty where the observer has none), and the side (p)."""
 
     x: Floats
     z: Floats
@@ -27,6 +27,11 @@ class Live(NamedTuple):
     left: Floats
     z_inverse: Floats
     innovation: Floats
+    x_std: Floats
+    right_std: Floats
+    left_std: Floats
+    width_std: Floats
+    innovation_std: Floats
     side: Floats
 
 
@@ -46,13 +51,13 @@ class Online:
         zone = resolve(sensor, self.model.p, Ts)
         built = observer.build(self.model, zone)
         require_observable_step(self.model, built, Ts)
-        graph, state, params = _graph(self.model, built, zone.threshold)
+        graph, state, params, sizes = _graph(self.model, built, zone.threshold)
         self.samples = 0
         self.missing = 0
         self._step = Stepper(graph, state, params)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        n, p = self.model.n, self.model.p
-        self._cuts = [slice(0, n), *(slice(n + i * p, n + (i + 1) * p) for i in range(6))]
+        ends = np.cumsum(sizes).tolist()
+        self._cuts = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
 
     def update(self, y: Array, u: Array) -> Live:
         """The estimate from reading y (p) and all before it; u (m) acts from this sample to the next."""
@@ -63,8 +68,7 @@ class Online:
         out = self._out.copy()
         if out[-1]:
             self.missing += 1
-        a, b, c, d, e, f, g = self._cuts
-        return Live(out[a], out[b], out[c], out[d], out[e], out[f], out[g])
+        return Live(*[out[cut] for cut in self._cuts])
 
     def peek(self, y: Array) -> Live:
         """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances."""
@@ -75,8 +79,11 @@ class Online:
         return found
 
 
-def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Function, Floats, Floats]:
-    """(step(s, w, p) -> (next, out), state, params) of an observer alone; w = [y; u], out ends with 'y was missing'."""
+def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Function, Floats, Floats, list[int]]:
+    """(step(s, w, p) -> (next, out), state, params, sizes of out's parts) of an observer alone.
+
+    w = [y; u]; out is the estimate, the side, and whether y was missing.
+    """
     values = (observer.params, threshold)
     column, (params, eps) = tree.symbols(values, "p")
     state = (observer.init(observer.params), np.zeros(model.m))
@@ -88,4 +95,4 @@ def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Fun
     after, estimate = observer.step(params, s, used, reading)
     out = ca.vertcat(tree.stack(estimate), reading.side, ca.mmin(present(y)) == 0)
     function = ca.Function("live", [s_column, ca.vertcat(y, u), column], [tree.stack((after, used)), out], {"cse": True})
-    return function, tree.pack(state), tree.pack(values)
+    return function, tree.pack(state), tree.pack(values), [part.shape[0] for part in (*estimate, reading.side)]

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from undeadzone import expression
-from undeadzone.arrays import Array, Floats, matrix, vector
+from undeadzone.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.integrate import rk4
 
@@ -27,7 +27,8 @@ class System(NamedTuple):
     """Dynamics as pure functions on CasADi expressions, and their numbers.
 
     move(params, x, u): the derivative of x, or its next value when Ts [s] is set; output(params, x): z.
-    linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant.
+    linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant; flow: those in continuous
+    time of a sampled plant.
     """
 
     params: Any
@@ -36,6 +37,7 @@ class System(NamedTuple):
     linear: Matrices
     nonlinear: bool
     Ts: float | None = None
+    flow: Matrices | None = None
 
     @property
     def n(self) -> int:
@@ -94,7 +96,15 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     x0: Array | None = None
 
 
-_FORMS = ("A", "second_order", "companion", "integrators", "transfer_function", "f")
+# Each form by its leading key, and the keys that belong to it.
+_FORMS = {
+    "A": ("B", "C"),
+    "second_order": (),
+    "companion": (),
+    "integrators": (),
+    "transfer_function": (),
+    "f": ("h", "states", "inputs", "parameters", "x_eq", "u_eq"),
+}
 
 
 def companion(a: Any, b: Any = (1.0,)) -> Matrices:
@@ -107,31 +117,32 @@ def companion(a: Any, b: Any = (1.0,)) -> Matrices:
 
 
 def _transfer_function(key: str, given: TransferFunction) -> Matrices:
-    num, den = (vector(f"{key}.{name}", value, np.size(value)) for name, value in (("numerator", given.numerator), ("denominator", given.denominator)))
-    num, den = np.trim_zeros(num, "f"), np.trim_zeros(den, "f")
+    num, den = (np.trim_zeros(series(f"{key}.{name}", getattr(given, name)), "f") for name in ("numerator", "denominator"))
     if den.size < 2 or num.size == 0:
         raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
     if num.size >= den.size:
         raise InputError(f"{key}: must be strictly proper (numerator order {num.size - 1} < denominator order {den.size - 1})")
-    return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
+    with np.errstate(over="ignore"):
+        return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
 
 
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
     """The matrices of a linear plant given in any form. Raises InputError, ShapeError."""
     if plant.second_order is not None:
-        zeta, omega, gain = plant.second_order.zeta, plant.second_order.omega_n, plant.second_order.gain
-        if omega <= 0 or gain == 0:
-            raise InputError(f"{key}.second_order: omega_n must be positive and gain not 0, found {omega:g} and {gain:g}")
-        found = companion([omega**2, 2 * zeta * omega])
+        zeta, gain = (scalar(f"{key}.second_order.{name}", getattr(plant.second_order, name)) for name in ("zeta", "gain"))
+        omega = scalar(f"{key}.second_order.omega_n", plant.second_order.omega_n, above=0.0)
+        found = companion([omega * omega, 2 * zeta * omega])
         return found._replace(B=gain * found.B)
     if plant.companion is not None:
-        return companion(vector(f"{key}.companion", plant.companion, np.size(plant.companion)))
+        return companion(series(f"{key}.companion", plant.companion))
     if plant.integrators is not None:
         if not 1 <= plant.integrators <= 50:
             raise InputError(f"{key}.integrators: expected 1 to 50, found {plant.integrators}")
         return companion(np.zeros(plant.integrators))
     if plant.transfer_function is not None:
         return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
+    if plant.f is not None:
+        raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
     for name in "ABC":
         if getattr(plant, name) is None:
             raise InputError(f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)")
@@ -151,9 +162,15 @@ def system(plant: Plant, key: str = "plant") -> System:
     if len(given) != 1:
         found = f"found {' and '.join(given)}" if given else "found none"
         raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), {found}")
+    known = {given[0], *_FORMS[given[0]], "x0"}
+    present = [name for name in Plant.__struct_fields__ if not (getattr(plant, name) is None or (name == "parameters" and not plant.parameters))]
+    if unused := [name for name in present if name not in known]:
+        raise InputError(f"{key}.{unused[0]}: has no meaning for a plant given by {given[0]}; remove one of them")
     if plant.f is not None:
         return _nonlinear(plant, key)
     linear = matrices(plant, key)
+    if not all(np.abs(part).max() < LARGEST**2 for part in linear):
+        raise InputError(f"{key}.{given[0]}: its numbers are too far apart to compute with")
     return System(linear, _linear_move, _linear_output, linear, nonlinear=False)
 
 
@@ -234,14 +251,14 @@ def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
     """The plant seen every Ts [s] with u held: exact zero-order hold if linear, else RK4 with `substeps`."""
     linear = zoh(plant.linear, Ts)
     if not plant.nonlinear:
-        return plant._replace(params=linear, linear=linear, Ts=Ts)
+        return plant._replace(params=linear, linear=linear, Ts=Ts, flow=plant.linear)
 
     def move(params: Any, x: Any, u: Any) -> Any:
         for _ in range(substeps):
             x = rk4(lambda state, _: plant.move(params, state, u), x, Ts / substeps)
         return x
 
-    return plant._replace(move=move, linear=linear, Ts=Ts)
+    return plant._replace(move=move, linear=linear, Ts=Ts, flow=plant.linear)
 
 
 def zoh(linear: Matrices, Ts: float) -> Matrices:

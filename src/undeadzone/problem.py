@@ -9,10 +9,10 @@ import numpy as np
 
 from undeadzone import plant as plants
 from undeadzone import signals
-from undeadzone.arrays import Floats, scalar
+from undeadzone.arrays import Floats, nonnegative, scalar
 from undeadzone.controllers import Controller
 from undeadzone.design.structure import require_structure
-from undeadzone.errors import InputError, StepError, StructureError, TrackingError
+from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.observers import Observer
 from undeadzone.plant import Plant, System
 from undeadzone.scenario import Scenario
@@ -33,6 +33,7 @@ class Problem(NamedTuple):
     observer: Observer
     controller: Controller
     reference: Exosystem
+    disturbance: Exosystem | None
     tracked: list[int]
     x0: Floats
     steps: int
@@ -40,24 +41,27 @@ class Problem(NamedTuple):
 
 def resolve_scenario(scenario: Scenario) -> Problem:
     """Build and check every part. Raises InputError and its kinds, naming the key, what was found and what to do."""
-    step, steps = _time(scenario)
     true, flow, x0 = systems(scenario)
+    step, steps = _time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step)
     tracked = _tracked(scenario, true)
     reference = signals.exosystem("reference", scenario.reference, len(tracked))
+    _require_resolved("reference", reference, step)
+    disturbance = _disturbance(scenario, true.m)
+    if disturbance is not None:
+        _require_resolved("disturbance", disturbance, step)
     plant, model = true, flow
     if scenario.simulation.time == "sampled":
-        if scenario.simulation.substeps < 1:
-            raise InputError(f"simulation.substeps: expected 1 or more, found {scenario.simulation.substeps}")
-        _require_sampling(true, reference, step)
-        plant, model = (plants.sampled(system, step, scenario.simulation.substeps) for system in (true, flow))
-        require_structure(model.linear, f"plant sampled at {step:g} s")
+        substeps = scenario.simulation.substeps
+        if not 1 <= substeps <= 1000:
+            raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
+        plant, model = (_sampled(key, system, step, substeps) for key, system in (("plant", true), ("model", flow)))
     observer = scenario.observer.build(model, sensor)
     controller = scenario.controller.build(model)
     require_observable_step(model, observer, step)
     if model.Ts is None:
         _require_fine_step(plant, model, observer, controller, step)
-    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, tracked, x0, steps)
+    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps)
 
 
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:
@@ -91,15 +95,19 @@ def believed_plant(scenario: Scenario) -> Plant:
     return Plant(**{**linear._asdict(), **matrices})
 
 
-def _time(scenario: Scenario) -> tuple[float, int]:
+def _time(scenario: Scenario, plant: System) -> tuple[float, int]:
     duration = scalar("simulation.duration", scenario.simulation.duration, above=0.0)
     step = scalar("simulation.step", scenario.simulation.step, above=0.0)
     if step > duration:
         raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
     if scenario.simulation.seed < 0:
         raise InputError(f"simulation.seed: must not be negative, found {scenario.simulation.seed}")
-    if duration / step * 60 * 8 > MEMORY:
+    numbers = 15 * (plant.n + 2 * plant.m + 4 * plant.p)  # a step, the check at half the step included
+    if duration / step * numbers * 8 > MEMORY:
         raise StepError(f"simulation.step: {duration / step:.3g} steps would need more than {MEMORY / 1e9:g} GB; use a longer step or a shorter duration")
+    names = scenario.units.state
+    if not isinstance(names, str) and len(names) != plant.n:
+        raise ShapeError(f"units.state: expected one unit, or {plant.n} (one per state), found {len(names)}")
     return step, round(duration / step)
 
 
@@ -110,13 +118,33 @@ def _tracked(scenario: Scenario, plant: System) -> list[int]:
     return tracked
 
 
-def _require_sampling(plant: System, reference: Exosystem, step: float) -> None:
-    fastest = float(np.abs(np.linalg.eigvals(plant.linear.A).imag).max())
-    if fastest * step >= np.pi:
-        raise StepError(f"simulation.step: {step:g} s is too coarse: the plant oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that")
-    tone = float(np.abs(np.linalg.eigvals(reference.S).imag).max()) / 2 / np.pi
+def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
+    signal = scenario.disturbance
+    if isinstance(signal, signals.Random):
+        nonnegative("disturbance.rms", signal.rms, inputs, f"one per input, there are {inputs}")
+        scalar("disturbance.correlation_time", signal.correlation_time, above=0.0)
+        return None
+    return None if signal is None else signals.exosystem("disturbance", signal, inputs)
+
+
+def _require_resolved(key: str, signal: Exosystem, step: float) -> None:
+    tone = float(np.abs(np.linalg.eigvals(signal.S).imag).max()) / 2 / np.pi
     if tone * step >= 0.5:
-        raise TrackingError(f"reference.frequency: {tone:.4g} Hz is not below half the sampling rate, {0.5 / step:.4g} Hz")
+        raise StepError(f"simulation.step: {step:g} s is too coarse for {key}: {tone:.4g} Hz is not below half of 1 / step, {0.5 / step:.4g} Hz")
+
+
+def _sampled(key: str, system: System, step: float, substeps: int) -> System:
+    """The sampled system; it is observable where the continuous one is, since no two poles fall on one (Kalman, Ho, Narendra 1963)."""
+    poles = np.linalg.eigvals(system.linear.A)
+    fastest, growth = float(np.abs(poles.imag).max()), float(poles.real.max())
+    if fastest * step >= np.pi:
+        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that")
+    if growth * step > 10:
+        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} grows at {growth:.4g} 1/s, e^{growth * step:.3g}-fold within one sample")
+    found = plants.sampled(system, step, substeps)
+    if not all(np.isfinite(part).all() for part in found.linear):
+        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} cannot be sampled (its matrices overflow)")
+    return found
 
 
 def require_observable_step(model: System, observer: Observer, step: float) -> None:

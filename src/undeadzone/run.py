@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.errors import FileError, InputError
+from undeadzone.files import replacing
 from undeadzone.scenario import Units
 
 LAST = 2.0  # [s] over which errors are measured
@@ -98,7 +99,8 @@ class Run:
         """The largest increase of V from one sample to the next, relative to the largest V; None without a certificate."""
         if self.V is None or self.V.size < 2:
             return None
-        return float(max(0.0, np.diff(self.V).max())) / max(float(self.V.max()), 1e-300)
+        with np.errstate(invalid="ignore"):
+            return float(np.maximum(np.diff(self.V).max(), 0.0) / np.maximum(self.V.max(), 1e-300))
 
     @property
     def fully_identifiable(self) -> bool:
@@ -125,7 +127,7 @@ class Run:
             "d_left": finite(left),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
-            "largest_rise_of_V": self.largest_rise_of_V,
+            "largest_rise_of_V": finite(self.largest_rise_of_V),
             "integration_error": finite(self.info.integration_error),
             "identifiable": verdicts[0] if len(verdicts) == 1 else verdicts,
             "diverged_at": self.diverged_at,
@@ -155,7 +157,7 @@ class Run:
         return {"t": "s", "u": units.input, "side": "1", "V": "1"}.get(signal, units.output)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `.npz` (all, exactly) or `.csv` (signals, 17 digits, units in the header). Raises FileError, InputError."""
+        """Write `.npz` or `.csv` (17 digits, units in the header, the info as a first line after #). Raises FileError, InputError."""
         path = Path(path)
         if path.suffix == ".npz":
             arrays = {name: value for name in ARRAYS if (value := getattr(self, name)) is not None}
@@ -163,24 +165,27 @@ class Run:
                 np.savez_compressed(file, info=np.frombuffer(msgspec.json.encode(self.info), np.uint8), **arrays)
         elif path.suffix == ".csv":
             columns = self.columns()
-            header = ",".join(f"{name} [{self.unit(name)}]" for name in columns)
-            with replacing(path) as temporary:
-                np.savetxt(temporary, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=",", header=header, comments="")
+            with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as table:
+                table.write(f"# {msgspec.json.encode(self.info).decode()}\n")
+                csv.writer(table, lineterminator="\n").writerow([f"{name} [{' '.join(self.unit(name).split())}]" for name in columns])
+                np.savetxt(table, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=",")
         else:
             raise InputError(f"{path}: the name must end in .npz or .csv")
         return path
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
-        """Read a run saved as `.npz`, exactly as it was. Raises FileError."""
+        """Read a run saved as `.npz` or `.csv`, exactly as it was. Raises FileError."""
         try:
+            if Path(path).suffix == ".csv":
+                return cls(**_read_csv(Path(path)))
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in ARRAYS if name in file}
                 info = msgspec.json.decode(file["info"].tobytes(), type=Info)
             return cls(**{"V": None, **arrays}, info=info)
         except OSError as error:
             raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
-        except (ValueError, KeyError, TypeError, msgspec.DecodeError, EOFError) as error:
+        except (ValueError, KeyError, TypeError, StopIteration, EOFError, msgspec.DecodeError, zipfile.BadZipFile, zlib.error) as error:
             raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
     def to_pandas(self) -> Any:
@@ -200,44 +205,21 @@ class Run:
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
 
 
-def read_columns(path: str | os.PathLike[str]) -> dict[str, Floats]:
-    """The columns of a run saved as `.csv`, by name without units. Raises FileError."""
-    try:
-        with open(path, encoding="utf-8") as file:
-            names = [cell.partition(" [")[0] for cell in file.readline().rstrip("\n").split(",")]
-            table = np.loadtxt(file, delimiter=",", ndmin=2)
-    except OSError as error:
-        raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
-    except ValueError as error:
-        raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
-    if table.shape[1] != len(names):
-        raise FileError(f"{path}: the header names {len(names)} columns, the rows have {table.shape[1]}")
-    return dict(zip(names, table.T, strict=True))
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its name once written; nothing is left half-written. Raises FileError."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-        os.close(handle)
-    except OSError as error:
-        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if error.errno else error}") from None
-    try:
-        yield Path(name)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if error.errno else error}") from None
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _read_csv(path: Path) -> dict[str, Any]:
+    """The fields of a `Run` from the columns that `Run.columns` names."""
+    with open(path, encoding="utf-8", newline="") as file:
+        info = msgspec.json.decode(file.readline().removeprefix("# "), type=Info)
+        names = [cell.partition(" [")[0] for cell in next(csv.reader([file.readline()]))]
+        rows = file.readlines()
+    if not rows:
+        raise ValueError("no samples")
+    table = np.loadtxt(rows, delimiter=",", ndmin=2)
+    columns = dict(zip(names, table.T, strict=True))
+    fields: dict[str, Any] = {"info": info, "V": columns.get("V"), "t": columns["t"]}
+    for name in ARRAYS[1:-1]:
+        prefixes = ("d_right[", "d_left[") if name == "d_hat" else (f"{name}[",)
+        fields[name] = np.stack([column for key, column in columns.items() if key.startswith(prefixes)], axis=1)
+    return fields
 
 
 def _rms(values: Floats) -> float:

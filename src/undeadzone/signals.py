@@ -103,7 +103,8 @@ def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
             return _tones(key, [key], [signal], signal.offset, channels)
         case Step():
             before, after = (vector(f"{key}.{name}", getattr(signal, name), channels, why) for name in ("before", "amplitude"))
-            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= signal.time, after, before), corners=np.array([signal.time]))
+            time = scalar(f"{key}.time", signal.time)
+            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= time, after, before), corners=np.array([time]))
         case Trapezoid():
             return _trapezoid(key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why))
         case Samples():
@@ -112,10 +113,11 @@ def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
 
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
-    constant = vector(f"{key}.offset", offset, channels)
+    why = f"one per channel, there are {channels}"
+    constant = vector(f"{key}.offset", offset, channels, why)
     omegas, gains = [], []
     for name, tone in zip(keys, tones, strict=True):
-        amplitude, phase = vector(f"{name}.amplitude", tone.amplitude, channels), vector(f"{name}.phase", tone.phase, channels)
+        amplitude, phase = (vector(f"{name}.{part}", getattr(tone, part), channels, why) for part in ("amplitude", "phase"))
         omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
         omegas.append(omega)
         gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
@@ -198,19 +200,22 @@ def _spline(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
 def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     """(t, values) of a CSV file: time first, then one column per channel; a header line is allowed. Raises FileError."""
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with open(path, newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError:
+        raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
+    except (OSError, ValueError, csv.Error) as error:
         reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
         raise FileError(f"{key}.path: cannot read {path}: {reason}") from None
-    if rows and not _is_number(rows[0][0]):
+    if rows and all(_number(cell) is None for cell in rows[0]):
         rows = rows[1:]
     if not rows:
         raise FileError(f"{key}.path: {path} holds no samples")
     for number, row in enumerate(rows, 1):
         if len(row) != channels + 1:
-            raise FileError(f"{key}.path: {path}: sample {number} has {len(row)} columns, expected {channels + 1} (time and {channels} values)")
-        if not all(_is_number(cell) for cell in row):
+            found, values = f"{len(row)} column{'s' * (len(row) != 1)}", f"{channels} value{'s' * (channels != 1)}"
+            raise FileError(f"{key}.path: {path}: sample {number} has {found}, expected {channels + 1} (time and {values}, separated by commas)")
+        if not all((value := _number(cell)) is not None and math.isfinite(value) for cell in row):
             raise FileError(f"{key}.path: {path}: sample {number} is not all finite numbers: {','.join(row):.60}")
     table = np.array(rows, float)
     if table.shape[0] < 2 or (np.diff(table[:, 0]) <= 0).any():
@@ -218,8 +223,8 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     return table[:, 0], table[:, 1:]
 
 
-def _is_number(text: str) -> bool:
+def _number(text: str) -> float | None:
     try:
-        return bool(np.isfinite(float(text)))
+        return float(text)
     except ValueError:
-        return False
+        return None

@@ -14,7 +14,12 @@ import click
 from undeadzone.errors import FileError
 
 if TYPE_CHECKING:
-    from undeadzone.online import Live, Online
+    from undeadzone.online import Live
+
+NAMES = (
+    "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
+    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "side",
+)  # fmt: skip
 
 
 @click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
@@ -43,7 +48,7 @@ def watch(scenario: Path, as_json: bool) -> int:
         values = [_value(cell, number) for cell in row]
         live = online.update(values[-(p + m) : -m], values[-m:])
         if count == 0 and not as_json:
-            click.echo(",".join(_names(online)))
+            click.echo(",".join(_header(live)))
         time = values[0] if len(row) > p + m else count * problem.simulation.step
         click.echo(_json(time, live) if as_json else ",".join(repr(float(v)) for v in (time, *_flat(live))))
         sys.stdout.flush()
@@ -71,10 +76,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _names(online: Online) -> list[str]:
-    outputs = [f"[{i}]" for i in range(online.model.p)]
-    parts = ["x_hat" + f"[{i}]" for i in range(online.model.n)]
-    return ["t", *parts, *(name + i for name in ("z_hat", "d_right", "d_left", "z_inverse", "innovation", "side") for i in outputs)]
+def _header(live: Live) -> list[str]:
+    return ["t", *(f"{name}[{i}]" for name, part in zip(NAMES, live, strict=True) for i in range(part.size))]
 
 
 def _flat(live: Live) -> list[float]:
@@ -82,5 +85,4 @@ def _flat(live: Live) -> list[float]:
 
 
 def _json(time: float, live: Live) -> str:
-    names = ("x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation", "side")
-    return json.dumps({"t": time} | {name: part.tolist() for name, part in zip(names, live, strict=True)})
+    return json.dumps({"t": time} | {name: part.tolist() for name, part in zip(NAMES, live, strict=True) if part.size})

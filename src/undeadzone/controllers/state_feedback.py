@@ -54,7 +54,8 @@ class StateFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         params = Params(K, np.zeros((model.m, model.n)), np.float64(0.0), np.float64(1.0))
         if self.robust is not None:
             P = lyapunov(model.linear, K, Q, model.Ts)
-            params = Params(K, model.linear.B.T @ P, np.float64(self.robust.gain), np.float64(scalar("controller.robust.width", self.robust.width, above=0.0)))
+            rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
+            params = Params(K, model.linear.B.T @ P, np.float64(rho), np.float64(scalar("controller.robust.width", self.robust.width, above=0.0)))
         robust = self.robust is not None
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:

@@ -1,152 +1,165 @@
-"""The error dynamics as one object, the inequality V' + supply <= 0 as one matrix, and its proof by eigenvalues alone.
-
-Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~), 0 <= theta <= 1, where the
-measured side fixes S: +1 at d_r of an output read on the right, -1 at d_l on the left, e = 0 where it is silent.
-Sampled: the same with (x~+ - x~)/Ts in place of x~', A = (Ad - I)/Ts, L and Gamma per second (delta form).
-"""
+"""The inequality V' + supply < 0 for V = x'Px: as matrices, searched by Clarabel, proved by eigenvalues alone."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats, array, matrix, vector
-from undeadzone.errors import InputError
-from undeadzone.plant import Matrices
+from undeadzone.arrays import Floats
+from undeadzone.design.semidefinite import minimise, symmetric
+
+LEAST = 1e-8  # smallest eigenvalue of P, and smallest multiplier, that the solver may choose in balanced coordinates
 
 
-class Dynamics(NamedTuple):
-    """Error dynamics: A (vertices, each n x n, delta form if Ts), C (p x n), L (n x p), gamma (2p x 2p, [right, left] per output)."""
+class Inequality(NamedTuple):
+    """For every vertex A (n x n) and every supply ((n + b) x (n + b)): V' + 2 decay V + supply < 0 in (x, b), x' = A x + B b.
+
+    Sampled, A and B are in delta form, x+ = x + Ts (A x + B b), and V' stands for (V+ - V)/Ts. size: the supplies with
+    every term replaced by its magnitude, for the bound on rounding.
+    """
 
     A: tuple[Floats, ...]
-    C: Floats
-    L: Floats
-    gamma: Floats
+    B: Floats
+    supply: tuple[Floats, ...]
+    size: tuple[Floats, ...]
     Ts: float | None
+    decay: float = 0.0
 
-    @property
-    def steps(self) -> list[Floats]:
-        """Ts S Gamma S' (p x p) for the side patterns that are not dominated by another; one zero matrix if continuous."""
-        p = self.C.shape[0]
-        if self.Ts is None:
-            return [np.zeros((p, p))]
-        if not (self.gamma - np.diag(np.diag(self.gamma))).any():
-            return [self.Ts * np.diag(np.diag(self.gamma).reshape(p, 2).max(axis=1))]
-        patterns = (pattern(sides) for sides in itertools.product((1, -1), repeat=p))
-        return [self.Ts * S @ self.gamma @ S.T for S in patterns]
+    def matrices(self, P: Floats) -> list[Floats]:
+        """One matrix per vertex and supply, affine in P; the sampled square term is bordered by -P."""
+        return [_matrix(P, A, self.B, supply, self.Ts, self.decay) for A in self.A for supply in self.supply]
 
-    @property
-    def groups(self) -> Floats:
-        """Z (p x groups): outputs that Gamma couples must share their weight, W = diag(Z w)."""
-        p = self.C.shape[0]
-        linked = (np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3)) > 0) | np.eye(p, dtype=bool)
-        reach = np.linalg.matrix_power(linked.astype(int), p) > 0
-        return np.unique(reach, axis=0).T.astype(float)
+    def magnitudes(self, P: Floats) -> list[Floats]:
+        """The same sums with every term replaced by its magnitude."""
+        return [np.abs(_matrix(np.abs(P), np.abs(A), np.abs(self.B), size, self.Ts, self.decay)) for A in self.A for size in self.size]
 
+    def transformed(self, T: Floats, inverse: Floats) -> Inequality:
+        """The same inequality in coordinates x = T xi."""
+        n = T.shape[0]
 
-def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
-    """The error dynamics of a model (n states, p outputs) for gains L (n x p) and gamma (see `adaptation`), both [1/s]."""
-    n, p = linear.A.shape[0], linear.C.shape[0]
-    return Dynamics((delta(linear, Ts),), linear.C, matrix("L", L, n, p, "states x outputs"), adaptation(gamma, p), Ts)
+        def moved(supply: Floats) -> Floats:
+            supply = supply.copy()
+            supply[:n] = T.T @ supply[:n]
+            supply[:, :n] = supply[:, :n] @ T
+            return supply
+
+        return self._replace(A=tuple(inverse @ A @ T for A in self.A), B=inverse @ self.B, supply=tuple(moved(supply) for supply in self.supply))
 
 
-def delta(linear: Matrices, Ts: float | None) -> Floats:
-    """A, or (Ad - I) / Ts for a sampled model: the matrix that tends to A as Ts -> 0."""
-    A = linear.A
-    return A if Ts is None else (A - np.eye(A.shape[0])) / Ts
-
-
-def adaptation(gamma: Floats, p: int) -> Floats:
-    """Gamma (2p x 2p) from one number, one per output (p), one per edge (p x 2), or itself. Raises InputError, ShapeError."""
-    found = array("gamma", gamma)
-    if found.ndim == 2 and found.shape == (2 * p, 2 * p):
-        if not np.allclose(found, found.T) or np.linalg.eigvalsh(found)[0] <= 0:
-            raise InputError("gamma: a full matrix must be symmetric and positive definite")
-        return found
-    found = np.repeat(vector("gamma", found, p, "one per output"), 2) if found.ndim < 2 else matrix("gamma", found, p, 2, "[right, left] per output").ravel()
-    if (found < 0).any():
-        raise InputError(f"gamma: must not be negative, found {found.min():g}")
-    return np.diag(found)
-
-
-def pattern(sides: tuple[int, ...]) -> Floats:
-    """S (p x 2p) of the sides read (+1, 0, -1 per output): C x~ - S d~ is the innovation on them."""
-    S = np.zeros((len(sides), 2 * len(sides)))
-    for i, side in enumerate(sides):
-        if side:
-            S[i, 2 * i + (side < 0)] = side
-    return S
-
-
-def dissipation(P: Floats, A: Floats, inputs: Floats, supply: Floats, Ts: float | None) -> Floats:
-    """The matrix of V' + supply in (x, b) for x' = A x + inputs b, V = x'Px; it must not be positive anywhere.
-
-    Sampled, V' stands for (V+ - V)/Ts; its square term is bordered, [[., sqrt(Ts) F'P], [., -P]] with F = [A, inputs].
-    """
+def _matrix(P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float) -> Floats:
     n = A.shape[0]
-    PF = P @ np.hstack([A, inputs])
+    PF = P @ np.hstack([A, B])
     top = supply.copy()
     top[:n] += PF
     top[:, :n] += PF.T
+    top[:n, :n] += 2 * decay * P
     if Ts is None:
         return top
     border = np.sqrt(Ts) * PF.T
     return np.block([[top, border], [border.T, -P]])
 
 
-def passivity(C: Floats, W: Floats, step: Floats) -> Floats:
-    """The supply 2 e'W (C x~ - e) + e'W step e of the width errors, in (x~, e)."""
-    n = C.shape[1]
-    corner = -2 * np.diag(W) + W[:, None] * step
-    return np.block([[np.zeros((n, n)), C.T * W], [(C.T * W).T, (corner + corner.T) / 2]])
+def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
+    """(the symmetric matrix with these blocks (row, column, value) and their mirror images added up, the sum of their magnitudes)."""
+    ends = np.cumsum([0, *sizes])
+    total, size = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], ends[-1]))
+    for i, j, value in terms:
+        rows, columns = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
+        total[rows, columns] += value
+        size[rows, columns] += np.abs(value)
+        if i != j:
+            total[columns, rows] += value.T
+            size[columns, rows] += np.abs(value).T
+    return total, size
 
 
-class Scaling(NamedTuple):
-    """Powers of two: x = state x_scaled, e = output e_scaled, t = time t_scaled."""
+class Found(NamedTuple):
+    """What the solver found: P (n x n) and the multipliers q."""
 
-    state: Floats
-    output: Floats
-    time: float
-
-    def dynamics(self, given: Dynamics) -> Dynamics:
-        """The same dynamics in scaled quantities."""
-        x, y, t = self
-        return Dynamics(
-            tuple(t * A * x / x[:, None] for A in given.A),
-            given.C * x / y[:, None],
-            t * given.L * y / x[:, None],
-            t * given.gamma,
-            None if given.Ts is None else given.Ts / t,
-        )
-
-    def storage(self, P: Floats) -> Floats:
-        """P in original quantities."""
-        return np.asarray(self.time * P / np.outer(self.state, self.state))
+    P: Floats
+    q: Floats
 
 
-def balance(given: Dynamics) -> Scaling:
-    """The scaling under which x~ and e, driven by each other through L and C, have matrices of balanced rows and columns.
+def optimise(
+    family: Callable[[Floats], Inequality],
+    cost: Floats,
+    start: Floats,
+    extra: Callable[[Floats, Floats], list[Floats]] = lambda P, q: [],
+    deep: bool = False,
+    done: Callable[[Found], bool] = lambda found: False,
+    passes: int = 2,
+) -> Found | None:
+    """P, q that minimise cost'q, or lie deepest inside, with family(q) (affine) satisfied and extra(P, q) >= 0; None if there is none.
 
-    Outputs that share a weight keep a common unit.
+    Each pass works in coordinates where the last P was the identity and the last matrices had a unit diagonal, until
+    `done`; a stiff plant needs that. start: q that sets the scale of the first pass. What comes back is the solver's word.
     """
-    from scipy.linalg import matrix_balance
+    first = family(start)
+    A, Ts = first.A[0], first.Ts
+    n, part = A.shape[0], first.supply[0].shape[0]
+    entries = n * (n + 1) // 2
+    P, q, best = _lyapunov(A, Ts), start, None
+    for _ in range(passes):
+        values, vectors = np.linalg.eigh(P)
+        if not values[-1] > 0:
+            break
+        root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+        T, inverse = vectors / root, (vectors * root).T
+        at = _affine([family(q).transformed(T, inverse) for q in (np.zeros(cost.size), *np.eye(cost.size))])
+        scales = [np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(n))]
 
-    A = np.mean(given.A, axis=0)
-    n, p = A.shape[0], given.C.shape[0]
-    size = max(np.linalg.norm(A, 2), 1e-300)
-    time = 2.0 ** -np.round(np.log2(size))
-    _, (scale, _) = matrix_balance(np.block([[time * A, time * given.L], [given.C, np.eye(p)]]), permute=False, separate=True)
-    leaders = np.argmax(given.groups, axis=0)
-    output = given.groups @ scale[n:][leaders]
-    return Scaling(scale[:n], output, float(time))
+        def blocks(
+            x: Floats, at: Callable[[Floats], Inequality] = at, inverse: Floats = inverse, scales: list[Floats] = scales
+        ) -> list[Floats]:
+            local, q = symmetric(x[:entries], n), x[entries : entries + cost.size]
+            found = []
+            for M, scale in zip(at(q).matrices(local), scales, strict=True):
+                block = -M * np.outer(scale, scale)
+                if deep:
+                    block[np.arange(part), np.arange(part)] -= x[-1]
+                found.append(block)
+            return [*found, local - LEAST * np.eye(n), *extra(inverse.T @ local @ inverse, q)]
+
+        x = minimise(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
+        if x is None:
+            break
+        P = inverse.T @ symmetric(x[:entries], n) @ inverse
+        q = x[entries : entries + cost.size]
+        best = Found((P + P.T) / 2, q)
+        if done(best):
+            break
+    return best
+
+
+def _affine(points: list[Inequality]) -> Callable[[Floats], Inequality]:
+    """q -> Inequality through its values at q = 0 and at the unit vectors; only the supplies depend on q."""
+    base = np.stack(points[0].supply)
+    slopes = np.stack([np.stack(point.supply) - base for point in points])[1:]
+    return lambda q: points[0]._replace(supply=tuple(base + np.tensordot(q, slopes, 1)))
+
+
+def storage(inequality: Inequality) -> Floats | None:
+    """P deep inside the inequality, or as near to it as there is one; None if the solver finds nothing at all."""
+    none = np.zeros(0)
+    found = optimise(lambda q: inequality, none, none, deep=True, done=lambda found: check(inequality, found.P).proved, passes=4)
+    return None if found is None else found.P
+
+
+def _lyapunov(A: Floats, Ts: float | None) -> Floats:
+    """P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
+    from scipy.linalg import solve_continuous_lyapunov
+
+    identity = np.eye(A.shape[0])
+    if Ts is not None:
+        A = np.linalg.solve(identity + Ts / 2 * A, A)
+    return np.asarray(solve_continuous_lyapunov(A.T, -identity))
 
 
 class Check(NamedTuple):
-    """proved: the matrices are definite beyond rounding. lmi: greatest eigenvalue of the inequality, scaled to a diagonal of -1;
-    P: least eigenvalue of P, scaled to a unit diagonal; rounding: how far both must stay from 0."""
+    """proved: P and the inequality are definite beyond rounding. lmi: greatest eigenvalue of the inequality, scaled to a
+    diagonal of -1; P: least eigenvalue of P, scaled to a unit diagonal; rounding: how far both must stay from 0."""
 
     proved: bool
     lmi: float
@@ -154,16 +167,14 @@ class Check(NamedTuple):
     rounding: float
 
 
-def proved(P: Floats, inequality: Callable[[bool], list[Floats]]) -> Check:
-    """Whether P > 0 and every matrix of the inequality is negative definite, by eigenvalues and a bound on their rounding.
-
-    inequality(False) gives the matrices; inequality(True) the same sums with every term replaced by its absolute value,
-    from which the rounding of each entry is bounded.
-    """
-    checks = [_definite(P, np.abs(P))]
-    checks += [_definite(-found, size) for found, size in zip(inequality(False), inequality(True), strict=True)]
-    least = min(check[0] for check in checks[1:])
-    return Check(all(value > slack for value, slack in checks), -least, checks[0][0], max(slack for _, slack in checks))
+def check(inequality: Inequality, P: Floats) -> Check:
+    """Whether P proves the inequality: eigenvalues and a bound on the rounding of every entry, no solver."""
+    if not np.isfinite(P).all():
+        return Check(False, np.inf, -np.inf, 0.0)
+    pairs = zip(inequality.matrices(P), inequality.magnitudes(P), strict=True)
+    found = [_definite(P, np.abs(P)), *(_definite(-M, size) for M, size in pairs)]
+    proved = all(value > slack for value, slack in found)
+    return Check(proved, -min(value for value, _ in found[1:]), found[0][0], max(slack for _, slack in found))
 
 
 def _definite(M: Floats, size: Floats) -> tuple[float, float]:

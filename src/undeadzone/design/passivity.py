@@ -1,8 +1,8 @@
-"""The certificate that replaces Theorem 4.1: one quadratic V for every switching sequence (docs/theory.md, section 3).
+"""The certificate that replaces Theorem 4.1: one quadratic V for every switching sequence; proofs in docs/certificate.md.
 
-Continuous: M = [[A'P + PA, C'W - PL], [., -2W]] < 0. Sampled, in delta form with A_d = (Ad - I)/Ts and L, gamma per
-second: [[A_d'P + P A_d, C'W - PL, sqrt(Ts) A_d'P], [., Ts W gamma - 2W, -sqrt(Ts) L'P], [., ., -P]] < 0.
-Then V = x~'P x~ + sum_i w_i / gamma_i (d~_ri^2 + d~_li^2) never rises.
+V = x~'P x~ + d~'R d~ with R = W Gamma^-1 (W once per edge). Continuous: [[A'P + PA, C'W - PL], [., -2W]] < 0.
+Sampled, in delta form with A = (Ad - I)/Ts and L, Gamma per second: [[A'P + PA, C'W - PL, sqrt(Ts) A'P],
+[., Ts W S Gamma S' - 2W, -sqrt(Ts) L'P], [., ., -P]] < 0. For one output P exists iff the margin below is positive.
 """
 
 from __future__ import annotations
@@ -12,58 +12,92 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.arrays import Floats
+from undeadzone.design import frequency
+from undeadzone.design.dissipation import LEAST, Check, Inequality, check, optimise, storage
+from undeadzone.design.errordynamics import Dynamics, balance, delta, dynamics, growth
+from undeadzone.errors import StructureError
 from undeadzone.plant import Matrices
 
 
 class Certificate(NamedTuple):
-    """certified, its proof P (n x n) and W (p), and largest eigenvalues: of the LMI (negative) and least of P (positive)."""
+    """certified, or the reason why not; the proof P (n x n), W (p) for the error dynamics, and how it checked.
+
+    margin: the largest m with Herm W (1 + G - Ts S Gamma S'/2) >= m W on the whole frequency axis, G = C (s - A)^-1 L,
+    under the best W; for one output it is min Re (1 + G) - Ts gamma / 2. frequency: where it is attained [rad/s] (None:
+    several vertices, or none stable). Where not certified, P and W are the best that the solver found.
+    """
 
     certified: bool
+    reason: str
+    margin: float
+    frequency: float | None
     P: Floats
     W: Floats
-    lmi_max: float
-    P_min: float
+    dynamics: Dynamics
+    check: Check
 
-    def value(self, x_error: Floats, d_error: Floats, gamma: Floats) -> Floats:
-        """V along errors x - x^ (N x n) and [right, left] widths (N x 2p); gamma (p) per second."""
-        widths = np.repeat(self.W / gamma, 2)
-        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + (d_error**2) @ widths
+    @property
+    def R(self) -> Floats:
+        """The weight (2p x 2p) of the width errors in V, W Gamma^-1; 0 where a width is not adapted."""
+        return width_weight(self.dynamics.gamma, self.W)
+
+    def value(self, x_error: Floats, d_error: Floats) -> Floats:
+        """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
+        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
+
+    def recheck(self) -> Check:
+        """Prove it again from P, W and the dynamics, by eigenvalues alone."""
+        return recheck(self.dynamics, self.P, self.W)
 
 
-def delta(linear: Matrices, Ts: float | None) -> Floats:
-    """A, or (Ad - I) / Ts for a sampled model: the matrix that tends to A as Ts -> 0."""
-    A = linear.A
-    return A if Ts is None else (A - np.eye(A.shape[0])) / Ts
-
-
-def lmi(A: Floats, C: Floats, L: Floats, gamma: Floats, Ts: float | None, P: Floats, W: Floats) -> Floats:
-    """The symmetric matrix that must be negative definite; A in delta form, L and gamma per second."""
-    cross = C.T * W - P @ L
-    corner = -2 * np.diag(W)
-    top = A.T @ P + P @ A
-    if Ts is None:
-        return np.block([[top, cross], [cross.T, corner]])
-    root = np.sqrt(Ts)
-    return np.block(
-        [
-            [top, cross, root * A.T @ P],
-            [cross.T, corner + Ts * np.diag(W * gamma), -root * L.T @ P],
-            [root * P @ A, -root * P @ L, -P],
-        ]
-    )
+def width_weight(gamma: Floats, W: Floats) -> Floats:
+    """R = W Gamma^-1 (2p x 2p) on the widths that are adapted, 0 on the others."""
+    adapted = np.ix_(*2 * (np.diag(gamma) > 0,))
+    R = np.zeros_like(gamma)
+    R[adapted] = np.linalg.inv(gamma[adapted])
+    return np.asarray(np.repeat(W, 2)[:, None] * R)
 
 
 def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None) -> Certificate:
-    """Search P, W for gains L (n x p) [1/s] and gamma (p) [1/s] with Clarabel, then judge the answer by eigenvalues alone."""
-    A, C = delta(linear, Ts), linear.C
-    n, p = C.shape[1], C.shape[0]
-    P, W = _solve(A, C, L, gamma, Ts)
-    if P is None or W is None:
-        return Certificate(False, np.eye(n), np.ones(p), np.inf, 0.0)
-    eig = float(np.linalg.eigvalsh(lmi(A, C, L, gamma, Ts, P, W))[-1])
-    low = float(np.linalg.eigvalsh(P)[0])
-    scale = np.linalg.norm(P, 2)
-    return Certificate(bool(eig < -1e-9 * max(1.0, scale) and low > 1e-12 * scale and W.min() > 0), P, W, eig, low)
+    """Whether gains L (n x p) and gamma (see `errordynamics.adaptation`), both [1/s], are certified; Ts [s] of a sampled model.
+
+    Raises InputError, ShapeError for gains of the wrong kind; an impossible certificate is a value with its reason.
+    """
+    return certify_dynamics(dynamics(linear, L, gamma, Ts))
+
+
+def certify_dynamics(given: Dynamics) -> Certificate:
+    """`certify` for error dynamics, whose A may have several vertices: one P for all of them and what lies between."""
+    trivial = np.eye(given.A[0].shape[0]), np.ones(given.C.shape[0])
+    if reason := _unstable(given):
+        return Certificate(False, reason, -np.inf, None, *trivial, given, recheck(given, *trivial))
+    scaling = balance(given)
+    scaled = scaling.dynamics(given)
+    W, least, w = _weights(scaled)
+    found = storage(scaled.inequality(W))
+    P, W = trivial if found is None else (scaling.storage(found), scaling.weights(W))
+    proof = recheck(given, P, W)
+    w = None if w is None else w / scaling.time
+    return Certificate(proof.proved, "" if proof.proved else _reason(given, least, w), least, w, P, W, given, proof)
+
+
+def recheck(given: Dynamics, P: Floats, W: Floats) -> Check:
+    """Whether P (n x n), W (p) prove the dynamics, by eigenvalues alone; for proofs stored or found elsewhere."""
+    found = check(given.inequality(W), P)
+    one_weight = all(np.ptp(W[group > 0]) == 0 for group in given.groups.T)
+    return found._replace(proved=bool(found.proved and one_weight and (W > 0).all()))
+
+
+def margin(given: Dynamics, W: Floats) -> tuple[float, float]:
+    """(margin for this W, frequency [rad/s] where it is attained) of dynamics with one stable A; exact, without a solver."""
+    (A,), C, L, _, Ts = given
+    root = np.sqrt(W)
+    found = []
+    for step in given.steps:
+        G = frequency.response(A, C * root[:, None], L / root, np.eye(root.size) - step / 2, Ts)
+        worst = frequency.worst(G)
+        found.append((worst.value, G.frequency(worst.w)))
+    return min(found)
 
 
 def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
@@ -73,58 +107,90 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     """
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    from undeadzone.errors import StructureError
-
     A = delta(linear, Ts)
     n = A.shape[0]
-    stable = np.linalg.eigvals(A).real.max() < 0 if Ts is None else np.abs(np.linalg.eigvals(linear.A)).max() < 1
-    if not stable:
+    if growth(A, Ts) >= 0:
         raise StructureError("observer.L: missing; there is a default only for a stable model, give L")
     Q = 2 * np.linalg.norm(A, 2) * np.eye(n)
     P = solve_continuous_lyapunov(A.T, -Q) if Ts is None else Ts * solve_discrete_lyapunov(linear.A.T, Q)
     return np.asarray(np.linalg.solve(P, linear.C.T))
 
 
-def _solve(A: Floats, C: Floats, L: Floats, gamma: Floats, Ts: float | None) -> tuple[Floats | None, Floats | None]:
-    """Maximise t with LMI + t I <= 0, P >= t I, sum W = p; the matrices are affine in (P, W, t), read off one at a time."""
-    import clarabel
-    from scipy import sparse
+def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:
+    """(W that maximises the margin, with mean 1 over its groups; that margin; where it is attained).
 
-    n, p = C.shape[1], C.shape[0]
-    pairs = [(i, j) for j in range(n) for i in range(j + 1)]
-    none = np.zeros((n, n))
-
-    def unit(i: int, j: int) -> Floats:
-        P = np.zeros((n, n))
-        P[i, j] = P[j, i] = 1.0
-        return P
-
-    columns = [(lmi(A, C, L, gamma, Ts, unit(i, j), np.zeros(p)), -unit(i, j)) for i, j in pairs]
-    columns += [(lmi(A, C, L, gamma, Ts, none, w), none) for w in np.eye(p)]
-    rows = columns[0][0].shape[0]
-    columns.append((np.eye(rows), np.eye(n)))
-    G = np.stack([np.concatenate([_svec(first), _svec(second)]) for first, second in columns], axis=1)
-    total = np.concatenate([np.zeros(len(pairs)), np.ones(p), [0.0]])[None, :]
-    nonneg = np.hstack([np.zeros((p, len(pairs))), -np.eye(p), np.zeros((p, 1))])
-    matrix = sparse.csc_matrix(np.vstack([total, nonneg, G]))
-    right = np.concatenate([[float(p)], np.zeros(p), np.zeros(G.shape[0])])
-    cost = np.zeros(len(columns))
-    cost[-1] = -1.0
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    cones = [clarabel.ZeroConeT(1), clarabel.NonnegativeConeT(p), clarabel.PSDTriangleConeT(rows), clarabel.PSDTriangleConeT(n)]
-    solution = clarabel.DefaultSolver(sparse.csc_matrix((len(cost), len(cost))), cost, matrix, right, cones, settings).solve()
-    x = np.asarray(solution.x)
-    if x.size != len(cost) or not np.isfinite(x).all():
-        return None, None
-    P = np.zeros((n, n))
-    for (i, j), value in zip(pairs, x, strict=False):
-        P[i, j] = P[j, i] = value
-    return P, x[len(pairs) : -1]
+    The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's iteration, one LMI a step.
+    """
+    exact = len(given.A) == 1
+    W, (best, w) = np.ones(given.C.shape[0]), margin(given, np.ones(given.C.shape[0])) if exact else (-np.inf, None)
+    if exact and given.groups.shape[1] == 1:
+        return W, best, w
+    shift = best if exact else 0.0
+    for _ in range(20):
+        found = _deepest(given, shift)
+        if found is None:
+            break
+        trial, t = found
+        reached, at = margin(given, trial) if exact else (shift + t / (trial.max() if t > 0 else trial.min()), None)
+        gain = reached - best
+        if gain > 0:
+            W, best, w = trial, reached, at
+        if gain < 1e-6 * max(1.0, abs(best)):
+            break
+        shift = best
+    return W, best, w
 
 
-def _svec(symmetric: Floats) -> Floats:
-    """Upper triangle column by column, off-diagonals times sqrt 2, as Clarabel's semidefinite cone wants it."""
-    size = symmetric.shape[0]
-    column, row = np.tril_indices(size)
-    return symmetric[row, column] * np.where(row == column, 1.0, np.sqrt(2.0))
+def _deepest(given: Dynamics, shift: float) -> tuple[Floats, float] | None:
+    """(W, t) of largest t such that M + 2 diag(0, shift W + t I) <= 0 for some P; None if there is none."""
+    groups, none = given.groups, np.zeros((given.L.shape[0], 0))
+
+    def weights(q: Floats) -> Floats:
+        return groups @ np.append(q[:-1], groups.shape[1] - q[:-1].sum())
+
+    def family(q: Floats) -> Inequality:
+        W = weights(q)
+        return given.extended(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
+
+    start = np.append(np.ones(groups.shape[1] - 1), 0.0)
+    found = optimise(family, -np.eye(start.size)[-1], start, lambda P, q: [weights(q) - LEAST], passes=1)
+    return None if found is None else (np.maximum(weights(found.q), LEAST), float(found.q[-1]))
+
+
+def _unstable(given: Dynamics) -> str:
+    """Why no V can exist whatever the gains, or an empty string."""
+    fastest, k = max((growth(A, given.Ts), k) for k, A in enumerate(given.A))
+    size = np.linalg.norm(given.A[k], 2)
+    where = "" if len(given.A) == 1 else f" (vertex {k})"
+    if fastest > 1e-9 * size:
+        return f"the model is unstable{where}, growth rate {fastest:.4g} 1/s: while the sensor is silent nothing holds the error, so no common V exists"
+    if fastest < -1e-12 * size:
+        return ""
+    if _defective(given.A[k], given.Ts):
+        return f"the model has a chain of integrators or a repeated undamped mode{where}: while the sensor is silent the error grows, so no common V exists"
+    return (
+        f"the model is only marginally stable{where} (an integrator or an undamped mode): while the sensor is silent the error stays, "
+        "so no strict V exists; the error can be kept bounded, but of the widths only their sum can be known"
+    )
+
+
+def _defective(A: Floats, Ts: float | None) -> bool:
+    """Whether an eigenvalue on the stability boundary has fewer eigenvectors than its multiplicity."""
+    poles, size = np.linalg.eigvals(A), max(np.linalg.norm(A, 2), 1e-300)
+    decay = np.abs(poles.real) if Ts is None else np.abs(np.abs(1 + Ts * poles) - 1) / Ts
+    for s in poles[decay < 1e-6 * size]:
+        multiplicity = (np.abs(poles - s) < 1e-4 * size).sum()
+        singular = np.linalg.svd(A - s * np.eye(A.shape[0]), compute_uv=False)
+        if (singular < 1e-9 * size).sum() < multiplicity:
+            return True
+    return False
+
+
+def _reason(given: Dynamics, least: float, w: float | None) -> str:
+    if least > 0:
+        return f"the margin, {least:.3g}, is too small to be proved in floating point"
+    if least == -np.inf:
+        return "the vertices share no V at all, not even with L = 0"
+    what = "1 + G" if given.Ts is None else "1 + G - Ts gamma / 2"
+    where = "for any P common to the vertices" if w is None else f"at {w:.4g} rad/s"
+    return f"{what} is not positive real: its least real part is {least:.4g} {where}"

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.arrays import Array, Floats
+from undeadzone.arrays import Array, Floats, array
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plant import Matrices
 
 
 def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
     """n complex poles from numbers or [real, imaginary] pairs, closed under conjugation. Raises InputError, ShapeError."""
-    found = np.asarray(poles)
-    if found.dtype.kind not in "iufc" or not np.isfinite(found).all():
-        raise InputError(f"{key}: expected finite numbers, or [real, imaginary] pairs, found {poles!r:.60}")
-    if found.ndim == 2 and found.shape[1] == 2 and found.dtype.kind != "c":
-        found = found[:, 0] + 1j * found[:, 1]
+    given = np.asarray(poles, object)
+    if any(isinstance(pole, complex) for pole in given.ravel()):
+        poles = np.stack([np.real(given.astype(complex)), np.imag(given.astype(complex))], axis=-1)
+    numbers = array(key, poles)
+    found = numbers[:, 0] + 1j * numbers[:, 1] if numbers.ndim == 2 and numbers.shape[1] == 2 else numbers.astype(complex)
     if found.shape != (n,):
-        raise ShapeError(f"{key}: expected {n} poles (one per state), found {' x '.join(map(str, found.shape))}")
-    found = found.astype(complex)
+        many = "s" * (n != 1)
+        raise ShapeError(f"{key}: expected {n} pole{many} (one per state; complex ones as [real, imaginary]), found {' x '.join(map(str, found.shape))}")
     if not np.allclose(np.sort_complex(found), np.sort_complex(found.conj())):
         raise InputError(f"{key}: complex poles must come in conjugate pairs, found {found.tolist()}")
     return found

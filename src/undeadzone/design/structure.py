@@ -9,12 +9,15 @@ import numpy as np
 from undeadzone.arrays import Floats
 from undeadzone.errors import StructureError
 from undeadzone.plant import Matrices
+from undeadzone.scaling import sizes
 
 TOLERANCE = 1e-9
 
 
 def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
-    """Eigenvalues of A that C does not see (Hautus test on singular values, relative to the matrices' size)."""
+    """Eigenvalues of A that C does not see (Hautus test on singular values, in units that make the states alike)."""
+    unit = 1 / sizes(A.T, C.T)
+    A, C = A * unit / unit[:, None], C * unit
     scale = max(float(np.linalg.norm(A, 2)), 1e-300)
     C = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), 1e-300) * scale
     n = A.shape[0]
@@ -57,6 +60,8 @@ def identifiable(linear: Matrices, right: list[bool], left: list[bool], jump: bo
     n, p = A.shape[0], C.shape[0]
     if jump:
         return [_verdict(right[i], left[i], right[i] and left[i], right[i] and left[i], _unvisited(right[i], left[i]), False) for i in range(p)]
+    unit = 1 / sizes(A.T, C.T)
+    A, C = A * unit / unit[:, None], C * unit
     A = A / max(float(np.linalg.norm(A, 2)), 1e-300)
     powers = [np.linalg.matrix_power(A, k) for k in range(n + 1)]
     rows = []

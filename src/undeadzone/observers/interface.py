@@ -17,8 +17,15 @@ class Reading(NamedTuple):
     side: Any
 
 
+NONE = ca.SX(0, 1)
+
+
 class Estimate(NamedTuple):
-    """x^ (n), z^ = C x^ (p), widths d_r^, d_l^ (p each), the deadzone inverse y + chi_bar d^ of (26) (p), innovation (p)."""
+    """x^ (n), z^ = C x^ (p), widths d_r^, d_l^ (p each), the deadzone inverse y + chi_bar d^ of (26) (p), innovation (p).
+
+    Where the observer knows how sure it is, the standard deviations of x^, d_r^, d_l^, d_r^ + d_l^ and the innovation;
+    else these are empty.
+    """
 
     x: Any
     z: Any
@@ -26,6 +33,11 @@ class Estimate(NamedTuple):
     left: Any
     z_inverse: Any
     innovation: Any
+    x_std: Any = NONE
+    right_std: Any = NONE
+    left_std: Any = NONE
+    width_std: Any = NONE
+    innovation_std: Any = NONE
 
 
 class Observer(NamedTuple):

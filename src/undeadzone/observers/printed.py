@@ -47,10 +47,8 @@ class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         L = gains(self.L, model)
         P = paper_riccati(A - L @ C, B, scalar("observer.alpha", self.alpha, above=0.0), weight("observer.Q", self.Q, model.n)).P
         right, left = pairs("observer.widths0", self.widths0, 1)[0]
-        params = Params(
-            model.params, L, np.float64(self.sigma), C @ P @ L, np.float64(self.sharpness), np.float64(self.feed_input), np.float64(self.left_sign),
-            np.array([right]), np.array([left]),
-        )  # fmt: skip
+        sigma, sharpness, left_sign = (np.float64(scalar(f"observer.{name}", getattr(self, name))) for name in ("sigma", "sharpness", "left_sign"))
+        params = Params(model.params, L, sigma, C @ P @ L, sharpness, np.float64(self.feed_input), left_sign, np.array([right]), np.array([left]))
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)

@@ -1,0 +1,5 @@
+"""The paper's example as printed and repaired: its variants, facts, figures 3-8, its claims judged, its equations placed."""
+
+from undeadzone.paper.report import Paper, audit, write
+
+__all__ = ["Paper", "audit", "write"]

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undeadzone import __version__
+from undeadzone.files import replacing
 from undeadzone.report.style import png
-from undeadzone.run import Run, replacing
+from undeadzone.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,9 +87,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     return Html(f'<div class="wide"><table><thead>{heads.text}</thead><tbody>{body.text}</tbody></table></div>')
 
 
-def picture(figure: Figure, caption: str) -> Html:
-    """A figure, embedded as PNG, with its caption."""
-    data = base64.b64encode(png(figure)).decode("ascii")
+def picture(image: bytes, caption: str) -> Html:
+    """A PNG image, embedded, with its caption."""
+    data = base64.b64encode(image).decode("ascii")
     return Html(f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">{tag("figcaption", caption).text}</figure>')
 
 
@@ -127,7 +128,10 @@ def run_page(run: Run, figures: Sequence[Figure]) -> str:
     reasons = [reason for verdict in run.info.identifiable for reason in verdict["reasons"]]
     return page(
         run.info.title,
-        *(picture(figure, "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.") for figure in figures),
+        *(
+            picture(png(figure), "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.")
+            for figure in figures
+        ),
         section("Numbers", table(("what", "value"), lines)),
         section(
             "Widths, and what these readings can tell of them",

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.errors import FileError
-from undeadzone.run import replacing
+from undeadzone.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,134 @@
+"""How well noisy readings determine x(0), d and a bias along a schedule: information, backward in time (docs/identifiability.md)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.design.errordynamics import pattern
+from undeadzone.design.identifiability import DIRECTIONS, invisible
+from undeadzone.design.schedule import Schedule, merged
+from undeadzone.plant import Matrices
+
+EXACT = 1e-9  # of an edge: rms below which a reading counts as exact
+
+
+class Stretch(NamedTuple):
+    """What a stretch of time does to information: before = H + Phi' (after^-1 + Q)^-1 Phi, all N x N.
+
+    Phi: the transition; Q: covariance that process noise adds; H: the observability Gramian of the stretch's readings.
+    """
+
+    Phi: Floats
+    Q: Floats
+    H: Floats
+
+
+class Deviations(NamedTuple):
+    """Standard deviations that an optimal estimator reaches: inf where a direction is not identifiable.
+
+    widths: of `right`, `left`, `width`, `centre` of each output; states (n): of x(0); covariance (n + 2p + b square): of
+    [x(0); d; beta], its unidentifiable part left out; information: the inverse, whole.
+    """
+
+    widths: list[dict[str, float]]
+    states: Floats
+    covariance: Floats
+    information: Floats
+
+
+def deviations(
+    linear: Matrices,
+    schedule: Schedule,
+    noise: Floats,
+    step: float,
+    duration: float,
+    bias: Floats | None = None,
+    process: Floats | None = None,
+) -> Deviations:
+    """What readings with noise (p, rms of z) every `step` [s] for `duration` [s] tell, whole passes of the schedule at a time.
+
+    bias: directions (n x b) of unknown constant inputs; process (n x n): covariance of white process noise, per second, or
+    per step if the schedule is sampled. No prior is used.
+    """
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    found = information(linear, schedule, np.maximum(noise, EXACT * schedule.levels.max(axis=1)) ** 2, step, duration, bias, process)
+    hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
+    scale = hidden.scale
+    seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]
+    covariance = np.outer(scale, scale) * (seen @ _inverse(seen.T @ (found * np.outer(scale, scale)) @ seen) @ seen.T)
+
+    def widths(i: int) -> dict[str, float]:
+        pair = covariance[n + 2 * i : n + 2 * i + 2, n + 2 * i : n + 2 * i + 2]
+        return {name: float(np.sqrt(np.array(g) @ pair @ np.array(g))) if hidden.width(i, name) else np.inf for name, g in DIRECTIONS.items()}
+
+    states = np.array([np.sqrt(covariance[i, i]) if hidden.state(i) else np.inf for i in range(n)])
+    return Deviations([widths(i) for i in range(p)], states, covariance, found)
+
+
+def information(
+    linear: Matrices, schedule: Schedule, variance: Floats, step: float, duration: float, bias: Floats | None = None, process: Floats | None = None
+) -> Floats:
+    """The information matrix of [x(0); d; beta]: exact per stretch of constant side, put together by doubling.
+
+    Without process noise it is the observability Gramian of the switched system divided by the noise; see `deviations`.
+    """
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    B = np.zeros((n, 0)) if bias is None else bias
+    size = n + 2 * p + B.shape[1]
+    F, Q = np.zeros((size, size)), np.zeros((size, size))
+    F[:n, :n], F[:n, n + 2 * p :] = linear.A, B
+    if process is not None:
+        Q[:n, :n] = process
+    once = None
+    for sides, span in zip(*merged(schedule)[:2], strict=True):
+        rows = np.hstack([linear.C * np.abs(sides)[:, None], -pattern(tuple(sides.astype(int))), np.zeros((p, B.shape[1]))])
+        if schedule.Ts is None:
+            stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span)
+        else:
+            stretch = repeat(Stretch(F + np.diag(np.r_[np.zeros(n), np.ones(size - n)]), Q, rows.T / variance @ rows), round(span))
+        once = stretch if once is None else then(once, stretch)
+    assert once is not None
+    return repeat(once, max(1, int(duration / schedule.duration * (1 + 1e-12)))).H
+
+
+def then(first: Stretch, second: Stretch) -> Stretch:
+    """One stretch after another."""
+    both = np.linalg.solve(np.eye(first.Q.shape[0]) + first.Q @ second.H, np.hstack([first.Phi, first.Q]))
+    Phi, Q = np.hsplit(both, 2)
+    H = first.H + first.Phi.T @ second.H @ Phi
+    Q = second.Q + second.Phi @ Q @ second.Phi.T
+    return Stretch(second.Phi @ Phi, (Q + Q.T) / 2, (H + H.T) / 2)
+
+
+def repeat(once: Stretch, times: int) -> Stretch:
+    """A stretch `times` >= 1 times in a row, by doubling."""
+    found = None
+    while True:
+        if times & 1:
+            found = once if found is None else then(found, once)
+        times >>= 1
+        if not times:
+            assert found is not None
+            return found
+        once = then(once, once)
+
+
+def _flow(F: Floats, Q: Floats, H: Floats, span: float) -> Stretch:
+    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: Van Loan, then doubling."""
+    from scipy.linalg import expm
+
+    halvings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(F, 1)) * span, 1.0)))))
+    N = F.shape[0]
+    E = expm(np.block([[-F, Q], [H, F.T]]) * (span / 2**halvings))
+    Phi = np.linalg.inv(E[:N, :N])
+    return repeat(Stretch(Phi, Phi @ E[:N, N:], E[N:, :N] @ Phi), 2**halvings)
+
+
+def _inverse(information: Floats) -> Floats:
+    """The inverse of a positive semidefinite matrix, infinite where rounding leaves nothing."""
+    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
+    return np.asarray((vectors / np.maximum(values, np.finfo(float).tiny)) @ vectors.T / np.outer(unit, unit))

@@ -1,0 +1,128 @@
+"""Seeded search for minima of functions without useful gradients, many points per call: one objective, or a Pareto front."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+from undeadzone.arrays import Floats
+
+NEIGHBOURS = 12  # weights that share their solutions
+TILT = 0.05  # part of the sum in the scalar cost, so that no objective is neglected where another one binds
+
+
+def evolve(
+    cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None
+) -> tuple[Floats, float]:
+    """(x, cost) of the least cost found in the box by CMA-ES, Hansen and Ostermeier (2001); cost takes (size, d) and gives (size).
+
+    From a random point with wide steps, or from `start` with narrow ones.
+    """
+    rng = np.random.default_rng(seed)
+    d, span = low.size, high - low
+    parents = size // 2
+    weight = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
+    weight /= weight.sum()
+    mass = 1 / float((weight**2).sum())
+    path_rate, step_rate = (4 + mass / d) / (d + 4 + 2 * mass / d), (mass + 2) / (d + mass + 5)
+    one = 2 / ((d + 1.3) ** 2 + mass)
+    many = min(1 - one, 2 * (mass - 2 + 1 / mass) / ((d + 2) ** 2 + mass))
+    damping = 1 + 2 * max(0.0, np.sqrt((mass - 1) / (d + 1)) - 1) + step_rate
+    normal = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))  # mean length of a standard normal vector
+
+    mean, sigma = (rng.uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, 0.05)
+    covariance, path, step_path = np.eye(d), np.zeros(d), np.zeros(d)
+    best, least = mean, np.inf
+    for turn in range(1, rounds + 1):
+        values, vectors = np.linalg.eigh(covariance)
+        axes = np.sqrt(np.maximum(values, 1e-20))
+        moves = rng.normal(size=(size, d)) * axes @ vectors.T
+        points = mean + sigma * moves
+        inside = np.clip(points, 0.0, 1.0)
+        found = cost(low + inside * span)
+        if found.min() < least:
+            best, least = inside[found.argmin()], float(found.min())
+        ranked = found + (1 + abs(least)) * ((points - inside) ** 2).sum(axis=1)
+        chosen = moves[np.argsort(ranked)[:parents]]
+        move = weight @ chosen
+        mean = mean + sigma * move
+        step_path = (1 - step_rate) * step_path + np.sqrt(step_rate * (2 - step_rate) * mass) * (vectors @ (vectors.T @ move / axes))
+        length = float(np.linalg.norm(step_path))
+        steady = length / np.sqrt(1 - (1 - step_rate) ** (2 * turn)) < (1.4 + 2 / (d + 1)) * normal
+        path = (1 - path_rate) * path + steady * np.sqrt(path_rate * (2 - path_rate) * mass) * move
+        covariance = (1 - one - many) * covariance + one * np.outer(path, path) + many * (chosen.T * weight) @ chosen
+        sigma *= float(np.exp(step_rate / damping * (length / normal - 1)))
+        if sigma * axes.max() < 1e-9:
+            break
+    return low + best * span, least
+
+
+def pareto(
+    costs: Callable[[Floats], Floats],
+    low: Floats,
+    high: Floats,
+    seed: int,
+    starts: Floats,
+    divisions: int = 10,
+    rounds: int = 120,
+    tick: Callable[[], None] = lambda: None,
+) -> tuple[Floats, Floats]:
+    """(points, costs) of a Pareto front of k objectives, by decomposition: MOEA/D with differential evolution, Li and Zhang (2009).
+
+    costs takes (b, d) and gives (b, k), inf where a point is not admitted; starts (s, d) are points to begin from. Each
+    weight on a grid of that many divisions minimises the largest weighted loss, normalised between the least and greatest
+    costs on the front. tick is called after each round.
+    """
+    rng = np.random.default_rng(seed)
+    d, span = low.size, high - low
+    points = np.vstack([starts, low + span * rng.uniform(size=(600, d))])
+    found = costs(points)
+    weights = np.maximum(_grid(found.shape[1], divisions), 1e-3)
+    size, every = len(weights), np.arange(len(weights))
+    near = np.argsort(((weights[:, None] - weights) ** 2).sum(axis=2), axis=1)[:, :NEIGHBOURS]
+    frame = _frame(found)
+    first = scalar(found, *frame, weights).argmin(axis=1)
+    points, found = points[first], found[first]
+    for turn in range(rounds):
+        one, two = (np.where(rng.uniform(size=size) < 0.1, rng.integers(0, size, size), near[every, rng.integers(0, NEIGHBOURS, size)]) for _ in range(2))
+        children = np.where(rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5), points + 0.6 * (points[one] - points[two]), points)
+        jump = (rng.uniform(size=(size, d)) < 1 / d) * rng.normal(size=(size, d)) * rng.uniform(size=(size, 1)) ** 3
+        children = np.clip(children + 0.03 * span * jump, low, high)
+        given = costs(children)
+        if turn % 5 == 0:
+            frame = _frame(np.vstack([found, given]))
+        offers = np.full((size, size), np.inf)
+        np.put_along_axis(offers, near, np.take_along_axis(scalar(given, *frame, weights), near, axis=1), axis=1)
+        best = offers.argmin(axis=1)
+        better = offers[every, best] < scalar(found, *frame, weights)[every, every]
+        points, found = np.where(better[:, None], children[best], points), np.where(better[:, None], given[best], found)
+        tick()
+    keep = undominated(found) & np.isfinite(found).all(axis=1)
+    keep[keep] = np.isin(np.arange(keep.sum()), np.unique(found[keep].round(9), axis=0, return_index=True)[1])
+    return points[keep], found[keep]
+
+
+def scalar(found: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
+    """The scalar cost (w, b) of each of b points under each of w weights: the largest weighted loss, tilted by the sum."""
+    loss = weights[:, None] * ((found - least) / np.maximum(greatest - least, 1e-9))
+    return np.asarray(loss.max(axis=2) + TILT * loss.sum(axis=2))
+
+
+def undominated(found: Floats) -> Floats:
+    """Which points (b, k) no other one beats in all costs."""
+    worse = (found[:, None] >= found).all(axis=2) & (found[:, None] > found).any(axis=2)
+    return np.asarray(~worse.any(axis=1))
+
+
+def _frame(found: Floats) -> tuple[Floats, Floats]:
+    """Least and greatest costs on the front of the points found so far."""
+    found = found[np.isfinite(found).all(axis=1)]
+    front = found[undominated(found)]
+    return front.min(axis=0), front.max(axis=0)
+
+
+def _grid(k: int, divisions: int) -> Floats:
+    """All k-tuples of multiples of 1 / divisions that add up to 1."""
+    return np.array([parts for parts in itertools.product(range(divisions + 1), repeat=k) if sum(parts) == divisions]) / divisions

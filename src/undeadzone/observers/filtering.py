@@ -1,0 +1,201 @@
+"""The Kalman filter on the measured side, for [x; d_r; d_l] and whatever else is unknown (docs/filters.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.arrays import Array, Floats, array, nonnegative, scalar
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.gaussian import Gaussian, cut, linearise, predict, symmetric, triangle, update
+from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
+from undeadzone.plant import System
+from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
+
+DOUBT = 1.6448536269514722  # a silent sensor is heard where the belief contradicts it with more than 5 %
+FLOOR = 1e-3  # least noise that is assumed, in declared ranges of the widths
+
+
+class Prior(NamedTuple):
+    """What is believed before the first reading of [x; d_r; d_l] (n + 2p), and of the sensor (p each).
+
+    R: variance of a reading on an active side [z^2]; gate: |y| that is surely not silent [y]; drift: variance that the
+    widths gain each step (2p) [z^2].
+    """
+
+    mean: Floats
+    std: Floats
+    R: Floats
+    gate: Floats
+    drift: Floats
+
+
+class Extension(NamedTuple):
+    """The model's motion with E further unknowns beside [x; d], of mean 0 and covariance cov (E x E) at first.
+
+    move(q, x, extra, u): (x+, extra+); noise(q, x, u): covariances (n x n, E x E) that a step adds to them; q: Params.
+    """
+
+    params: Any
+    cov: Floats
+    move: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
+    noise: Callable[[Any, Any, Any], tuple[Any, Any]]
+
+
+class Params(NamedTuple):
+    """Numbers of the filter; mean and cov (a `triangle`) are those it starts from."""
+
+    model: Any
+    extension: Any
+    R: Floats
+    gate: Floats
+    slope: Floats
+    drift: Floats
+    mean: Floats
+    cov: Floats
+
+
+class State(NamedTuple):
+    """Mean and covariance (its `triangle`) before the reading, the last two readings, steps to wait per edge (2p)."""
+
+    mean: Any
+    cov: Any
+    last: Any
+    previous: Any
+    wait: Any
+
+
+def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array) -> Prior:
+    """The prior from declared ranges [lo, hi] of the widths: mean of the range, std of a uniform distribution over it.
+
+    noise: default the sensor's, but at least FLOOR of a range; x_std: default five times the largest width.
+    Raises InputError, ShapeError.
+    """
+    if model.Ts is None:
+        raise InputError('observer: a Kalman filter works on samples; set simulation.time = "sampled" (simulation.step is the sample time)')
+    p = model.p
+    ranges = np.concatenate([_ranges("observer.right", right, p), _ranges("observer.left", right if left is None else left, p)])
+    span, most = ranges[:, 1] - ranges[:, 0], ranges[:, 1].max()
+    if noise is None:
+        rms = np.hypot(sensor.noise / sensor.slope, sensor.noise_before)
+        floor = FLOOR * span.reshape(2, p).max(axis=0)
+    else:
+        rms = nonnegative("observer.noise", noise, p, "one per output")
+        if not rms.all():
+            raise InputError("observer.noise: must be positive, found 0; leave it out for a sensor without noise")
+        floor = np.zeros(p)
+    spread = np.full(model.n, 5 * most) if x_std is None else nonnegative("observer.x_std", x_std, model.n, "one per state")
+    growth = scalar("observer.drift", drift, least=0.0) ** 2 * model.Ts
+    return Prior(
+        np.concatenate([np.zeros(model.n), ranges.mean(axis=1)]),
+        np.concatenate([spread, span / np.sqrt(12)]),
+        np.maximum(rms, floor) ** 2,
+        np.maximum(sensor.threshold, 4 * rms * sensor.slope),
+        np.full(2 * p, growth),
+    )
+
+
+def _ranges(key: str, value: Array, p: int) -> Floats:
+    found = array(key, value)
+    if found.shape not in ((2,), (p, 2)):
+        raise ShapeError(f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), found {found.tolist()}")
+    found = np.broadcast_to(found, (p, 2))
+    if (found[:, 0] < 0).any() or (found[:, 0] >= found[:, 1]).any():
+        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {found.tolist()}")
+    return found
+
+
+def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, silence: bool = False) -> Observer:
+    """The filter as an observer.
+
+    lasting: steps for which a linearisation error keeps its sign, and for which a silent edge is not heard again;
+    silence: hear that a silent sensor bounds z.
+    """
+    n, p = model.n, model.p
+    known = n + 2 * p
+    jump = sensor.kind == "jump"
+    first = np.zeros((known + len(extension.cov),) * 2)
+    first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
+    size = len(first)
+    params = Params(
+        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift,
+        np.concatenate([prior.mean, np.zeros(size - known)]), first[np.tril_indices(size)],
+    )  # fmt: skip
+
+    def init(q: Params) -> State:
+        return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p))
+
+    def beyond(q: Params, X: Any, i: int, side: Any) -> Any:
+        """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
+        return model.output(q.model, X[:n])[i] - offset(side, X[n + i], X[n + p + i])
+
+    def correct(q: Params, belief: Gaussian, y: Any, side: Any) -> tuple[Gaussian, Any, Any]:
+        """(belief, innovations, their standard deviations) after the readings on the sides that are sure, one output at a time."""
+        innovations, stds = [], []
+        for i in range(p):
+            active = side[i] != 0
+            expected, h = linearise(lambda X, i=i: beyond(q, X, i, 0 if jump else side[i]), belief.mean)
+            e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
+            belief, S = update(belief, h, e, q.R[i], active)
+            innovations.append(e)
+            stds.append(ca.sqrt(S))
+        return belief, ca.vertcat(*innovations), ca.vertcat(*stds)
+
+    def hear(q: Params, belief: Gaussian, quiet: Any, side: Any, wait: Any) -> tuple[Gaussian, Any]:
+        """(belief, steps to wait) given that z is inside the edges of a silent sensor, and of a jump sensor beyond the edge that it is on."""
+        waits = []
+        for edge in (RIGHT, LEFT):
+            for i in range(p):
+                outside = (side[i] == edge) if jump else 0.0
+                told = ca.logic_and(ca.logic_or(quiet[i], outside), wait[len(waits)] <= 0)
+                inward = edge * (1 - 2 * outside)
+                excess, h = linearise(lambda X, i=i, edge=edge, inward=inward: inward * beyond(q, X, i, edge), belief.mean)
+                slack = ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0)
+                belief, used = cut(belief, h, excess - slack, q.R[i], told, DOUBT)
+                waits.append(ca.if_else(used, lasting, wait[len(waits)] - 1))
+        return belief, ca.vertcat(*waits)
+
+    def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        seen = present(reading.y)
+        y = ca.if_else(seen, reading.y, 0.0)
+        side = reading.side if jump else sure_side(y, s.last, s.previous, q.gate)
+        belief, e, e_std = correct(q, Gaussian(s.mean, symmetric(s.cov, size)), y, side)
+        wait = s.wait
+        if silence:
+            belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
+        mean, cov = belief
+        noise_x, noise_extra = extension.noise(q, mean[:n], u)
+
+        def move(X: Any) -> Any:
+            x, extra = extension.move(q, X[:n], X[known:], u)
+            return ca.vertcat(x, X[n:known], extra)
+
+        after = predict(belief, move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra), lasting)
+        x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
+        variance = ca.diag(cov)
+        both = variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])
+        std = ca.sqrt(ca.fmax(variance, 0.0))
+        found = estimate(x, model.output(q.model, x), right, left, reading, q.slope, sensor.kind, e)
+        found = found._replace(
+            x_std=std[:n], right_std=std[n : n + p], left_std=std[n + p : known], width_std=ca.sqrt(ca.fmax(both, 0.0)), innovation_std=e_std
+        )
+        return State(after.mean, triangle(after.cov), y, s.last, wait), found
+
+    return Observer(params, init, step)
+
+
+def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
+
+    A reading far beyond the gate, or one that the two before it announced: both beyond the gate, their straight line
+    too, and y not across 0. To ask only whether y itself is beyond a threshold would select noise of one sign.
+    """
+
+    def sure(a: Any, b: Any, c: Any) -> Any:
+        announced = ca.logic_and(ca.logic_and(b > gate, c > gate), ca.logic_and(2 * b - c > gate, a > 0))
+        return ca.logic_or(a > 2 * gate, announced)
+
+    return 1.0 * sure(y, last, previous) - 1.0 * sure(-y, -last, -previous)

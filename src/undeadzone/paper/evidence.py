@@ -1,0 +1,90 @@
+"""The runs on which the paper's claims are judged: as printed, repaired, and repaired off its nominal conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from undeadzone.observers import Certified, Luenberger
+from undeadzone.paper.example import AMPLITUDES, L_POLES, L_REPAIRED, STARTED, D, printed, reference, repaired
+from undeadzone.paper.measures import with_printed_V
+from undeadzone.run import Run
+from undeadzone.scenario import Model, Scenario, Simulation
+from undeadzone.sensor import Sensor
+from undeadzone.signals import Sine
+from undeadzone.simulation import simulate
+
+NOISE: Final = 0.02  # rms on y
+DISTURBANCE: Final = 1.0  # amplitude at the input, 0.3 Hz
+MISMATCH: Final = 0.1  # relative error of the model's stiffness, damping and input gain
+SLOPE: Final = 2.5  # m of a sensor that is not normalised
+
+RESTING: Final = "from rest"
+BEGUN: Final = f"from x1 = {STARTED:g}"
+SIGNED: Final = f"{BEGUN} with d_l < 0"
+
+
+class Pair(NamedTuple):
+    """Runs under the same conditions, as printed (started at x1 = 5, d_l > 0) and repaired."""
+
+    printed: tuple[Run, ...]
+    repaired: tuple[Run, ...]
+
+
+class Evidence(NamedTuple):
+    """Runs by what they show; V of those as printed is (30)."""
+
+    printed: dict[str, tuple[Run, ...]]  # by how they start; r = 5 sin and 2 sin
+    repaired: tuple[Run, ...]  # r = 5 sin and 2 sin
+    sampled: Run  # repaired, at 100 Hz
+    noisy: Pair
+    mismatched: Pair
+    disturbed: Pair
+    scaled: Pair  # slope m = 2.5
+    silent: Pair  # d^(0) is wrong and z never leaves the zone; here as printed starts from rest
+    blind: Run  # Luenberger's observer with the same L takes y for z
+    slow: Run  # the repaired observer with the paper's poles, L = (12, 15), for 100 s
+
+
+def gather(progress: Callable[[int], None] | None = None) -> Evidence:
+    """Run them all; progress is told of steps done. Only nominal runs are repeated with half the step."""
+    begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
+
+    def run(scenario: Scenario, check_step: bool = False) -> Run:
+        return simulate(scenario, check_step=check_step, progress=progress)
+
+    def change(scenario: Scenario, **changes: Any) -> Run:
+        return run(msgspec.structs.replace(scenario, **changes))
+
+    def pair(*variations: dict[str, Any]) -> Pair:
+        return Pair(tuple(change(begun, **v) for v in variations), tuple(change(nominal, **v) for v in variations))
+
+    unaware = msgspec.structs.replace(begun.observer, widths0=0.0)
+    return Evidence(
+        printed={
+            RESTING: tuple(with_printed_V(run(printed(amplitude), check_step=True)) for amplitude in AMPLITUDES),
+            BEGUN: tuple(with_printed_V(run(printed(amplitude, x1=STARTED))) for amplitude in AMPLITUDES),
+            SIGNED: (with_printed_V(run(printed(5.0, x1=STARTED, signed_left=True))),),
+        },
+        repaired=tuple(run(repaired(amplitude), check_step=True) for amplitude in AMPLITUDES),
+        sampled=change(nominal, simulation=Simulation(time="sampled", step=1e-2)),
+        noisy=pair({"sensor": Sensor(right=D, left=D, noise=NOISE)}),
+        mismatched=pair(*({"model": model} for model in _mismatches())),
+        disturbed=pair({"disturbance": Sine(amplitude=DISTURBANCE, frequency=0.3)}),
+        scaled=pair({"sensor": Sensor(right=D, left=D, slope=SLOPE)}),
+        silent=Pair((change(printed(5.0), observer=unaware),), (change(nominal, reference=reference(0.5)),)),
+        blind=change(nominal, observer=Luenberger(L=L_REPAIRED)),
+        slow=change(nominal, observer=Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0), simulation=Simulation(duration=100.0)),
+    )
+
+
+def _mismatches() -> list[Model]:
+    """Models with stiffness, damping or input gain too small or too large by `MISMATCH`."""
+    factors = (1 - MISMATCH, 1 + MISMATCH)
+    return [
+        *(Model(A=[[0.0, 1.0], [-factor, -2.0]]) for factor in factors),
+        *(Model(A=[[0.0, 1.0], [-1.0, -2.0 * factor]]) for factor in factors),
+        *(Model(B=[[0.0], [factor]]) for factor in factors),
+    ]

@@ -1,0 +1,435 @@
+"""One graph on CasADi's virtual machine, compiled lanes and generated C: the same numbers."""
+
+from __future__ import annotations
+
+import operator
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenes import scene
+from undeadzone import tree
+from undeadzone.arrays import Floats
+from undeadzone.controllers import ControllerOptions
+from undeadzone.engine import cache, interpret, lanes
+from undeadzone.engine.emit import straight_line
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.observers import ObserverOptions
+from undeadzone.problem import resolve_scenario
+from undeadzone.scenario import Scenario
+from undeadzone.simulation import prepare, simulate
+
+BOTH, SAMPLED, CONTINUOUS = ("continuous", "sampled"), ("sampled",), ("continuous",)
+OBSERVERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "censored": (SAMPLED, {"right": [0.1, 1.0]}),
+    "certified": (BOTH, {"L": [1.0], "gamma": 10.0, "silence": True}),
+    "kalman": (SAMPLED, {"right": [0.1, 1.0]}),
+    "luenberger": (BOTH, {"L": [1.0]}),
+    "oracle": (BOTH, {"L": [1.0]}),
+    "printed": (CONTINUOUS, {"L": [1.0]}),
+}
+CONTROLLERS: dict[str, dict[str, Any]] = {
+    "pd": {"k_p": 2.0, "k_d": 0.1},
+    "state_feedback": {"alpha": 5.0, "robust": {"gain": 0.5}},
+}
+FIRST_ORDER = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "x0": [0.4]}
+PENDULUM = {
+    "states": ["angle", "rate"],
+    "inputs": ["torque"],
+    "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"],
+    "h": ["angle"],
+    "x0": [0.3, 0.0],
+}
+TWO_OUTPUTS = {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]}
+
+
+def of(catalogue: Any) -> list[str]:
+    return [str(options.__struct_config__.tag) for options in get_args(catalogue)]
+
+
+COMBINATIONS = [(observer, controller, time) for observer in of(ObserverOptions) for controller in of(ControllerOptions) for time in OBSERVERS[observer][0]]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        yield
+
+
+def small(time: str = "continuous", **changes: Any) -> Scenario:
+    """A first-order loop of 300 steps that crosses the zone both ways."""
+    base: dict[str, Any] = {
+        "plant": FIRST_ORDER,
+        "sensor": {"right": 0.5, "left": 0.3, "noise": 0.01, "noise_before": 0.01},
+        "reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0},
+        "observer": {"method": "certified"} | OBSERVERS["certified"][1],
+        "controller": {"method": "state_feedback", "alpha": 5.0},
+        "simulation": {"duration": 3.0, "step": 1e-2},
+    }
+    tables = base | changes
+    return scene(**tables | {"simulation": tables["simulation"] | {"time": time}})
+
+
+def parts(scenario: Scenario) -> tuple[ca.Function, Floats, Floats, Floats, list[str]]:
+    """(step, states, exogenous, params, names of the params)."""
+    loop, state, exogenous = prepare(resolve_scenario(scenario))
+    return loop.step, state, exogenous, tree.pack(loop.params), tree.names(loop.params)
+
+
+def compiled(step: ca.Function, states: Floats, exogenous: Floats, params: Floats) -> tuple[Floats, Floats]:
+    """A single run on lanes, in the shape of `interpret.run`."""
+    outputs, finals = lanes.run(lanes.build(step, width=8), states, exogenous, params)
+    return outputs[0], finals[0]
+
+
+def distance(found: Floats, expected: Floats) -> float:
+    """The largest difference relative to the size of its signal (column); inf where NaN or infinity differ."""
+    assert found.shape == expected.shape
+    finite = np.isfinite(expected)
+    if not np.array_equal(found[~finite], expected[~finite], equal_nan=True) or not np.isfinite(found[finite]).all():
+        return np.inf
+    expected = np.where(finite, expected, 0.0)
+    size = np.abs(expected).max(axis=0) + 1e-300
+    return float((np.abs(np.where(finite, found, 0.0) - expected) / size).max())
+
+
+def identical(a: Floats, b: Floats) -> bool:
+    """Equal to the last bit and the sign of zero; every NaN is the same."""
+    return a.shape == b.shape and bool(((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all())
+
+
+# --- The same loop on both engines
+
+
+@pytest.mark.parametrize(("observer", "controller", "time"), COMBINATIONS)
+def test_every_observer_and_controller_runs_the_same(observer: str, controller: str, time: str) -> None:
+    options = {"method": observer} | OBSERVERS[observer][1], {"method": controller} | CONTROLLERS[controller]
+    given = parts(small(time, observer=options[0], controller=options[1]))[:4]
+    expected, found = interpret.run(*given), compiled(*given)
+    assert np.ptp(expected[0], axis=0).max() > 0.1
+    assert max(map(distance, found, expected)) < 1e-13
+
+
+@pytest.mark.parametrize("time", BOTH)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
+        {
+            "plant": PENDULUM,
+            "observer": {"method": "certified", "L": [1.0, 0.0]},
+            "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
+            "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1},
+        },
+        {"sensor": {"kind": "jump", "noise": 0.05}},
+    ],
+    ids=["two outputs", "nonlinear", "jump"],
+)
+def test_every_kind_of_plant_and_sensor_runs_the_same(changes: dict[str, Any], time: str) -> None:
+    given = parts(small(time, **changes))[:4]
+    expected, found = interpret.run(*given), compiled(*given)
+    assert {-1.0, 0.0, 1.0} <= set(expected[0].ravel().tolist())
+    assert max(map(distance, found, expected)) < 1e-13
+
+
+@pytest.mark.parametrize("time", BOTH)
+def test_without_elementary_functions_every_bit_agrees(time: str) -> None:
+    given = parts(small(time))[:4]
+    assert all(map(identical, compiled(*given), interpret.run(*given)))
+
+
+@pytest.mark.parametrize("time", BOTH)
+def test_missing_samples_run_the_same(time: str) -> None:
+    step, state, exogenous, params, _ = parts(small(time))
+    instants = 3 if time == "continuous" else 1
+    after = np.arange(1, instants + 1) * (exogenous.shape[1] // instants) - 1
+    exogenous[50:80, after] = np.nan
+    expected = interpret.run(step, state, exogenous, params)
+    assert np.isnan(expected[0]).any()
+    assert np.isfinite(expected[1]).all()
+    assert all(map(identical, compiled(step, state, exogenous, params), expected))
+
+
+def test_simulate_takes_an_engine() -> None:
+    scenario = small()
+    told: list[int] = []
+    interpreted, run = simulate(scenario), simulate(scenario, engine="lanes", progress=told.append)
+    for name, column in interpreted.columns().items():
+        assert identical(run.columns()[name], column), name
+    assert run.info.integration_error == interpreted.info.integration_error
+    assert sum(told) == 301 + 601
+    with pytest.raises(InputError, match="lane"):
+        simulate(scenario, engine="lane")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("scenario", [scene(), small("sampled")], ids=["paper", "sampled"])
+def test_generated_C_runs_the_same(scenario: Scenario, tmp_path: Path) -> None:
+    step, state, exogenous, params, _ = parts(scenario)
+    generator = ca.CodeGenerator("step")
+    generator.add(step)
+    generator.generate(f"{tmp_path}/")
+    subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-fPIC", "-shared", tmp_path / "step.c", "-o", tmp_path / "step.so", "-lm"], check=True)
+    found = interpret.run(ca.external("step", str(tmp_path / "step.so")), state, exogenous, params)
+    assert max(map(distance, found, interpret.run(step, state, exogenous, params))) < 1e-15
+
+
+# --- Every instruction
+
+
+def first(function: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda a, b: function(a)
+
+
+UNARY: dict[str, Callable[[Any], Any]] = {
+    "neg": operator.neg, "inv": lambda a: 1 / a, "sq": lambda a: a * a, "twice": lambda a: 2 * a, "fabs": ca.fabs, "sign": ca.sign,
+    "not": ca.logic_not, "floor": ca.floor, "ceil": ca.ceil, "sqrt": ca.sqrt,
+}  # fmt: skip
+BINARY: dict[str, Callable[[Any, Any], Any]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
+    "lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne, "and": ca.logic_and, "or": ca.logic_or,
+    "if_else_zero": lambda a, b: ca.if_else(a, b, 0), "fmin": ca.fmin, "fmax": ca.fmax, "copysign": ca.copysign,
+    "fmod": ca.fmod, "remainder": ca.remainder,
+}  # fmt: skip
+ELEMENTARY: dict[str, Callable[[Any, Any], Any]] = {
+    "pow": operator.pow, "constpow": lambda a, b: a**1.7, "atan2": ca.atan2, "hypot": ca.hypot,
+    **{name: first(getattr(ca, name)) for name in (
+        "exp", "expm1", "log", "log1p", "erf", "sin", "cos", "tan", "asin", "acos", "atan",
+        "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+    )},
+}  # fmt: skip
+SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 0.3, 1e-9, 710.0, 1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
+
+
+def lanes_once(step: ca.Function, states: Floats) -> Floats:
+    """The outputs of one step from each row of states."""
+    return lanes.run(lanes.build(step, width=8), states, np.empty((1, 0)), np.empty(0))[0][:, 0]
+
+
+def machine_once(step: ca.Function, states: Floats) -> Floats:
+    return np.array([interpret.run(step, state, np.empty((1, 0)), np.empty(0))[0][0] for state in states])
+
+
+def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
+    column = ca.vertcat(*inputs)
+    return ca.Function("step", [column, ca.SX(0, 1), ca.SX(0, 1)], [column, ca.vertcat(*outputs)])
+
+
+def test_every_instruction_means_the_same_for_every_kind_of_number() -> None:
+    a, b = ca.SX.sym("a"), ca.SX.sym("b")
+    exact = [f(a) for f in UNARY.values()] + [f(a, b) for f in BINARY.values()]
+    step = stateless([a, b], exact + [f(a, b) for f in ELEMENTARY.values()])
+    random = np.random.default_rng(0).normal(size=(100, 2)) * [2.0, 1.0]
+    states = np.vstack([np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T, random])
+    found, expected = lanes_once(step, states), machine_once(step, states)
+    names = [*UNARY, *BINARY, *ELEMENTARY]
+    assert [name for i, name in enumerate(names[: len(exact)]) if not identical(found[:, i], expected[:, i])] == []
+    with np.errstate(invalid="ignore"):
+        close = (found == expected) | (np.abs(found - expected) <= 4 * np.spacing(np.abs(expected))) | np.isnan(found) & np.isnan(expected)
+    assert [name for i, name in enumerate(names) if not close[:, i].all()] == []
+
+
+@st.composite
+def graphs(draw: st.DrawFn) -> ca.Function:
+    """A random graph of the exact instructions over three inputs and constants, with elementary functions at its end."""
+    inputs = [ca.SX.sym(name) for name in "abc"]
+    nodes = inputs + [ca.SX(draw(st.floats(allow_subnormal=False))) for _ in range(3)]
+    for _ in range(draw(st.integers(5, 60))):
+        name = draw(st.sampled_from([*UNARY, *BINARY]))
+        x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
+        nodes.append(UNARY[name](x) if name in UNARY else BINARY[name](x, y))
+    ends = [ELEMENTARY[draw(st.sampled_from(list(ELEMENTARY)))](node, nodes[6]) for node in nodes[6:10]]
+    return stateless(inputs, nodes[6:] + ends)
+
+
+@settings(max_examples=10)
+@given(graphs(), st.lists(st.tuples(*[st.floats()] * 3), min_size=1, max_size=20))
+def test_random_graphs_mean_the_same(step: ca.Function, states: list[tuple[float, ...]]) -> None:
+    found, expected = lanes_once(step, np.array(states)), machine_once(step, np.array(states))
+    assert identical(found[:, :-4], expected[:, :-4])
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=0)
+
+
+def test_an_unknown_instruction_is_named() -> None:
+    a = ca.SX.sym("a")
+    with pytest.raises(InputError, match="OP_ERFINV"):
+        lanes.build(stateless([a], [ca.erfinv(a)]))
+
+
+def test_structural_zeros_and_unused_inputs() -> None:
+    s, w, p = ca.SX.sym("s", 2), ca.SX.sym("w", 3), ca.SX.sym("p", 2)
+    step = ca.Function("step", [s, w, p], [ca.vertcat(ca.SX(1, 1), s[0] + w[2]), ca.vertcat(ca.SX(2, 1), p[1], 7.0)])
+    outputs, finals = compiled(step, np.array([1.0, 2.0]), np.arange(6.0).reshape(2, 3), np.array([3.0, 4.0]))
+    assert outputs.tolist() == [[0.0, 0.0, 4.0, 7.0]] * 2
+    assert finals.tolist() == [0.0, 5.0]
+
+
+# --- Lanes
+
+WIDTHS = np.linspace(0.2, 1.0, 19)
+
+
+def shocks(steps: int) -> Floats:
+    """What noise and disturbance each of the 19 runs has."""
+    return np.random.default_rng(0).normal(size=(steps, 2, WIDTHS.size)) * [[0.01], [1.0]]
+
+
+def varied(**options: Any) -> tuple[Floats, Floats]:
+    """19 runs that differ in d_r, in noise and disturbance, and in x(0)."""
+    step, state, exogenous, params, names = parts(small("sampled"))
+    run = {name: options.pop(name) for name in ("threads",) if name in options}
+    kernel = lanes.build(step, params=[names.index("sensor.right[0]")], exogenous=[5, 3], **options)
+    states = np.tile(state, (WIDTHS.size, 1))
+    states[:, 0] = WIDTHS
+    return lanes.run(kernel, states, exogenous, params, shocks(len(exogenous)), WIDTHS[:, None], **run)
+
+
+def test_a_lane_is_a_single_run_to_the_last_bit() -> None:
+    step, state, exogenous, params, names = parts(small("sampled"))
+    outputs, finals = varied()
+    for i in (0, 7, 18):
+        exogenous[:, [5, 3]] = shocks(len(exogenous))[:, :, i]
+        params[names.index("sensor.right[0]")] = state[0] = WIDTHS[i]
+        expected = interpret.run(step, state, exogenous, params)
+        assert identical(outputs[i], expected[0])
+        assert identical(finals[i], expected[1])
+    assert np.unique(finals[:, 0]).size == WIDTHS.size
+
+
+@pytest.mark.parametrize("options", [{"width": 1}, {"width": 8}, {"width": 8, "threads": 3}, {"width": 16, "threads": 1}], ids=str)
+def test_neither_width_nor_threads_change_a_bit(options: dict[str, Any]) -> None:
+    assert all(map(identical, varied(**options), varied()))
+
+
+def test_neither_buffers_nor_what_is_recorded_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    outputs, finals = varied()
+    monkeypatch.setattr(lanes, "BUFFER", 1)
+    chosen, same = varied(record=[4, 0])
+    assert identical(chosen, outputs[:, :, [4, 0]])
+    assert identical(same, finals)
+    nothing, same = varied(record=[])
+    assert nothing.shape == (19, len(outputs[0]), 0)
+    assert identical(same, finals)
+
+
+@pytest.mark.parametrize("time", BOTH)
+def test_fused_lanes_agree_to_rounding(time: str) -> None:
+    step, state, exogenous, params, _ = parts(small(time))
+    assert any("fma(" in line for line in straight_line(step, fused=True).statements)
+    found = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
+    assert max(distance(a[0], b) for a, b in zip(found, interpret.run(step, state, exogenous, params), strict=True)) < 1e-13
+
+
+def test_fused_lanes_do_not_depend_on_what_is_shared() -> None:
+    step, state, exogenous, params, _ = parts(small("sampled"))
+    shared = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
+    kernel = lanes.build(step, width=16, fused=True, params=range(params.size))
+    own = lanes.run(kernel, state, exogenous, params, lane_params=np.tile(params, (3, 1)))
+    assert all(identical(a[2], b[0]) for a, b in zip(own, shared, strict=True))
+
+
+def test_a_product_is_fused_into_either_side_of_a_sum_or_difference() -> None:
+    a, b, c = (ca.SX.sym(name) for name in "abc")
+    step = stateless([a, b, c], [a * b + c, c + a * b, a * b - c, c - a * b, a * a - c, a * b + b * c])
+    states = np.array([[0.1, 10.0, -1.0], [1 / 3, 3.0, 1.0], [1.5, 2.0, 4.0]])
+    fused = lanes.run(lanes.build(step, width=8, fused=True), states, np.empty((1, 0)), np.empty(0))[0][:, 0]
+    np.testing.assert_allclose(fused, machine_once(step, states), rtol=1e-15, atol=1e-15)
+    residue = np.float64(0.1 * 10.0 - 1.0)
+    assert residue == 0.0 != fused[0, 0] == fused[0, 1]  # 0.1 is not 1/10, which only one rounding shows
+
+
+def test_progress_counts_the_steps_of_all_lanes() -> None:
+    step, state, exogenous, params, _ = parts(small("sampled"))
+    told: list[int] = []
+    lanes.run(lanes.build(step, width=8), np.tile(state, (19, 1)), exogenous, params, progress=told.append)
+    assert sum(told) == 19 * len(exogenous)
+
+
+def test_misuse_is_named() -> None:
+    step, state, exogenous, params, _ = parts(small("sampled"))
+    kernel = lanes.build(step, width=8, params=[1])
+    for error, match, arguments in (
+        (ShapeError, "lanes", (np.tile(state, (2, 1)), exogenous, params, None, np.ones((3, 1)))),
+        (ShapeError, "lane_params", (state, exogenous, params)),
+        (ShapeError, "states", (state[1:], exogenous, params, None, np.ones((3, 1)))),
+        (ShapeError, "exogenous", (state, exogenous[:, 1:], params, None, np.ones((3, 1)))),
+        (ShapeError, "params", (state, exogenous, params[1:], None, np.ones((3, 1)))),
+    ):
+        with pytest.raises(error, match=match):
+            lanes.run(kernel, *arguments)
+    with pytest.raises(InputError, match="record"):
+        lanes.build(step, record=[99])
+
+
+# --- Kernels on disk
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
+    cache.load.cache_clear()
+    yield tmp_path / "kernels"
+    cache.load.cache_clear()
+
+
+def doubled(factor: float = 2.0) -> tuple[float, int]:
+    """(factor * 3 computed by a fresh kernel, how many kernels were taken from disk)."""
+    a = ca.SX.sym("a")
+    cache.load.cache_clear()
+    kernel = lanes.build(stateless([a], [a * factor]), width=8)
+    outputs, _ = lanes.run(kernel, np.array([3.0]), np.empty((1, 0)), np.empty(0))
+    return float(outputs[0, 0, 0]), sum(kernel.block.stats.cache_hits.values())
+
+
+def test_the_same_graph_compiles_once_and_a_changed_one_again(folder: Path) -> None:
+    assert doubled() == (6.0, 0)
+    kept = list(folder.glob("*.py"))
+    assert doubled() == (6.0, 1)
+    assert list(folder.glob("*.py")) == kept
+    assert doubled(2.5) == (7.5, 0)
+    assert len(list(folder.glob("*.py"))) == 2
+
+
+def test_another_machine_or_version_compiles_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    doubled()
+    monkeypatch.setattr(cache, "_machine", lambda: "numba 99 on another processor")
+    assert doubled() == (6.0, 0)
+    assert len(list(folder.glob("*.py"))) == 2
+
+
+def test_a_damaged_cache_costs_a_compilation_and_no_more(folder: Path) -> None:
+    doubled()
+    (kernel,) = folder.glob("*.py")
+    damaged = kernel.read_text().replace("2.0 *", "9.0 *")
+    assert damaged != kernel.read_text()
+    kernel.write_text(damaged)
+    assert doubled()[0] == 6.0
+    (compiled,) = folder.glob("__pycache__/*.nbc")
+    compiled.write_bytes(compiled.read_bytes()[:100])
+    assert doubled() == (6.0, 0)
+    doubled()
+    assert doubled() == (6.0, 1)
+
+
+def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "file" / "kernels"))
+    assert doubled() == (6.0, 0)
+
+
+def test_where_kernels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDEADZONE_CACHE", "here")
+    assert cache.folder() == Path("here")
+    monkeypatch.delenv("UNDEADZONE_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/there")
+    assert cache.folder() == Path("/there/undeadzone")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "/home/someone")
+    assert cache.folder() == Path("/home/someone/.cache/undeadzone")

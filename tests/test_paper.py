@@ -1,0 +1,262 @@
+"""The paper's audit: its numbers against closed forms, its verdicts against its numbers, its files against what they promise."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from undeadzone.controllers import PD
+from undeadzone.observers import Printed
+from undeadzone.paper import Paper, audit, measures, write
+from undeadzone.paper.claims import TEXTS, Claim
+from undeadzone.paper.equations import EQUATIONS, FIGURES
+from undeadzone.paper.evidence import BEGUN, RESTING, SIGNED
+from undeadzone.paper.example import ALPHA, READINGS, D, printed
+from undeadzone.paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
+from undeadzone.paper.trials import measure
+from undeadzone.plant import system
+from undeadzone.run import Run
+from undeadzone.scenario import Scenario, Simulation, read
+from undeadzone.simulation import simulate
+
+STEADY = 5.0 / (1.0 + 4.0 * np.pi**2)
+
+
+@pytest.fixture(scope="module")
+def told() -> list[int]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def paper(told: list[int]) -> Paper:
+    return audit(told.append)
+
+
+@pytest.fixture(scope="module")
+def written(paper: Paper, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write(paper, tmp_path_factory.mktemp("paper") / "new" / "folder")
+
+
+@pytest.fixture(scope="module")
+def five(paper: Paper) -> Run:
+    return paper.evidence.repaired[0]
+
+
+def test_measured_facts_agree_with_their_closed_forms(paper: Paper) -> None:
+    assert len(paper.facts) > 30
+    for fact in paper.facts:
+        assert fact.error < 2e-5, fact
+
+
+def test_facts_hold_the_numbers_that_the_theory_states(paper: Paper) -> None:
+    found = {(fact.where, fact.what): fact.measured for fact in paper.facts}
+    stated = {
+        ("omega_n = 1", "rightmost pole of A - L C, (40)"): 1.43,
+        ("omega_n = 1", "leftmost pole of A - L C, (40)"): -2.18,
+        ("omega_n = 1", "l1 for poles -4, -10"): 12.0,
+        ("omega_n = 1", "l2 for poles -4, -10"): 15.0,
+        ("omega_n = 2 pi", "rightmost pole of A - L C, (40)"): -2.52,
+        ("omega_n = 2 pi", "l2 for poles -4, -10"): -17.49,
+        ("stiffness 2 pi", "l2 for poles -4, -10"): 15.70,
+        ("omega_n = 1, (34) with A - L C", "rightmost pole of A - B K"): 0.0244,
+        ("omega_n = 1, L = (12, 15)", "min Re(1 + G(jw))"): -0.0417,
+        ("omega_n = 1, u = 5 sin 2 pi t", "peak of |z| from rest"): 0.413,
+        ("omega_n = 1, u = 2 sin 2 pi t", "peak of |z| from rest"): 0.165,
+        ("omega_n = 2 pi, u = 5 sin 2 pi t", "steady amplitude of z"): 0.0633,
+        ("omega_n = 2 pi, u = 5 sin 2 pi t", "peak of |z| from rest"): 0.0753,
+        ("unity DC gain, u = 5 sin 2 pi t", "steady amplitude of z"): 2.5,
+    }
+    for key, value in stated.items():
+        assert found[key] == pytest.approx(value, rel=6e-3), key
+
+
+def test_as_printed_from_rest_the_sensor_never_speaks(paper: Paper) -> None:
+    literal = paper.evidence.printed[RESTING][0]
+    numbers = paper.summary()["printed"]
+    assert numbers["max_abs_z"] == pytest.approx(STEADY, rel=0.01)
+    assert numbers["max_abs_y"] == 0.0
+    assert (literal.y == 0.0).all()
+    assert (literal.d_hat == D).all()
+    assert (literal.x_hat == 0.0).all()
+    np.testing.assert_allclose(literal.u, literal.r, atol=1e-9)
+
+
+def test_as_printed_but_started_outside_the_widths_run_off_or_the_loop_diverges(paper: Paper) -> None:
+    begun, signed = paper.evidence.printed[BEGUN][0], paper.evidence.printed[SIGNED][0]
+    assert begun.diverged_at is None
+    assert measures.width_error(begun) > D
+    assert (begun.V[-1] - begun.V.min()) > 0.1 * begun.V[0]  # V of (30) rises
+    assert signed.diverged_at is not None
+
+
+def test_repaired_tracks_estimates_and_finds_the_widths(paper: Paper) -> None:
+    for key in ("repaired", "repaired_2sin", "repaired_sampled"):
+        numbers = paper.summary()[key]
+        assert numbers["rms_tracking"] < 1e-3, key
+        assert numbers["rms_estimation"] < 1e-3, key
+        assert numbers["d_right"] == pytest.approx(D, abs=1e-3), key
+        assert numbers["d_left"] == pytest.approx(D, abs=1e-3), key
+        assert numbers["certified"], key
+
+
+def test_repaired_V_never_rises_beyond_the_stated_integration_error(paper: Paper) -> None:
+    for run in paper.evidence.repaired:
+        assert run.info.integration_error < 1e-8
+        assert np.diff(run.V).max() <= run.info.integration_error * run.V.max()
+    assert np.diff(paper.evidence.sampled.V).max() <= 0.0
+
+
+def test_rate_agrees_with_the_fall_of_V(five: Run) -> None:
+    half = five.t.size // 2
+    assert measures.rate(five) == pytest.approx(np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half]), rel=0.01)
+
+
+def test_repaired_is_the_example_that_ships(five: Run) -> None:
+    shipped = read(Path(__file__).parent.parent / "examples" / "paper_5sin.toml")
+    np.testing.assert_array_equal(five.d_hat, simulate(shipped, check_step=False).d_hat)
+
+
+def test_every_variant_is_run_once(paper: Paper) -> None:
+    assert len({outcome.variant for outcome in paper.variants}) == len(paper.variants) == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
+    assert {(item.plant, item.start) for item in paper.counts} == {(plant, start) for plant in READINGS for start in STARTS}
+    assert all(item.total == 48 for item in paper.counts)
+
+
+def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(paper: Paper) -> None:
+    for item in paper.counts:
+        if item.start == "from rest, d^(0) = d":
+            unity = item.plant == "unity DC gain"
+            assert item.leave_zone == (48 if unity else 0)
+            assert unity or (item.move_widths, item.diverge) == (0, 0)
+
+
+def test_variants_with_unknown_widths_move_them_only_where_the_observer_is_fed(paper: Paper) -> None:
+    for outcome in paper.variants:
+        if outcome.variant.start == "from rest, d^(0) = 0" and outcome.variant.plant != "unity DC gain":
+            assert outcome.moves_widths == outcome.variant.feeds_input
+
+
+def test_outcomes_are_consistent(paper: Paper) -> None:
+    assert any(outcome.diverged_at is not None for outcome in paper.variants)
+    for outcome in paper.variants:
+        assert outcome.leaves_zone == (outcome.peak > D)
+        assert (outcome.steady is None) == (outcome.diverged_at is not None)
+        assert outcome.steady is None or outcome.steady <= outcome.peak
+
+
+@pytest.mark.parametrize("index", [0, 151, 230, 389, 575])
+def test_a_variant_in_the_shared_graph_equals_its_own_loop(paper: Paper, index: int) -> None:
+    outcome = paper.variants[index]
+    run = simulate(_alone(outcome), check_step=False)
+    if outcome.diverged_at is None:
+        assert outcome.peak == pytest.approx(float(np.abs(run.z).max()), rel=1e-9)
+        assert outcome.steady == pytest.approx(float(np.abs(run.z[run.t > DURATION - 4.0 + STEP / 2]).max()), rel=1e-9)
+    else:
+        assert np.abs(run.u[run.t < outcome.diverged_at - STEP / 2]).max() < 1e6
+
+
+def _alone(outcome: Outcome) -> Scenario:
+    v = outcome.variant
+    model = system(READINGS[v.plant].plant)
+    x1, width = STARTS[v.start]
+    L = gain(v.L, model)
+    law = PD(L=L, alpha=ALPHA).build(model).params
+    return msgspec.structs.replace(
+        printed(5.0),
+        plant=msgspec.structs.replace(READINGS[v.plant].plant, x0=[x1, 0.0]),
+        observer=Printed(L=L, sigma=v.sigma, alpha=ALPHA, widths0=width, feed_input=v.feeds_input, left_sign=v.left_sign),
+        controller=PD(k_p=v.pd_sign * law.k_p, k_d=v.pd_sign * law.k_d),
+        simulation=Simulation(duration=DURATION, step=STEP),
+    )
+
+
+def test_each_claim_has_one_text_and_one_measurement(paper: Paper) -> None:
+    ids = [text.id for text in TEXTS]
+    assert len(set(ids)) == len(ids)
+    assert set(measure(paper.evidence)) == set(ids)
+    assert [claim.text for claim in paper.claims] == list(TEXTS)
+
+
+@pytest.mark.parametrize(
+    ("values", "repaired_value", "verdict"),
+    [((0.5, 1.0), 9.0, "holds"), ((0.5, 1.1), 1.0, "holds after repair"), ((np.inf,), 0.0, "holds after repair"), ((2.0,), np.inf, "does not hold")],
+)
+def test_verdict_follows_from_numbers_and_limit(values: tuple[float, ...], repaired_value: float, verdict: str) -> None:
+    text = TEXTS[0]._replace(limit=1.0)
+    claim = Claim(text, {f"case {i}": value for i, value in enumerate(values)}, repaired_value)
+    assert claim.verdict == verdict == claim.summary()["verdict"]
+    assert ("diverges" in claim.measured) == bool(np.isinf([*values, repaired_value]).any())
+    json.dumps(claim.summary(), allow_nan=False)
+
+
+def test_the_claims_that_matter_come_out_as_derived(paper: Paper) -> None:
+    verdicts = {claim.text.id: claim.verdict for claim in paper.claims}
+    assert {verdicts[name] for name in ("lyapunov", "state-1", "state-2", "reading-tracked", "widths", "tracking", "cancelled", "bounded")} == {
+        "holds after repair"
+    }
+    assert {verdicts[name] for name in ("implied", "cancelled-in-total", "compared")} == {"does not hold"}
+
+
+def test_measures_see_what_they_should(five: Run) -> None:
+    n = five.t.size
+    exact = dataclasses.replace(five, x_hat=five.x, z_hat=five.z, d_hat=np.ones((n, 2)), z_inverse=five.y + five.side)
+    assert measures.reading_error(exact) < 1e-15
+    assert measures.width_error(exact) == measures.steep_share(exact) == 0.0
+    assert measures.inverse_error(exact) < 1e-15
+    assert measures.total_inverse_error(exact) > 0.1  # inside the zone the inverse is blind
+    biased = dataclasses.replace(exact, d_hat=exact.d_hat + np.array([0.25, 0.0]), x_hat=five.x + np.array([0.0, 0.5]))
+    assert measures.width_error(biased) == 0.25
+    assert measures.state_error(biased, 1) == pytest.approx(0.5)
+    dying = dataclasses.replace(five, d_hat=1.0 + np.exp(-0.3 * five.t)[:, None] * [1.0, -0.5])
+    assert measures.rate(dying) == pytest.approx(0.3, rel=1e-3)
+    gone = dataclasses.replace(five, d_hat=five.d_hat * 1e30)
+    assert np.isinf([measures.width_error(gone), measures.largest_width(gone), measures.rise(gone), measures.steep_share(gone)]).all()
+
+
+def test_every_equation_is_placed_where_something_is() -> None:
+    assert [equation.number for equation in EQUATIONS] == list(range(1, 43))
+    for equation in EQUATIONS:
+        assert equation.status in ("as printed", "corrected", "not used")
+        assert equation.reason
+        assert (equation.where is None) == (equation.status == "not used")
+        if equation.where is not None:
+            module, _, name = equation.where.rpartition(".")
+            assert hasattr(importlib.import_module(module), name), equation.where
+
+
+def test_progress_is_told_of_work_done(told: list[int], paper: Paper) -> None:
+    assert sum(told) > len(paper.variants) * DURATION / STEP
+    assert min(told) > 0
+
+
+def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Path]) -> None:
+    names = {path.name for path in written}
+    assert {f"figure_{number}.png" for number in FIGURES} | {f"figure_{number}_2sin.png" for number in FIGURES} <= names
+    assert {"paper.json", "variants.csv", "report.html", "silence.png"} <= names
+    assert {path.name for path in written[0].parent.iterdir()} == names
+    for path in written:
+        assert path.suffix != ".png" or path.read_bytes().startswith(b"\x89PNG")
+    stored = json.loads((written[0].parent / "paper.json").read_text(encoding="utf-8"))
+    assert stored == json.loads(json.dumps(paper.summary()))
+    assert {"id", "claim", "measured", "verdict"} <= set(stored["claims"][0])
+    assert {"number", "where", "status"} <= set(stored["equations"][0])
+    with open(written[0].parent / "variants.csv", newline="", encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == len(paper.variants)
+
+
+def test_without_figures_only_numbers_are_written(paper: Paper, tmp_path: Path) -> None:
+    assert {path.name for path in write(paper, tmp_path, figures=False)} == {"paper.json", "variants.csv"} == {path.name for path in tmp_path.iterdir()}
+
+
+def test_nothing_is_drawn_before_it_is_asked_for() -> None:
+    code = "import sys, undeadzone.paper; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

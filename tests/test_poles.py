@@ -1,0 +1,102 @@
+"""Gains from poles: the closed loop has them, python-control agrees, and what cannot be placed is said."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenes import PAPER_PLANT, random_plant
+from undeadzone.design.poles import observer_gain, parse_poles, place, state_gain
+from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.plant import Matrices, zoh
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def poles_of(A: Any) -> Any:
+    return np.sort_complex(np.linalg.eigvals(A))
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 2))
+def test_closed_loop_and_observer_have_the_poles_asked_for(seed: int, n: int, channels: int) -> None:
+    rng = np.random.default_rng(seed)
+    linear = random_plant(rng, n, channels, channels, stable=False).linear
+    poles = np.array(-rng.uniform(0.5, 3, n), complex)
+    if n > 1:
+        poles[1] = -1 + 2j
+        poles[0] = poles[1].conj()
+    A, B, C = linear
+    assert poles_of(A - B @ state_gain(linear, poles, None)) == pytest.approx(np.sort_complex(poles), abs=1e-4)
+    assert poles_of(A - observer_gain(linear, poles, None) @ C) == pytest.approx(np.sort_complex(poles), abs=1e-4)
+
+
+def test_the_papers_gains() -> None:
+    """Poles (-4, -10) of (39) need L = (12, 15), not the (-1.25, -1.62) of (40), whose A - L C is unstable."""
+    A, _, C = PAPER_PLANT.linear
+    assert observer_gain(PAPER_PLANT.linear, [-4.0, -10.0], None).ravel() == pytest.approx([12, 15])
+    assert poles_of(A - np.array([[-1.25], [-1.62]]) @ C) == pytest.approx([-2.18, 1.43], abs=0.005)
+    assert state_gain(PAPER_PLANT.linear, [-4.0, -10.0], None).ravel() == pytest.approx([39, 12])
+
+
+def test_agrees_with_python_control() -> None:
+    import control
+
+    A, B, C = random_plant(np.random.default_rng(5), 4, 2, 2).linear
+    poles = [-1.0, -2.0, -3.0, -4.0]
+    single = Matrices(A, B[:, :1], C[:1])
+    assert state_gain(single, poles, None) == pytest.approx(np.asarray(control.place(A, B[:, :1], poles)), rel=1e-6)
+    assert observer_gain(single, poles, None) == pytest.approx(np.asarray(control.place(A.T, C[:1].T, poles)).T, rel=1e-6)
+
+
+@pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.3])
+def test_sampled_poles_are_the_exponentials(Ts: float) -> None:
+    sampled = zoh(PAPER_PLANT.linear, Ts)
+    A, B, C = sampled
+    expected = np.sort_complex(np.exp(np.array([-4 - 3j, -4 + 3j]) * Ts))
+    assert poles_of(A - B @ state_gain(sampled, [[-4, 3], [-4, -3]], Ts)) == pytest.approx(expected, abs=1e-9)
+    assert poles_of(A - observer_gain(sampled, [[-4, 3], [-4, -3]], Ts) @ C) == pytest.approx(expected, abs=1e-9)
+
+
+def test_sampled_gains_tend_to_the_continuous_ones() -> None:
+    Ts = 1e-5
+    assert state_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) == pytest.approx(np.array([[39.0, 12.0]]), rel=1e-3)
+    assert observer_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) / Ts == pytest.approx(np.array([[12.0], [15.0]]), rel=1e-3)
+
+
+def test_poles_are_read_from_numbers_and_pairs() -> None:
+    assert parse_poles("p", [-1, -2.5], 2).tolist() == [-1, -2.5]
+    assert parse_poles("p", [[-1, 2], [-1, -2], [-3, 0]], 3).tolist() == [-1 + 2j, -1 - 2j, -3]
+    assert parse_poles("p", [-1 + 2j, -1 - 2j], 2).tolist() == [-1 + 2j, -1 - 2j]
+    assert parse_poles("p", [[-1, 0], [-2, 0]], 2).tolist() == [-1, -2]
+
+
+@pytest.mark.parametrize(
+    ("poles", "error", "words"),
+    [
+        ([-1.0], ShapeError, "observer.poles: expected 2 poles .one per state.*, found 1"),
+        ([-1.0, -2.0, -3.0], ShapeError, "found 3"),
+        ([[-1, 2], [-1, 2]], InputError, "conjugate pairs"),
+        ([[-1, 2, 3]], ShapeError, "expected 2 poles"),
+        ([-1.0, float("nan")], InputError, "must be finite"),
+        (["fast", "slow"], InputError, "expected numbers"),
+        ([[-1.0], [-1.0, 2.0]], InputError, "rows of different lengths"),
+        ([-1e60, -1.0], InputError, "observer.poles: .*below 1e"),
+    ],
+)
+def test_wrong_poles(poles: Any, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        observer_gain(PAPER_PLANT.linear, poles, None)
+
+
+def test_poles_that_cannot_be_placed() -> None:
+    A = np.diag([-1.0, -2.0, -3.0])
+    with pytest.raises(StructureError, match="p: the poles cannot be placed"):
+        place(A, np.array([[1.0], [1.0], [0.0]]), np.array([-4, -5, -6]), "p")
+    with pytest.raises(StructureError, match=r"p: the poles cannot be placed: .*repeated"):
+        place(A, np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([-4, -4, -4]), "p")
+    with pytest.raises(StructureError, match="nearly uncontrollable"):
+        place(np.diag(np.arange(1.0, 13.0)), np.ones((12, 1)), -np.arange(1.0, 13.0), "p")

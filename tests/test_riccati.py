@@ -1,0 +1,95 @@
+"""Riccati and Lyapunov equations by their residuals; the paper's own numbers; sampled gains tend to continuous ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenes import PAPER_PLANT, random_plant, slopes
+from undeadzone.design.riccati import feedback, lyapunov, paper_riccati, weight
+from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.plant import Matrices, zoh
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 2), st.floats(0.1, 100))
+def test_equation_34_holds_and_its_gain_stabilises(seed: int, n: int, m: int, alpha: float) -> None:
+    rng = np.random.default_rng(seed)
+    A, B, _ = random_plant(rng, n, m, stable=False).linear
+    root = rng.normal(size=(n, n))
+    Q = root @ root.T + np.eye(n)
+    P, K, residual = paper_riccati(A, B, alpha, Q)
+    left = A.T @ P + P @ A - 2 * alpha * P @ B @ B.T @ P
+    assert np.linalg.norm(left + Q) < 1e-6 * max(np.linalg.norm(Q), np.linalg.norm(A.T @ P))
+    assert residual < 1e-6
+    assert np.linalg.eigvalsh(P)[0] > 0
+    assert pytest.approx(alpha * B.T @ P) == K
+    assert np.linalg.eigvals(A - B @ K).real.max() < 0
+
+
+def test_the_papers_equation_destabilises() -> None:
+    """(34) as printed, with A - L C for (39) and L = (12, 15), alpha = 10: K = (-1.08, 1.22), A - B K grows at 0.024."""
+    A, B, C = PAPER_PLANT.linear
+    K = paper_riccati(A - np.array([[12.0], [15.0]]) @ C, B, 10.0, np.eye(2)).K
+    assert K.ravel() == pytest.approx([-1.08, 1.22], abs=0.005)
+    assert np.linalg.eigvals(A - B @ K).real.max() == pytest.approx(0.024, abs=0.0005)
+
+
+def test_no_stabilising_solution_is_said() -> None:
+    with pytest.raises(StructureError, match=r"\(34\) has no stabilising solution"):
+        paper_riccati(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]]), 1.0, np.eye(2))
+    with pytest.raises(StructureError, match="discrete Riccati equation has no stabilising solution"):
+        feedback(Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2)), 1.0, np.eye(2), 0.1)
+
+
+def test_sampled_gain_tends_to_the_continuous_one_in_first_order() -> None:
+    exact = feedback(PAPER_PLANT.linear, 10.0, np.eye(2), None)
+    steps = [0.02, 0.01, 0.005]
+    errors = [np.abs(feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts) - exact).max() for Ts in steps]
+    assert slopes(steps, errors) == pytest.approx(1.0, abs=0.1)
+
+
+def test_half_the_sampled_optimal_gain_may_not_stabilise() -> None:
+    with pytest.raises(StructureError, match=r"controller.alpha: .* does not stabilise .spectral radius"):
+        feedback(Matrices(4.0 * np.eye(1), np.eye(1), np.eye(1)), 1000.0, np.eye(1), 1.0)
+
+
+@given(seeds, st.integers(1, 4))
+def test_lyapunov_equations_hold(seed: int, n: int) -> None:
+    linear = random_plant(np.random.default_rng(seed), n).linear
+    K, Q = np.zeros((1, n)), np.eye(n)
+    P = lyapunov(linear, K, Q, None)
+    assert pytest.approx(-Q, abs=1e-7) == linear.A.T @ P + P @ linear.A
+    sampled = zoh(linear, 0.1)
+    P = lyapunov(sampled, K, Q, 0.1)
+    assert pytest.approx(-Q, abs=1e-7) == sampled.A.T @ P @ sampled.A - P
+
+
+def test_lyapunov_needs_a_stable_loop() -> None:
+    with pytest.raises(StructureError, match="controller: A - BK is not stable, its poles are"):
+        lyapunov(PAPER_PLANT.linear, np.array([[-9.0, 0.0]]), np.eye(2), None)
+
+
+def test_weight_of_a_number_is_a_multiple_of_the_identity() -> None:
+    assert weight("Q", 3.0, 2).tolist() == [[3, 0], [0, 3]]
+    assert weight("Q", [[2, 1], [1, 2]], 2).tolist() == [[2, 1], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("Q", "error", "words"),
+    [
+        ([[1.0, 2.0], [0.0, 1.0]], InputError, "controller.Q: must be symmetric"),
+        ([[1.0, 0.0], [0.0, -1.0]], InputError, "positive definite, found eigenvalues"),
+        (0.0, InputError, "positive definite"),
+        ([[1.0]], ShapeError, "controller.Q: expected a 2 x 2 matrix"),
+        (float("inf"), InputError, "controller.Q: every number must be finite"),
+    ],
+)
+def test_wrong_weights(Q: Any, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        weight("controller.Q", Q, 2)

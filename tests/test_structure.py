@@ -1,0 +1,116 @@
+"""Structure: unobservable and uncontrollable modes whatever the coordinates and scale; which widths readings can tell."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenes import PAPER_PLANT, linear, random_plant
+from undeadzone.design.structure import identifiable, require_structure, uncontrollable_modes, unobservable_modes
+from undeadzone.errors import StructureError
+from undeadzone.plant import Matrices, Plant, matrices
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds, st.integers(1, 5), st.integers(1, 2))
+def test_random_pairs_are_observable_and_controllable(seed: int, n: int, channels: int) -> None:
+    A, B, C = random_plant(np.random.default_rng(seed), n, channels, channels).linear
+    assert unobservable_modes(A, C) == uncontrollable_modes(A, B) == []
+
+
+@given(seeds, st.integers(1, 3), st.integers(1, 3))
+def test_a_hidden_part_is_found_in_any_coordinates(seed: int, seen: int, hidden: int) -> None:
+    """A block that no output sees, behind a random change of coordinates: its eigenvalues are listed."""
+    rng = np.random.default_rng(seed)
+    one, other = rng.normal(size=(seen, seen)) + 3 * np.eye(seen), rng.normal(size=(hidden, hidden)) - 3 * np.eye(hidden)
+    T = np.linalg.qr(rng.normal(size=(seen + hidden, seen + hidden)))[0]
+    A = T @ np.block([[one, np.zeros((seen, hidden))], [rng.normal(size=(hidden, seen)), other]]) @ T.T
+    C = np.hstack([rng.normal(size=(1, seen)), np.zeros((1, hidden))]) @ T.T
+    expected = np.sort_complex(np.linalg.eigvals(other))
+    assert np.sort_complex(np.array(unobservable_modes(A, C))) == pytest.approx(expected, abs=1e-5)
+    assert np.sort_complex(np.array(uncontrollable_modes(A.T, C.T))) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("rate", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("form", [{"companion": [6.0, 11.0, 6.0]}, {"companion": [24.0, 50.0, 35.0, 10.0]}, {"integrators": 5}])
+def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float) -> None:
+    """The same plant in another unit of time."""
+    A, B, C = matrices(Plant(**form))
+    n = A.shape[0]
+    A = np.where(np.arange(n)[:, None] == n - 1, A * rate ** (n - np.arange(n)), A)
+    require_structure(Matrices(A, B, C), "plant")
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "C", "words"),
+    [
+        ([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 0.0]], r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output"),
+        ([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [0.0]], [[1.0, 1.0]], r"plant: the pair \(A, B\) is uncontrollable: mode -2; add an input"),
+        ([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 0.0]], "is unobservable: modes -1"),
+        ([[0.0, 1.0], [-4.0, 0.0]], [[0.0], [0.0]], [[1.0, 0.0]], r"uncontrollable: modes (-?0)?.*2j"),
+    ],
+)
+def test_the_mode_at_fault_is_named(A: Any, B: Any, C: Any, words: str) -> None:
+    with pytest.raises(StructureError, match=words):
+        require_structure(linear(A, B, C).linear, "plant")
+
+
+def directions(A: Any, C: Any) -> Any:
+    """Null space by hand (docs/theory.md, section 4): (v, c, -c) with A v = 0, C v = c, both sides visited, one output."""
+    return [(float(v), -float(v)) for v in (C @ np.linalg.svd(A)[2][np.linalg.svd(A)[1] < 1e-9].T).ravel()]
+
+
+@given(seeds, st.integers(1, 4), st.booleans())
+def test_centre_is_known_exactly_when_A_is_nonsingular(seed: int, n: int, singular: bool) -> None:
+    rng = np.random.default_rng(seed)
+    A, B, C = random_plant(rng, n).linear
+    if singular:
+        A = A.copy()
+        A[:, 0] = 0.0
+    (found,) = identifiable(Matrices(A, B, C), [True], [True])
+    hidden = any(abs(c) > 1e-9 for c, _ in directions(A, C))
+    assert hidden == singular
+    assert (found.right, found.left, found.width, found.centre) == (not hidden, not hidden, True, not hidden)
+    assert ("not identifiable" in " ".join(found.reasons)) == hidden
+
+
+@pytest.mark.parametrize("integrator", [False, True])
+@pytest.mark.parametrize(("right", "left"), list(product([True, False], repeat=2)))
+def test_verdict_of_each_visit(integrator: bool, right: bool, left: bool) -> None:
+    plant = matrices(Plant(integrators=2)) if integrator else PAPER_PLANT.linear
+    (found,) = identifiable(plant, [right], [left])
+    assert found.right == (right and not integrator)
+    assert found.left == (left and not integrator)
+    assert found.width == (right and left)
+    assert found.centre == (right and left and not integrator)
+    assert sum("never reached" in reason for reason in found.reasons) == (not right) + (not left)
+
+
+def test_jump_sensor_tells_each_edge_that_is_passed() -> None:
+    (found,) = identifiable(matrices(Plant(integrators=2)), [True], [False], jump=True)
+    assert (found.right, found.left, found.width, found.centre) == (True, False, False, False)
+
+
+def test_a_second_output_can_reveal_the_centre_of_the_first() -> None:
+    """An integrator seen by a wide zone and, through another output with both edges known from motion, only its width; a stable
+    part that is also seen fixes its own centre."""
+    A = np.diag([0.0, -1.0])
+    both = identifiable(Matrices(A, np.ones((2, 1)), np.array([[1.0, 0.0], [0.0, 1.0]])), [True, True], [True, True])
+    assert [found.centre for found in both] == [False, True]
+    assert [found.width for found in both] == [True, True]
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1.0, 1e4])
+def test_identifiability_does_not_depend_on_the_unit_of_time(rate: float) -> None:
+    fast = matrices(Plant(companion=np.array([6.0, 11.0, 6.0]) * rate ** np.array([3, 2, 1])))
+    (found,) = identifiable(fast, [True], [True])
+    assert found.centre
+    (found,) = identifiable(matrices(Plant(companion=np.array([0.0, 11.0, 6.0]) * rate ** np.array([3, 2, 1]))), [True], [True])
+    assert found.width
+    assert not found.centre

@@ -1,0 +1,62 @@
+"""Trees of arrays as one vector and back: NumPy and CasADi agree on order, names say where each number is."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from undeadzone import tree
+
+
+class Inner(NamedTuple):
+    A: Any
+    nothing: Any
+    b: Any
+
+
+class Outer(NamedTuple):
+    first: Any
+    inner: Any
+    pair: Any
+
+
+blocks = st.one_of(st.floats(-9, 9), arrays(float, array_shapes(max_dims=2, max_side=3), elements=st.floats(-9, 9)), st.just(np.empty(0)))
+trees = st.builds(Outer, blocks, st.builds(Inner, blocks, st.none(), blocks), st.tuples(blocks, blocks))
+
+
+@given(trees)
+def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> None:
+    packed = tree.pack(like)
+    assert packed.size == tree.size(like) == len(tree.names(like))
+    column, view = tree.symbols(like, "s")
+    assert [leaf.shape for _, leaf in tree.leaves(view)] == [ca.DM(leaf).shape if np.size(leaf) else (0, 1) for _, leaf in tree.leaves(like)]
+    assert ca.Function("stack", [column], [tree.stack(view)])(packed).full().ravel().tolist() == packed.tolist()
+    values = [ca.Function("leaf", [column], [leaf])(packed).full() for _, leaf in tree.leaves(view)]
+    again = tree.rebuild(like, iter(values))
+    assert isinstance(again, Outer)
+    assert again.inner.nothing is None
+    assert tree.pack(again).tolist() == packed.tolist()
+
+
+def test_names_address_each_number_in_packing_order() -> None:
+    like = Outer(1.0, Inner(np.array([[1.0, 2.0], [3.0, 4.0]]), None, np.array([5.0])), (6.0, np.array([7.0, 8.0])))
+    expected = ["first", "inner.A[0,0]", "inner.A[1,0]", "inner.A[0,1]", "inner.A[1,1]", "inner.b[0]", "pair.0", "pair.1[0]", "pair.1[1]"]
+    assert tree.names(like) == expected
+    assert tree.names(like, "p")[1] == "p.inner.A[0,0]"
+    assert tree.pack(like).tolist() == [1, 1, 3, 2, 4, 5, 6, 7, 8]
+
+
+def test_empty_trees() -> None:
+    assert tree.pack(None).size == tree.size(()) == 0
+    assert tree.stack(None).shape == (0, 1)
+
+
+def test_a_tree_needs_as_many_values_as_leaves() -> None:
+    with pytest.raises(StopIteration):
+        tree.rebuild((1.0, 2.0), iter([1.0]))
