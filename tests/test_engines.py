@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -343,6 +344,13 @@ def test_a_product_is_fused_into_either_side_of_a_sum_or_difference() -> None:
     np.testing.assert_allclose(fused, machine_once(step, states), rtol=1e-15, atol=1e-15)
     residue = np.float64(0.1 * 10.0 - 1.0)
     assert residue == 0.0 != fused[0, 0] == fused[0, 1]  # 0.1 is not 1/10, which only one rounding shows
+
+
+def test_lanes_are_computed_by_vector_instructions() -> None:
+    step = parts(small("sampled"))[0]
+    kernel = lanes.build(step, params=range(step.size1_in(2)), exogenous=range(step.size1_in(1)), width=32)
+    (code,) = kernel.block.inspect_llvm().values()
+    assert re.search(r"fmul <\d+ x double>", code)
 
 
 def test_progress_counts_the_steps_of_all_lanes() -> None:

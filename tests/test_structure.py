@@ -1,8 +1,7 @@
-"""Structure: unobservable and uncontrollable modes whatever the coordinates and scale; which widths readings can tell."""
+"""Structure: unobservable and uncontrollable modes whatever the coordinates and scale."""
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, linear, random_plant
-from undeadzone.design.structure import identifiable, require_structure, uncontrollable_modes, unobservable_modes
+from scenes import linear, random_plant
+from undeadzone.design.structure import require_structure, uncontrollable_modes, unobservable_modes
 from undeadzone.errors import StructureError
 from undeadzone.plant import Matrices, Plant, matrices
 
@@ -59,58 +58,3 @@ def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float
 def test_the_mode_at_fault_is_named(A: Any, B: Any, C: Any, words: str) -> None:
     with pytest.raises(StructureError, match=words):
         require_structure(linear(A, B, C).linear, "plant")
-
-
-def directions(A: Any, C: Any) -> Any:
-    """Null space by hand (docs/theory.md, section 4): (v, c, -c) with A v = 0, C v = c, both sides visited, one output."""
-    return [(float(v), -float(v)) for v in (C @ np.linalg.svd(A)[2][np.linalg.svd(A)[1] < 1e-9].T).ravel()]
-
-
-@given(seeds, st.integers(1, 4), st.booleans())
-def test_centre_is_known_exactly_when_A_is_nonsingular(seed: int, n: int, singular: bool) -> None:
-    rng = np.random.default_rng(seed)
-    A, B, C = random_plant(rng, n).linear
-    if singular:
-        A = A.copy()
-        A[:, 0] = 0.0
-    (found,) = identifiable(Matrices(A, B, C), [True], [True])
-    hidden = any(abs(c) > 1e-9 for c, _ in directions(A, C))
-    assert hidden == singular
-    assert (found.right, found.left, found.width, found.centre) == (not hidden, not hidden, True, not hidden)
-    assert ("not identifiable" in " ".join(found.reasons)) == hidden
-
-
-@pytest.mark.parametrize("integrator", [False, True])
-@pytest.mark.parametrize(("right", "left"), list(product([True, False], repeat=2)))
-def test_verdict_of_each_visit(integrator: bool, right: bool, left: bool) -> None:
-    plant = matrices(Plant(integrators=2)) if integrator else PAPER_PLANT.linear
-    (found,) = identifiable(plant, [right], [left])
-    assert found.right == (right and not integrator)
-    assert found.left == (left and not integrator)
-    assert found.width == (right and left)
-    assert found.centre == (right and left and not integrator)
-    assert sum("never reached" in reason for reason in found.reasons) == (not right) + (not left)
-
-
-def test_jump_sensor_tells_each_edge_that_is_passed() -> None:
-    (found,) = identifiable(matrices(Plant(integrators=2)), [True], [False], jump=True)
-    assert (found.right, found.left, found.width, found.centre) == (True, False, False, False)
-
-
-def test_a_second_output_can_reveal_the_centre_of_the_first() -> None:
-    """An integrator seen by a wide zone and, through another output with both edges known from motion, only its width; a stable
-    part that is also seen fixes its own centre."""
-    A = np.diag([0.0, -1.0])
-    both = identifiable(Matrices(A, np.ones((2, 1)), np.array([[1.0, 0.0], [0.0, 1.0]])), [True, True], [True, True])
-    assert [found.centre for found in both] == [False, True]
-    assert [found.width for found in both] == [True, True]
-
-
-@pytest.mark.parametrize("rate", [1e-4, 1.0, 1e4])
-def test_identifiability_does_not_depend_on_the_unit_of_time(rate: float) -> None:
-    fast = matrices(Plant(companion=np.array([6.0, 11.0, 6.0]) * rate ** np.array([3, 2, 1])))
-    (found,) = identifiable(fast, [True], [True])
-    assert found.centre
-    (found,) = identifiable(matrices(Plant(companion=np.array([0.0, 11.0, 6.0]) * rate ** np.array([3, 2, 1]))), [True], [True])
-    assert found.width
-    assert not found.centre

@@ -3,6 +3,7 @@ from .controllers import Robust as Robust
 from .controllers import StateFeedback as StateFeedback
 from .errors import FileError as FileError
 from .errors import InputError as InputError
+from .errors import ProofError as ProofError
 from .errors import ShapeError as ShapeError
 from .errors import StepError as StepError
 from .errors import StructureError as StructureError
@@ -12,7 +13,9 @@ from .interop import from_control as from_control
 from .interop import from_scipy as from_scipy
 from .interop import to_control as to_control
 from .interop import to_scipy as to_scipy
+from .observers import Censored as Censored
 from .observers import Certified as Certified
+from .observers import Kalman as Kalman
 from .observers import Luenberger as Luenberger
 from .observers import Oracle as Oracle
 from .observers import Printed as Printed

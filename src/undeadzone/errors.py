@@ -27,3 +27,7 @@ class StepError(InputError):
 
 class FileError(InputError):
     """A file that cannot be read or written, or whose contents are not what they should be."""
+
+
+class ProofError(InputError):
+    """A stored proof that does not hold for what it is said to prove."""

@@ -147,6 +147,12 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
     return found
 
 
+def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
+    """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
+    params, step = observer.params, 1.0 if model.Ts is None else model.Ts
+    return (params.L / step, params.gamma / step) if hasattr(params, "L") and hasattr(params, "gamma") else None
+
+
 def require_observable_step(model: System, observer: Observer, step: float) -> None:
     """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
     gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)

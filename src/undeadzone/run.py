@@ -45,6 +45,8 @@ class Run:
 
     x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
     output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
+    x_std, d_std, width_std, innovation_std: standard deviations of x_hat, d_hat, d_r^ + d_l^ and innovation, where the
+    observer knows them.
     """
 
     t: Floats
@@ -61,6 +63,10 @@ class Run:
     r: Floats
     V: Floats | None
     info: Info
+    x_std: Floats | None = None
+    d_std: Floats | None = None
+    width_std: Floats | None = None
+    innovation_std: Floats | None = None
 
     @property
     def last(self) -> slice:
@@ -143,8 +149,8 @@ class Run:
                 continue
             if value.ndim == 1:
                 found[name] = value
-            elif name == "d_hat":
-                found |= {f"d_{edge}[{i // 2}]": value[:, i] for i in range(value.shape[1]) for edge in [("right", "left")[i % 2]]}
+            elif name in EDGES:
+                found |= {f"{EDGES[name][i % 2]}[{i // 2}]": value[:, i] for i in range(value.shape[1])}
             else:
                 found |= {f"{name}[{i}]": value[:, i] for i in range(value.shape[1])}
         return found
@@ -152,7 +158,7 @@ class Run:
     def unit(self, name: str) -> str:
         """The unit of a signal or of one of its columns."""
         units, (signal, _, index) = self.info.units, name.partition("[")
-        if signal in ("x", "x_hat"):
+        if signal in ("x", "x_hat", "x_std"):
             return units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
         return {"t": "s", "u": units.input, "side": "1", "V": "1"}.get(signal, units.output)
 
@@ -203,6 +209,7 @@ class Run:
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
+EDGES = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}  # names of columns
 
 
 def _read_csv(path: Path) -> dict[str, Any]:
@@ -216,9 +223,10 @@ def _read_csv(path: Path) -> dict[str, Any]:
     table = np.loadtxt(rows, delimiter=",", ndmin=2)
     columns = dict(zip(names, table.T, strict=True))
     fields: dict[str, Any] = {"info": info, "V": columns.get("V"), "t": columns["t"]}
-    for name in ARRAYS[1:-1]:
-        prefixes = ("d_right[", "d_left[") if name == "d_hat" else (f"{name}[",)
-        fields[name] = np.stack([column for key, column in columns.items() if key.startswith(prefixes)], axis=1)
+    for name in set(ARRAYS) - {"t", "V"}:
+        parts = [column for key, column in columns.items() if key.partition("[")[0] in EDGES.get(name, (name,))]
+        if parts or not name.endswith("_std"):
+            fields[name] = np.stack(parts, axis=1)
     return fields
 
 

@@ -19,7 +19,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.observers import ObserverOptions
 from undeadzone.plant import Plant
 from undeadzone.sensor import Sensor
-from undeadzone.signals import Disturbance, Samples, Signal
+from undeadzone.signals import Disturbance, Signal
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -98,11 +98,13 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except msgspec.ValidationError as error:
         raise InputError(_explain(str(error), data)) from None
-    return msgspec.structs.replace(scenario, reference=_anchor(scenario.reference, folder), disturbance=_anchor(scenario.disturbance, folder))
+    return msgspec.structs.replace(scenario, **{part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer")})
 
 
-def _anchor(signal: Any, folder: Path) -> Any:
-    return msgspec.structs.replace(signal, path=str(folder / signal.path)) if isinstance(signal, Samples) else signal
+def _anchor(part: Any, folder: Path) -> Any:
+    """The part with the file that it names, if any, taken from `folder`."""
+    paths = {name: str(folder / path) for name in ("path", "design") if (path := getattr(part, name, None)) is not None}
+    return msgspec.structs.replace(part, **paths) if paths else part
 
 
 def _require_finite(value: Any, key: str) -> None:

@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 
 from undeadzone import noise, signals, tree
-from undeadzone.arrays import Floats
+from undeadzone.arrays import Floats, vector
+from undeadzone.design.identifiability import unknown_bias, verdicts
 from undeadzone.design.passivity import Certificate, certify
-from undeadzone.design.structure import identifiable
+from undeadzone.design.schedule import recorded
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
 from undeadzone.feedforward import Target, inverted_targets, linear_targets
 from undeadzone.loop import Loop, Outputs, close
-from undeadzone.problem import Problem, resolve_scenario
+from undeadzone.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.run import Info, Run
 from undeadzone.scenario import Scenario
-from undeadzone.sensor import zone
 
 Engine = Literal["interpret", "lanes"]
 
@@ -58,7 +58,7 @@ def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[i
     if engine == "lanes":
         from undeadzone.engine import lanes
 
-        outputs = lanes.run(lanes.build(loop.step, width=8), state, exogenous, params, progress=progress)[0][0]
+        outputs = lanes.run(lanes.build(loop.step, width=1), state, exogenous, params, progress=progress)[0][0]
     elif engine == "interpret":
         outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
     else:
@@ -86,7 +86,7 @@ def _targets(problem: Problem, t: Floats) -> Target:
     if not problem.model.nonlinear:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
     eq = problem.scenario.plant.x_eq
-    start = np.zeros(problem.model.n) if eq is None else np.asarray(eq, float).ravel()
+    start = np.zeros(problem.model.n) if eq is None else vector("plant.x_eq", eq, problem.model.n)
     target = inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)
     if problem.model.Ts is not None:
         held = inverted_targets(problem.flow, problem.reference, problem.tracked, t + problem.model.Ts / 2, start)
@@ -114,17 +114,15 @@ def _difference(coarse: Outputs, fine: Outputs) -> float:
 
 def certificate(problem: Problem) -> Certificate | None:
     """The proof that V never rises, for observers with constant gains L, gamma on a linear model; else None."""
-    params, Ts = problem.observer.params, problem.model.Ts
-    if problem.model.nonlinear or not hasattr(params, "L") or not hasattr(params, "gamma"):
-        return None
-    per_second = 1.0 if Ts is None else 1.0 / Ts
-    return certify(problem.model.linear, params.L * per_second, params.gamma * per_second, Ts)
+    gains = constant_gains(problem.observer, problem.model)
+    return None if gains is None or problem.model.nonlinear else certify(problem.model.linear, *gains, problem.model.Ts)
 
 
 def _result(problem: Problem, signal: Outputs, error: float | None, began: float) -> Run:
     scenario = problem.scenario
     t = np.arange(problem.steps + 1) * scenario.simulation.step
-    d_hat = np.stack([signal.right, signal.left], axis=2).reshape(t.size, -1)
+    d_hat, d_std = (np.stack(pair, axis=2).reshape(t.size, -1) for pair in ((signal.right, signal.left), (signal.right_std, signal.left_std)))
+    stds = {"x_std": signal.x_std, "d_std": d_std, "width_std": signal.width_std, "innovation_std": signal.innovation_std}
     truth = np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
     proof = certificate(problem)
     V = None
@@ -132,15 +130,9 @@ def _result(problem: Problem, signal: Outputs, error: float | None, began: float
         # A width that is wrong and not adapted disturbs for ever: no V. A jump sensor's widths do not enter.
         d_error = truth - d_hat if problem.sensor.kind == "deadzone" else np.zeros_like(d_hat)
         adapted = np.repeat(problem.observer.params.gamma > 0, 2)
-        V = proof.value(signal.x - signal.x_hat, d_error) if (adapted | (d_error == 0)).all() else None
-    reached = zone(signal.z, problem.sensor.right, problem.sensor.left)
-    enough = problem.model.n + 1
-    verdicts = identifiable(
-        problem.model.linear,
-        list((reached > 0).sum(axis=0) >= enough),
-        list((reached < 0).sum(axis=0) >= enough),
-        problem.sensor.kind == "jump",
-    )
+        V = proof.V.value(signal.x - signal.x_hat, d_error) if (adapted | (d_error == 0)).all() else None
+    schedule = recorded(signal.z, problem.sensor, scenario.simulation.step, problem.model.Ts)
+    found = verdicts(problem.model.linear, schedule, unknown_bias(scenario.disturbance, problem.model.linear.B), problem.sensor.kind == "jump")
     return Run(
         t=t, x=signal.x, z=signal.z, y=signal.y, side=signal.side, x_hat=signal.x_hat, z_hat=signal.z_hat, d_hat=d_hat,
         z_inverse=signal.z_inverse, innovation=signal.innovation, u=signal.u,
@@ -155,8 +147,9 @@ def _result(problem: Problem, signal: Outputs, error: float | None, began: float
             threshold=problem.sensor.threshold.tolist(),
             certified=None if proof is None else proof.certified,
             integration_error=error,
-            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in verdicts],
+            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in found],
             seconds=time.perf_counter() - began,
             units=scenario.units,
         ),
+        **{name: value for name, value in stds.items() if value.size},
     )  # fmt: skip

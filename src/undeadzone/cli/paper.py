@@ -26,16 +26,19 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     if as_json:
         print_json(found.summary())
         return 0
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
     console = Console()
     summary = found.summary()
-    table = Table(title="The paper's claims")
-    for column in ("id", "claim", "measured", "verdict"):
-        table.add_column(column)
+    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("claim", "measured", "as printed", "repaired", "limit", "verdict"):
+        table.add_column(column, justify="right" if column in ("as printed", "repaired", "limit") else "left")
     for claim in summary["claims"]:
-        table.add_row(*(str(claim[key]) for key in ("id", "claim", "measured", "verdict")))
+        numbers = (_shown(claim[key]) for key in ("printed", "repaired", "limit"))
+        colour = {"holds": "green", "holds after repair": "yellow"}.get(claim["verdict"], "red")
+        table.add_row(claim["claim"], claim["quantity"], *numbers, f"[{colour}]{claim['verdict']}[/]")
     console.print(table)
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = {printed['max_abs_y']:g}: the sensor never speaks.")
@@ -46,3 +49,7 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     for path in written:
         console.print(f"wrote {path}", highlight=False)
     return 0
+
+
+def _shown(value: float | None) -> str:
+    return "diverges" if value is None else f"{value:.3g}"

@@ -61,6 +61,26 @@ class Dynamics(NamedTuple):
         return Inequality(self.A, np.hstack([-self.L, E]), supply, size, self.Ts, decay)
 
 
+class Storage(NamedTuple):
+    """V = x~'P x~ + d~'R d~ with P (n x n) and R = W Gamma^-1, W (p) once per edge."""
+
+    P: Floats
+    W: Floats
+    gamma: Floats
+
+    @property
+    def R(self) -> Floats:
+        """The weight (2p x 2p) of the width errors; 0 where a width is not adapted."""
+        adapted = np.ix_(*2 * (np.diag(self.gamma) > 0,))
+        R = np.zeros_like(self.gamma)
+        R[adapted] = np.linalg.inv(self.gamma[adapted])
+        return np.asarray(np.repeat(self.W, 2)[:, None] * R)
+
+    def value(self, x_error: Floats, d_error: Floats) -> Floats:
+        """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
+        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
+
+
 def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
     """The error dynamics of a model (n states, p outputs) for gains L (n x p) and gamma (see `adaptation`), both [1/s]."""
     n, p = linear.A.shape[0], linear.C.shape[0]

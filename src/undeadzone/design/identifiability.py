@@ -13,6 +13,8 @@ from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import delta, pattern
 from undeadzone.design.schedule import Schedule
 from undeadzone.plant import Matrices
+from undeadzone.scaling import sizes
+from undeadzone.signals import Disturbance, Step
 
 TOLERANCE = 1e-11  # of singular values of balanced, normalised matrices; the rounding of a sampled model comes on top
 PRESENT = 1e-7  # least component of a unit vector that counts
@@ -83,19 +85,18 @@ def invisible(linear: Matrices, visited: Floats, Ts: float | None = None, bias: 
     A, C = delta(linear, Ts), linear.C
     n, p = A.shape[0], C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
-    size = max(float(np.linalg.norm(A, 2)), 1e-300)
-    tolerance = TOLERANCE + (0.0 if Ts is None else 1e3 * np.finfo(float).eps / (Ts * size))
-    state = state_units(linear)
-    A, C, B = A / state[:, None] * state / size, C * state, B / state[:, None]
-    output, drive = np.linalg.norm(C, axis=1), np.maximum(np.linalg.norm(B, axis=0), 1e-300)
-    A, C, B = A / max(float(np.linalg.norm(A, 2)), 1e-300), C / output[:, None], B / drive
+    state = 1 / sizes(A.T, C.T)
+    A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
+    rate, output, drive = max(float(np.linalg.norm(A, 2)), 1e-300), np.linalg.norm(C, axis=1), np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    A, C, B = A / rate, C / output[:, None], B / drive
+    tolerance = TOLERANCE + (0.0 if Ts is None else 1e3 * np.finfo(float).eps / (Ts * rate))
     U = _unobservable(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
     rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ B])]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
         S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[1]))]))
-    return Invisible(_null(np.vstack(rows), tolerance), np.concatenate([state, np.repeat(output, 2), size / drive]), n)
+    return Invisible(_null(np.vstack(rows), tolerance), np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
 
 
 def verdicts(linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False) -> list[Verdict]:
@@ -123,6 +124,13 @@ def cures(linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump
     return found
 
 
+def unknown_bias(disturbance: Disturbance | None, B: Floats) -> Floats | None:
+    """The columns of B (n x b) on which a step or the offset of sines disturbs for ever, unknown to the observer; None if there is none."""
+    level = disturbance.amplitude if isinstance(disturbance, Step) else getattr(disturbance, "offset", 0.0)
+    biased = np.broadcast_to(np.asarray(level, float).ravel() != 0, B.shape[1:])
+    return B[:, biased] if biased.any() else None
+
+
 def _confounded(linear: Matrices, schedule: Schedule, bias: Floats | None, i: int) -> dict[str, str]:
     """Why widths of output i stay unknown although their sides are visited, and the remedy: {reason: remedy}."""
     visited = schedule.visited(linear.A.shape[0])
@@ -134,13 +142,11 @@ def _confounded(linear: Matrices, schedule: Schedule, bias: Floats | None, i: in
 
     if known(bias):
         return {}
-    if not known(None):
-        shift = "a shift of the state and of both edges changes no reading, only the width d_r + d_l can be known"
-        if len(edges) == 1:
-            shift = f"only the {edges[0]} side is read: a shift of the state and of that edge changes no reading"
-        return {f"A is singular (an integrator): {shift}": "let the plant pass a place where z is known"}
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
-    return {f"constant input bias: {what} and bias cannot be told apart": "calibrate the input"}
+    if known(None):
+        return {f"the centre is not identifiable: constant input bias, {what} and bias cannot be told apart": "calibrate the input"}
+    left = "only the width d_r + d_l can be known" if len(edges) == 2 else f"the {what} cannot be told from a shift of the state"
+    return {f"the centre is not identifiable: A is singular (an integrator), {left}": "let the plant pass a place where z is known"}
 
 
 def _unreached(schedule: Schedule, visited: Floats, i: int) -> list[str]:
@@ -167,17 +173,6 @@ def _reach(schedule: Schedule, i: int) -> Cure:
     if high - low >= right + left and abs(shift) < (factor - 1) * max(high - mean, mean - low) * (1 - 1e-9):
         return Cure(i, None, shift, f"shift output {i} by {shift:.4g}: it then reaches both edges")
     return Cure(i, factor, None, f"make the swing of output {i} about its mean, {mean:.4g}, {factor:.4g} times as large: it then reaches both edges")
-
-
-def state_units(linear: Matrices) -> Floats:
-    """Units of the states (n) in which A, B and C together have balanced rows and columns."""
-    from scipy.linalg import matrix_balance
-
-    A, B, C = (np.abs(M) for M in linear)
-    n = A.shape[0]
-    B, C = B / np.maximum(B.max(axis=0), 1e-300), C / np.maximum(C.max(axis=1, keepdims=True), 1e-300)
-    joined = np.block([[A, B.sum(axis=1)[:, None]], [C.sum(axis=0)[None], np.zeros((1, 1))]])
-    return np.asarray(matrix_balance(joined, permute=False, separate=True)[1][0][:n])
 
 
 def _unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:

@@ -12,7 +12,7 @@ from undeadzone.design.identifiability import DIRECTIONS, invisible
 from undeadzone.design.schedule import Schedule, merged
 from undeadzone.plant import Matrices
 
-EXACT = 1e-9  # of an edge: rms below which a reading counts as exact
+EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
 
 
 class Stretch(NamedTuple):

@@ -14,48 +14,44 @@ import numpy as np
 from undeadzone.arrays import Floats
 from undeadzone.design import frequency
 from undeadzone.design.dissipation import LEAST, Check, Inequality, check, optimise, storage
-from undeadzone.design.errordynamics import Dynamics, balance, delta, dynamics, growth
+from undeadzone.design.errordynamics import Dynamics, Storage, balance, delta, dynamics, growth
 from undeadzone.errors import StructureError
 from undeadzone.plant import Matrices
 
 
 class Certificate(NamedTuple):
-    """certified, or the reason why not; the proof P (n x n), W (p) for the error dynamics, and how it checked.
+    """certified, or the reason why not; the storage V that proves it for the error dynamics, and how it checked.
 
     margin: the largest m with Herm W (1 + G - Ts S Gamma S'/2) >= m W on the whole frequency axis, G = C (s - A)^-1 L,
     under the best W; for one output it is min Re (1 + G) - Ts gamma / 2. frequency: where it is attained [rad/s] (None:
-    several vertices, or none stable). Where not certified, P and W are the best that the solver found.
+    several vertices, or none stable). Where not certified, V is the best that the solver found.
     """
 
     certified: bool
     reason: str
     margin: float
     frequency: float | None
-    P: Floats
-    W: Floats
+    V: Storage
     dynamics: Dynamics
     check: Check
 
     @property
-    def R(self) -> Floats:
-        """The weight (2p x 2p) of the width errors in V, W Gamma^-1; 0 where a width is not adapted."""
-        return width_weight(self.dynamics.gamma, self.W)
+    def P(self) -> Floats:
+        """P (n x n) of V."""
+        return self.V.P
+
+    @property
+    def W(self) -> Floats:
+        """The weights (p) of V."""
+        return self.V.W
 
     def value(self, x_error: Floats, d_error: Floats) -> Floats:
         """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
-        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
+        return self.V.value(x_error, d_error)
 
     def recheck(self) -> Check:
         """Prove it again from P, W and the dynamics, by eigenvalues alone."""
         return recheck(self.dynamics, self.P, self.W)
-
-
-def width_weight(gamma: Floats, W: Floats) -> Floats:
-    """R = W Gamma^-1 (2p x 2p) on the widths that are adapted, 0 on the others."""
-    adapted = np.ix_(*2 * (np.diag(gamma) > 0,))
-    R = np.zeros_like(gamma)
-    R[adapted] = np.linalg.inv(gamma[adapted])
-    return np.asarray(np.repeat(W, 2)[:, None] * R)
 
 
 def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None) -> Certificate:
@@ -70,7 +66,7 @@ def certify_dynamics(given: Dynamics) -> Certificate:
     """`certify` for error dynamics, whose A may have several vertices: one P for all of them and what lies between."""
     trivial = np.eye(given.A[0].shape[0]), np.ones(given.C.shape[0])
     if reason := _unstable(given):
-        return Certificate(False, reason, -np.inf, None, *trivial, given, recheck(given, *trivial))
+        return Certificate(False, reason, -np.inf, None, Storage(*trivial, given.gamma), given, recheck(given, *trivial))
     scaling = balance(given)
     scaled = scaling.dynamics(given)
     W, least, w = _weights(scaled)
@@ -78,7 +74,7 @@ def certify_dynamics(given: Dynamics) -> Certificate:
     P, W = trivial if found is None else (scaling.storage(found), scaling.weights(W))
     proof = recheck(given, P, W)
     w = None if w is None else w / scaling.time
-    return Certificate(proof.proved, "" if proof.proved else _reason(given, least, w), least, w, P, W, given, proof)
+    return Certificate(proof.proved, "" if proof.proved else _reason(given, least, w), least, w, Storage(P, W, given.gamma), given, proof)
 
 
 def recheck(given: Dynamics, P: Floats, W: Floats) -> Check:
@@ -188,9 +184,8 @@ def _defective(A: Floats, Ts: float | None) -> bool:
 
 def _reason(given: Dynamics, least: float, w: float | None) -> str:
     if least > 0:
-        return f"the margin, {least:.3g}, is too small to be proved in floating point"
-    if least == -np.inf:
-        return "the vertices share no V at all, not even with L = 0"
+        return f"positive real with margin {least:.3g}, but the proof is lost in rounding: too small a margin, or too stiff a model for its scaling"
+    if w is None:
+        return f"the vertices share no V (largest margin found {least:.4g})"
     what = "1 + G" if given.Ts is None else "1 + G - Ts gamma / 2"
-    where = "for any P common to the vertices" if w is None else f"at {w:.4g} rad/s"
-    return f"{what} is not positive real: its least real part is {least:.4g} {where}"
+    return f"{what} is not positive real: its least real part is {least:.4g} at {w:.4g} rad/s"

@@ -38,6 +38,8 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
             K = np.linalg.solve(controllability.T, np.eye(n)[-1])[None, :] @ polynomial
         except np.linalg.LinAlgError:
             raise StructureError(f"{key}: the poles cannot be placed, the pair is uncontrollable") from None
+        if not np.isfinite(A - B @ K).all():
+            raise StructureError(f"{key}: the poles cannot be placed, their numbers and the plant's are too far apart")
     else:
         from scipy.signal import place_poles
 

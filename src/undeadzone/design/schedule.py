@@ -53,7 +53,7 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     Raises TrackingError where the reference cannot be followed, InputError for a nonlinear model with untracked outputs.
     """
     rows = output_map(model, reference, tracked)
-    levels = np.stack(edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold), axis=1)
+    levels = reading_levels(sensor)
     if model.Ts is not None:
         samples, periodic = _samples(reference.period, model.Ts, horizon)
         z = reference.state(np.arange(samples) * model.Ts) @ rows.T
@@ -69,12 +69,18 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     return Schedule(zone(z, *levels.T), np.diff(times), None, reference.period is not None, 0.0, low, mean, high, levels)
 
 
-def recorded(side: Floats, z: Floats, step: float, Ts: float | None, levels: Floats) -> Schedule:
-    """The schedule of a record: measured sides and true (or estimated) outputs (N x p each), `step` [s] apart.
+def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None, side: Floats | None = None) -> Schedule:
+    """The schedule of a record of outputs z (N x p), true or estimated, `step` [s] apart; side: the sides read (default: those of z).
 
     In continuous time (Ts None) a side is taken to change half way between two samples.
     """
-    return _from_samples(side, z, levels, step, Ts, False)
+    levels = reading_levels(sensor)
+    return _from_samples(zone(z, *levels.T) if side is None else side, z, levels, step, Ts, False)
+
+
+def reading_levels(sensor: Zone) -> Floats:
+    """(p x 2): a noise-free sensor reads right above levels[:, 0] and left below -levels[:, 1] of z."""
+    return np.stack(edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold), axis=1)
 
 
 def merged(schedule: Schedule) -> Schedule:
@@ -174,4 +180,5 @@ def _from_samples(side: Floats, z: Floats, levels: Floats, step: float, Ts: floa
     else:
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
     grain = step if Ts is None else 1.0
-    return Schedule(side[first], spans, Ts, periodic, grain, z.min(axis=0), z.mean(axis=0), z.max(axis=0), levels)
+    with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
+        return Schedule(side[first], spans, Ts, periodic, grain, z.min(axis=0), z.mean(axis=0), z.max(axis=0), levels)

@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.arrays import Floats
-from undeadzone.design.errordynamics import delta, growth
+from undeadzone.design.errordynamics import delta
 from undeadzone.design.floquet import NEUTRAL, TINY, error_matrices, product, transitions
 from undeadzone.design.gains import forced_mean_square, mean_squares
-from undeadzone.design.identifiability import cures, invisible, state_units
-from undeadzone.design.passivity import certify
+from undeadzone.design.identifiability import cures, invisible
 from undeadzone.design.schedule import Schedule, merged, planned
-from undeadzone.errors import InputError, StructureError
+from undeadzone.errors import InputError
 from undeadzone.feedforward import steady_state
 from undeadzone.plant import Matrices
 from undeadzone.problem import Problem
+from undeadzone.scaling import sizes
 
 PER_POLE = 25  # frequencies at which a candidate's margin is looked at, around each pole
 NUDGE = 1e-12  # of the schedule: the exosystem's state at a corner is that of the piece that follows
@@ -77,16 +77,11 @@ class Scores(NamedTuple):
 
 
 def make_task(problem: Problem, margin: float) -> Task:
-    """The design task of a scenario. Raises StructureError if no gains can be certified, InputError if there is nothing to plan on."""
+    """The design task of a linear, stable scenario whose gains need that margin. Raises InputError if there is nothing to plan on."""
     model, Ts = problem.model, problem.model.Ts
-    if model.nonlinear or problem.sensor.kind == "jump":
-        what = "plant: a nonlinear plant" if model.nonlinear else "sensor.kind: a jump sensor"
-        raise InputError(f"{what} has no automatic design; choose gains and judge them by simulation")
-    if growth(delta(model.linear, Ts), Ts) >= 0:
-        raise StructureError(f"plant: no gains can be certified: {certify(model.linear, np.zeros((model.n, model.p)), np.ones(model.p), Ts).reason}")
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
-    units = state_units(model.linear)
+    units = 1 / sizes(delta(model.linear, Ts).T, model.linear.C.T)
     linear, flow = (Matrices(A / units[:, None] * units, B / units[:, None], C * units) for A, B, C in (model.linear, problem.flow.linear))
     horizon = problem.scenario.simulation.duration
     whole = planned(model, problem.reference, problem.tracked, problem.sensor, horizon)

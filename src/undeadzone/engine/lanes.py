@@ -49,6 +49,7 @@ def build(
     """Compile next, out = step(s, w, p), or take it from disk if it was compiled before.
 
     exogenous, params: entries of w and p that differ from lane to lane; record: entries of out to keep (default: all);
+    width: 1 for a single run, a multiple of 16 (below that LLVM unrolls into scalar code) for many;
     fused: multiply and add with one rounding: faster, within rounding of CasADi's virtual machine where otherwise every
     bit agrees. Raises InputError for an entry that is not there and an instruction that cannot be compiled.
     """
@@ -68,14 +69,18 @@ def _source(step: ca.Function, kernel: Kernel, fused: bool) -> str:
     (s, w, p), statements, (following, recorded) = straight_line(graph, fused)
     width, lane_w, lane_p = kernel.width, kernel.exogenous, kernel.params
     in_block = [f"p{i} = params[{i}]" for i in p if i not in lane_p]
-    in_step = [f"w{i} = exogenous[k * {kernel.sizes[1]} + {i}]" for i in w if i not in lane_w]
+    in_step = [
+        *(f"w{i} = exogenous[k * {kernel.sizes[1]} + {i}]" for i in w if i not in lane_w),
+        _row("own", "lane_exogenous", len(lane_w) * width),
+        _row("out", "outputs", len(recorded) * width),
+    ]
     in_lane = [
         *(f"s{i} = states[{i * width} + j]" for i in s),
-        *(f"w{i} = lane_exogenous[(k * {len(lane_w)} + {lane_w.index(i)}) * {width} + j]" for i in w if i in lane_w),
+        *(f"w{i} = own[{lane_w.index(i) * width} + j]" for i in w if i in lane_w),
         *(f"p{i} = lane_params[{lane_p.index(i) * width} + j]" for i in p if i in lane_p),
         *statements,
         *(f"states[{i * width} + j] = {name}" for i, name in enumerate(following)),
-        *(f"outputs[(k * {len(recorded)} + {i}) * {width} + j] = {name}" for i, name in enumerate(recorded)),
+        *(f"out[{i * width} + j] = {name}" for i, name in enumerate(recorded)),
     ]
     return "\n".join(
         [
@@ -87,6 +92,11 @@ def _source(step: ca.Function, kernel: Kernel, fused: bool) -> str:
             *(f"            {line}" for line in in_lane),
         ]
     )
+
+
+def _row(name: str, array: str, size: int) -> str:
+    """The part of step k: of indices into it, unlike those that k multiplies, LLVM knows the sign, and so vectorises."""
+    return f"{name} = {array}[k * {size} : (k + 1) * {size}]"
 
 
 def run(

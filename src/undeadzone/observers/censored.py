@@ -21,7 +21,7 @@ class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong; sampled time.
 
     right, left, noise, x_std, drift: as for `Kalman`. disturbance: rms of a coloured input disturbance [u], one or one
-    per input, that keeps its sign for correlation_time [s] (default: the plant's time scale) and has no constant part
+    per input, that keeps its sign for correlation_time [s] (default: a quarter period of the plant) and has no constant part
     beyond washout_time [s] (default: 1.5 correlation_time). bias: rms of an unknown constant at the input [u].
     tolerance: relative rms error of the model: of every entry of A and B but in rows that only say x_i' = x_j, or of
     some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear plant. silence: false ignores the silent samples.
@@ -42,7 +42,8 @@ class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
         believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
-        assert model.Ts is not None and model.flow is not None
+        assert model.Ts is not None
+        assert model.flow is not None
         correlation = time_scale(model.flow) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
         washout = 1.5 * correlation if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
         rms, bias = (nonnegative(f"observer.{key}", getattr(self, key), model.m, "one per input") for key in ("disturbance", "bias"))
@@ -59,7 +60,7 @@ class BandPass(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Run-time numbers: F and Q of the disturbance, its variances (one per input that has any), `Tolerance.slopes`."""
+    """Run-time numbers: F, Q and variances of the disturbance, `Tolerance.slopes`, the state (n) at rest under each unit bias."""
 
     F: Floats
     Q: Floats
@@ -80,12 +81,12 @@ def band_pass(correlation: float, washout: float, Ts: float) -> BandPass:
 
 
 def time_scale(flow: Matrices) -> float:
-    """1 / |pole| [s], geometric mean over the poles that are not integrators. Raises InputError if all are."""
+    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators. Raises InputError if all are."""
     rates = np.abs(np.linalg.eigvals(flow.A))
     moving = rates[rates > 1e-6 * np.linalg.norm(flow.A, 2)]
     if not moving.size:
         raise InputError("observer.correlation_time: missing; a chain of integrators has no time scale of its own, give one in seconds")
-    return float(np.exp(-np.log(moving).mean()))
+    return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
 
 
 class Tolerance(NamedTuple):
@@ -100,6 +101,8 @@ class Tolerance(NamedTuple):
 
 def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
     """The uncertain entries of the plant's A and B, or its parameters. Raises InputError."""
+    assert model.Ts is not None
+    assert model.flow is not None
     n, m = model.n, model.m
     if model.nonlinear:
         if isinstance(given, dict):
@@ -135,24 +138,25 @@ def unknowns(model: System, band: BandPass, rms: Floats, bias: Floats, tolerance
     n, count = model.n, tolerance.std.size
     biased, shaken = (np.eye(model.m)[:, size > 0] for size in (bias, rms))
     ends = np.cumsum([0, biased.shape[1], 2 * shaken.shape[1], count]).tolist()
+    difference = np.kron([1.0, -1.0], np.eye(shaken.shape[1]))
     variance = rms[rms > 0] ** 2
+    # The tolerance acts on x less the rest that a bias leads to: else estimates of theta would seem to tell bias from centre.
+    rest = np.linalg.lstsq(np.eye(n) - model.linear.A, model.linear.B @ biased, rcond=None)[0]
 
     def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        constant, pair, theta = ca.vertsplit(extra, ends)
-        high, low = ca.vertsplit(pair, pair.shape[0] // 2) if pair.shape[0] else (pair, pair)
-        shaken_u = u + shaken @ (high - low)
-        full_u = shaken_u + biased @ constant
+        constant, low_pass, theta = ca.vertsplit(extra, ends)
+        moving = u + shaken @ difference @ low_pass
+        total = moving + biased @ constant
         if model.nonlinear:
-            after = model.move(q.model * (1 + theta) if count else q.model, x, full_u)
+            after = model.move(q.model * (1 + theta) if count else q.model, x, total)
         else:
-            moving = ca.vertcat(x - q.extension.rest @ constant, shaken_u)
-            after = model.move(q.model, x, full_u) + ca.reshape(q.extension.slopes @ moving, n, count) @ theta
-        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ pair, theta)
+            regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
+            after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
+        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ low_pass, theta)
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         static = [ca.SX(size, size) for size in (biased.shape[1], count)]
         return ca.SX(n, n), ca.diagcat(static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1])
 
     cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(band.cov, np.diag(variance)), np.diag(tolerance.std**2))
-    rest = np.linalg.lstsq(np.eye(n) - model.linear.A, model.linear.B @ biased, rcond=None)[0]
     return Extension(Numbers(band.F, band.Q, variance, tolerance.slopes, rest), cov, move, noise)

@@ -19,21 +19,28 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Measured-side adaptive observer; replaces (16)-(25).
 
     L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a stable plant. gamma: adaptation
-    gain [1/s], one or one per output. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side, the estimates
+    gain [1/s], one or one per output, default 1. design: a file saved by `Design.save`, in place of L and gamma; its proof
+    is checked again for the model. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side, the estimates
     are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
     so that the integration error falls as h^2 only). Gains are continuous-time ones in either time.
     """
 
     L: Array | None = None
-    gamma: Array = 1.0
+    gamma: Array | None = None
+    design: str | None = None
     widths0: Array = 0.0
     width_max: Array = 1e3
     silence: bool = False
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, ShapeError."""
+        """The observer for a model, continuous or sampled. Raises InputError, ShapeError; ProofError for a design that does not hold."""
         p = model.p
-        gamma, limit = vector("observer.gamma", self.gamma, p, "one per output"), vector("observer.width_max", self.width_max, p, "one per output")
+        given = (self.L, 1.0 if self.gamma is None else self.gamma)
+        if self.design is not None:
+            if self.L is not None or self.gamma is not None:
+                raise InputError("observer.design: it brings L and gamma; give either the design or these")
+            given = _designed(self.design, model)
+        gamma, limit = vector("observer.gamma", given[1], p, "one per output"), vector("observer.width_max", self.width_max, p, "one per output")
         if (gamma < 0).any():
             raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
         if (limit <= 0).any():
@@ -41,7 +48,15 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         widths = pairs("observer.widths0", self.widths0, p)
         if (widths < 0).any() or (widths > limit[:, None]).any():
             raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
-        return measured_side(model, sensor, gains(self.L, model), gamma, widths, limit, self.silence)
+        return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence)
+
+
+def _designed(path: str, model: System) -> tuple[Floats, Floats]:
+    from undeadzone.design.design import Design
+
+    found = Design.load(path)
+    found.require_proof(model.linear, model.Ts, f"observer.design: {path}")
+    return found.L, found.gamma
 
 
 class Params(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -128,7 +129,7 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
     def init(q: Params) -> State:
         return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p))
 
-    def beyond(q: Params, X: Any, i: int, side: Any) -> Any:
+    def beyond(q: Params, i: int, side: Any, X: Any) -> Any:
         """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
         return model.output(q.model, X[:n])[i] - offset(side, X[n + i], X[n + p + i])
 
@@ -137,7 +138,7 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
         innovations, stds = [], []
         for i in range(p):
             active = side[i] != 0
-            expected, h = linearise(lambda X, i=i: beyond(q, X, i, 0 if jump else side[i]), belief.mean)
+            expected, h = linearise(partial(beyond, q, i, 0.0 if jump else side[i]), belief.mean)
             e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
             belief, S = update(belief, h, e, q.R[i], active)
             innovations.append(e)
@@ -146,15 +147,14 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
 
     def hear(q: Params, belief: Gaussian, quiet: Any, side: Any, wait: Any) -> tuple[Gaussian, Any]:
         """(belief, steps to wait) given that z is inside the edges of a silent sensor, and of a jump sensor beyond the edge that it is on."""
-        waits = []
+        waits: list[Any] = []
         for edge in (RIGHT, LEFT):
             for i in range(p):
                 outside = (side[i] == edge) if jump else 0.0
                 told = ca.logic_and(ca.logic_or(quiet[i], outside), wait[len(waits)] <= 0)
-                inward = edge * (1 - 2 * outside)
-                excess, h = linearise(lambda X, i=i, edge=edge, inward=inward: inward * beyond(q, X, i, edge), belief.mean)
-                slack = ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0)
-                belief, used = cut(belief, h, excess - slack, q.R[i], told, DOUBT)
+                excess, h = linearise(partial(beyond, q, i, edge), belief.mean)
+                sign, slack = edge * (1 - 2 * outside), ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0)
+                belief, used = cut(belief, sign * h, sign * excess - slack, q.R[i], told, DOUBT)
                 waits.append(ca.if_else(used, lasting, wait[len(waits)] - 1))
         return belief, ca.vertcat(*waits)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from undeadzone.observers.printed import STAND_INS
 from undeadzone.paper.equations import EQUATIONS, FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING
 from undeadzone.paper.example import AMPLITUDES, READINGS
@@ -103,6 +104,8 @@ def _as_printed(paper: Paper) -> list[Html]:
         ),
         table(("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge"), counts),
         paragraph("Variants " + DEFINITION + ". Some of those with unity DC gain are at the brink: their counts change by two with the step.", "note"),
+        paragraph("The least that makes the printed equations agree in shape:"),
+        table(("equation", "stand-in"), [*STAND_INS.items(), ("(30) P", "the scalar C P C' stands for the n x n matrix beside the scalar y~")]),
         folded(
             f"The {len(leaving)} variants that leave the zone from rest",
             table(("plant", "start", "L", "B u", "sigma", "PD sign", "d_l sign", "max |z|, last 4 s", "peak |z|", "diverged at [s]"), leaving),
