@@ -84,7 +84,7 @@ def test_weight_of_a_number_is_a_multiple_of_the_identity() -> None:
     ("Q", "error", "words"),
     [
         ([[1.0, 2.0], [0.0, 1.0]], InputError, "controller.Q: must be symmetric"),
-        ([[1.0, 0.0], [0.0, -1.0]], InputError, "positive definite, found eigenvalues"),
+        ([[1.0, 0.0], [0.0, -1.0]], InputError, "controller.Q: must be positive definite, its least eigenvalue is -1"),
         (0.0, InputError, "positive definite"),
         ([[1.0]], ShapeError, "controller.Q: expected a 2 x 2 matrix"),
         (float("inf"), InputError, "controller.Q: every number must be finite"),

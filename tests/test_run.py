@@ -133,7 +133,7 @@ def test_nothing_is_left_of_a_file_that_cannot_be_finished(run: Run, tmp_path: P
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", stop)
-    with pytest.raises(FileError, match="run.npz: cannot write: No space left on device"):
+    with pytest.raises(FileError, match=r"run.npz: cannot write: No space left on device"):
         run.save(path)
     assert os.listdir(tmp_path) == ["run.npz"]
     assert same(Run.load(path), run)

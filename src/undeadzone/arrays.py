@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def matrix(key: str, value: Any, rows: int | None = None, columns: int | None = 
     if found.ndim != 2 or rows not in (None, shape[0]) or columns not in (None, shape[1]) or 0 in shape:
         exact = f"a {rows} x {columns} matrix" if rows and columns else f"a matrix with {rows} rows" if rows else f"a matrix with {columns} columns"
         want = exact if rows or columns else "a matrix (a list of rows)"
-        have = " x ".join(map(str, shape)) if found.ndim == 2 else f"a list of {shape[0]} numbers"
+        have = f"a list of {shape[0]} number{'s' * (shape[0] != 1)}" if found.ndim == 1 else " x ".join(map(str, shape))
         raise ShapeError(f"{key}: expected {want}{why and ' (' + why + ')'}, found {have}")
     return found
 
@@ -83,7 +84,14 @@ def series(key: str, value: Any) -> Floats:
     found = array(key, value)
     if found.size == 0:
         raise ShapeError(f"{key}: expected at least one number, found none")
-    return vector(key, found, found.size)
+    if found.ndim > 2 or (found.ndim == 2 and 1 not in found.shape):
+        raise ShapeError(f"{key}: expected a list of numbers, found {' x '.join(map(str, found.shape))}")
+    return found.ravel()
+
+
+def listed(numbers: Iterable[complex]) -> str:
+    """Numbers, complex ones perhaps, as text: -1, -2+3j."""
+    return ", ".join(f"{s.real:.4g}{s.imag:+.4g}j" if s.imag else f"{s.real:.4g}" for s in numbers)
 
 
 def scalar(key: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:

@@ -26,12 +26,12 @@ _CONSTANTS = {"pi": math.pi}
 def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
     """The value of formula `text` with `names` bound; only arithmetic and elementary functions. Raises InputError."""
 
-    def fail(what: str) -> InputError:
-        return InputError(f"{key}: {what} in formula {text!r:.80}")
+    def fail(what: str, advice: str = "") -> InputError:
+        return InputError(f"{key}: {what} in formula {text!r:.80}{advice}")
 
     def unknown(name: str, known: list[str]) -> InputError:
         near = difflib.get_close_matches(name, known, 1)
-        return fail(f"unknown name {name!r}" + (f" (did you mean {near[0]!r}?)" if near else f"; known: {', '.join(known)}"))
+        return fail(f"unknown name {name!r}", f"; did you mean {near[0]!r}?" if near else f"; known names: {', '.join(known)}")
 
     def value(node: ast.expr) -> Any:
         found = compute(node)
@@ -55,7 +55,7 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
                 if name not in _FUNCTIONS:
                     raise unknown(name, list(_FUNCTIONS))
                 return _FUNCTIONS[name](*map(value, args))
-        raise fail(f"only numbers, names, + - * / ** and elementary functions are allowed, found {ast.unparse(node)!r:.80}")
+        raise fail(f"found {ast.unparse(node)!r:.80}", "; only numbers, names, + - * / ** and elementary functions are allowed")
 
     try:
         return value(ast.parse(text.strip(), mode="eval").body)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
+from undeadzone.arrays import Floats, listed
 from undeadzone.errors import TrackingError
 from undeadzone.plant import Matrices, System
 from undeadzone.scaling import sizes
@@ -80,7 +80,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         s = _blocking(linear, S)
         if model.Ts is not None:
             s = np.log(1 + s * model.Ts) / model.Ts
-        where = f"{s.real:.4g}{s.imag:+.4g}j" if abs(s.imag) > 1e-12 else f"{s.real:.4g}"
+        where = listed([complex(round(s.real, 9), round(s.imag, 9))])
         raise TrackingError(
             f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on the reference's spectrum "
             f"(regulator equations, residual {residual:.1g}); change the frequency or the tracked outputs"
@@ -134,6 +134,6 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
     for k, row in enumerate(goals):
         guess = np.asarray(solve(guess, row)).ravel()
         if not np.isfinite(guess).all() or not solve.stats()["success"]:
-            raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {t[k]:.4g} s (Newton's method finds no state and input)")
+            raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {round(t[k], 6):g} s (Newton's method finds no state and input)")
         found[k] = guess
     return Target(exo.value(t), found[:, : model.n], found[:, model.n :])

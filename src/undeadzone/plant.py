@@ -228,9 +228,9 @@ def _nonlinear(plant: Plant, key: str) -> System:
             bound = scope(params, x)
             return ca.vertcat(*(expression.evaluate(f"{key}.h[{i}]", text, bound) for i, text in enumerate(plant.h)))
 
-    params = np.array([plant.parameters[name] for name in names], float)
-    x_eq = np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n)
-    u_eq = np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m)
+    params = np.array([scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names])
+    x_eq = np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n, "one per state")
+    u_eq = np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m, "one per input")
     linear = _linearise(key, move, output, params, x_eq, u_eq)
     return System(params, move, output, linear, nonlinear=True)
 
@@ -242,7 +242,7 @@ def _linearise(key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u
         raise ShapeError(f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {dx.shape[0]} x {dx.shape[1]}")
     jacobians = ca.Function("jacobians", [x, u], [ca.jacobian(dx, x), ca.jacobian(dx, u), ca.jacobian(z, x)])
     found = Matrices(*(np.asarray(value.full()) for value in jacobians(x_eq, u_eq)))
-    if not all(np.isfinite(value).all() for value in found):
+    if not all((np.abs(value) < LARGEST**2).all() for value in found):
         raise InputError(f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)")
     return found
 

@@ -150,7 +150,8 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
 def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
     """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
     params, step = observer.params, 1.0 if model.Ts is None else model.Ts
-    return (params.L / step, params.gamma / step) if hasattr(params, "L") and hasattr(params, "gamma") else None
+    constant = hasattr(params, "L") and hasattr(params, "gamma") and params.law is None
+    return (params.L / step, params.gamma / step) if constant else None
 
 
 def require_observable_step(model: System, observer: Observer, step: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.arrays import Floats
+from undeadzone.arrays import LARGEST, Floats
 
 
 def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
@@ -15,4 +15,7 @@ def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
     """
     rate = omega or float(np.abs(np.linalg.eigvals(A)).max()) or float(np.abs(A).max()) or 1.0
     found = np.linalg.norm(np.linalg.solve((1 + 1j) * rate * np.eye(A.shape[0]) - A, B.astype(complex)), axis=1)
-    return np.where(found > 0, found, found[found > 0].min(initial=np.inf) if found.any() else 1.0)
+    if not (np.isfinite(found).all() and found.any()):
+        return np.ones_like(found)
+    reached = np.maximum(found, found.max() / LARGEST**2)
+    return np.where(found > 0, reached, reached[found > 0].min())

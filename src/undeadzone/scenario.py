@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
-import re
 import tomllib
-import typing
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +13,7 @@ import msgspec
 from undeadzone.arrays import Array, decode
 from undeadzone.controllers import ControllerOptions
 from undeadzone.errors import FileError, InputError
+from undeadzone.explain import explain
 from undeadzone.observers import ObserverOptions
 from undeadzone.plant import Plant
 from undeadzone.sensor import Sensor
@@ -79,6 +77,8 @@ def read(path: str | os.PathLike[str]) -> Scenario:
         raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text") from None
+    except ValueError as error:
+        raise FileError(f"{path}: cannot read: {error}") from None
     return parse(text, Path(path).parent)
 
 
@@ -86,18 +86,22 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
     """The scenario in a TOML text; paths in it are relative to `folder`. Raises InputError."""
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except RecursionError:
+        raise InputError("not valid TOML: nested too deeply") from None
+    except ValueError as error:
         raise InputError(f"not valid TOML: {error}") from None
     return convert(data, folder)
 
 
 def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
     """The scenario in a dictionary as TOML gives it. Raises InputError."""
-    _require_finite(data, "")
     try:
+        _require_finite(data, "")
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
+    except RecursionError:
+        raise InputError("the tables are nested too deeply for a scenario") from None
     except msgspec.ValidationError as error:
-        raise InputError(_explain(str(error), data)) from None
+        raise InputError(explain(str(error), data, Scenario)) from None
     return msgspec.structs.replace(scenario, **{part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer")})
 
 
@@ -117,65 +121,4 @@ def _require_finite(value: Any, key: str) -> None:
     elif isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{key}: must be a finite number, found {value}")
     elif isinstance(value, int) and abs(value) >= 2**63:
-        raise InputError(f"{key}: the number is too large")
-
-
-def _explain(message: str, data: dict[str, Any]) -> str:
-    """msgspec's message with the key first, and a suggestion where a key or choice is unknown."""
-    body, _, path = message.partition(" - at `$")
-    key = path.rstrip("`").lstrip(".")
-    prefix = f"{key}: " if key else ""
-    if found := re.match(r"Object contains unknown field `(.*)`", body):
-        name, known = found[1], _fields(key, data)
-        near = difflib.get_close_matches(name, known, 1)
-        advice = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(known))}"
-        return f"{key + '.' if key else ''}{name}: unknown key; {advice}"
-    if found := re.match(r"Object missing required field `(.*)`", body):
-        choices = f" (one of {', '.join(_tags(key))})" if found[1] in ("kind", "method") and _tags(key) else ""
-        return f"{key + '.' if key else ''}{found[1]}: missing; this key is required{choices}"
-    if (found := re.match(r"Invalid value '(.*)'", body)) and _tags(key.rpartition(".")[0]):
-        known = _tags(key.rpartition(".")[0])
-        near = difflib.get_close_matches(found[1], known, 1)
-        advice = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
-        return f"{prefix}unknown choice {found[1]!r}; {advice}"
-    words = {
-        "`object`": "a table",
-        "`array`": "a list",
-        "`float`": "a number",
-        "`int`": "a whole number",
-        "`str`": "text",
-        "`bool`": "true or false",
-        "`null`": "nothing",
-    }
-    for word, plain in words.items():
-        body = body.replace(word, plain)
-    return prefix + body[:1].lower() + body[1:]
-
-
-def _structs(annotation: Any) -> list[type[msgspec.Struct]]:
-    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
-        return [annotation]
-    return [found for part in typing.get_args(annotation) for found in _structs(part)]
-
-
-def _at(key: str) -> list[type[msgspec.Struct]]:
-    """The structs that may stand at a dotted key."""
-    here: list[type[msgspec.Struct]] = [Scenario]
-    for part in filter(None, re.split(r"[.\[]", re.sub(r"\[[^\]]*\]", "", key))):
-        here = [found for struct in here for found in _structs(typing.get_type_hints(struct).get(part))]
-    return here
-
-
-def _tags(key: str) -> list[str]:
-    return [str(struct.__struct_config__.tag) for struct in _at(key) if struct.__struct_config__.tag is not None]
-
-
-def _fields(key: str, data: dict[str, Any]) -> list[str]:
-    """Keys known at a dotted key, of the variant that the data choose where there are several."""
-    here: Any = data
-    for part in filter(None, re.findall(r"[^.\[\]]+", key)):
-        here = here[int(part)] if isinstance(here, list) and part.isdigit() else here.get(part, {}) if isinstance(here, dict) else {}
-    structs = _at(key)
-    chosen = [s for s in structs if isinstance(here, dict) and s.__struct_config__.tag in (here.get("kind"), here.get("method"))] or structs
-    names = [field for struct in chosen for field in struct.__struct_fields__]
-    return names + [str(s.__struct_config__.tag_field) for s in chosen if s.__struct_config__.tag is not None]
+        raise InputError(f"{key}: the whole number is too large")

@@ -130,7 +130,7 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
 
     def state(t: Floats) -> Floats:
         angle = np.outer(t, rates)
-        pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, -1)
+        pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, 2 * rates.size)
         return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
 
     return Exosystem(S, np.stack(gains, axis=1), state, _common_period([tone.frequency for tone in tones]))
@@ -152,7 +152,7 @@ def _piecewise(derivatives: Callable[[Floats], Floats], channels: int) -> Exosys
     return Exosystem(
         np.kron(np.eye(order, k=1), identity),
         np.kron(np.eye(order)[:1], identity),
-        lambda t: derivatives(t).reshape(t.size, -1),
+        lambda t: derivatives(t).reshape(t.size, order * channels),
     )
 
 

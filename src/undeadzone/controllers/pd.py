@@ -37,7 +37,7 @@ class PD(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         if self.k_p is None or self.k_d is None:
             K = self._riccati_gains(model)
         else:
-            K = np.stack([vector(f"controller.{name}", getattr(self, name), model.p) for name in ("k_p", "k_d")])
+            K = np.stack([vector(f"controller.{name}", getattr(self, name), model.p, "one per output") for name in ("k_p", "k_d")])
         rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)
         keep = 0.0 if model.Ts is None else 1.0
 

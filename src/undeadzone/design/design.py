@@ -12,15 +12,15 @@ import msgspec
 import numpy as np
 
 from undeadzone import toml
-from undeadzone.arrays import Floats
+from undeadzone.arrays import Floats, matrix, vector
 from undeadzone.controllers import StateFeedback
 from undeadzone.design.errordynamics import dynamics
 from undeadzone.design.floquet import rates
-from undeadzone.design.identifiability import DIRECTIONS, cures, unknown_bias, verdicts
+from undeadzone.design.identifiability import DIRECTIONS, cures, invisible, unknown_bias, verdicts
 from undeadzone.design.information import deviations
 from undeadzone.design.passivity import certify, recheck
 from undeadzone.design.schedule import Schedule, planned, recorded
-from undeadzone.design.synthesis import ROUNDS, STARTS, Candidate, Weights, assess, balanced, fastest
+from undeadzone.design.synthesis import RATE, ROUNDS, STARTS, Candidate, Weights, assess, balanced, fastest
 from undeadzone.design.task import make_task
 from undeadzone.errors import FileError, InputError, ProofError, StructureError
 from undeadzone.files import replacing
@@ -60,9 +60,10 @@ class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Gains for a model A, B, C (of one step if Ts [s] is set), and the proof P, W that V never rises.
 
-    chosen: how (rate, knee, or the weights); margin, frequency [rad/s]: of the proof; best: L, gamma and what they are
-    worth; present: the scenario's own gains, if they are certified; K: the state feedback it was planned with; identifiable: per output;
-    never: errors that no gains can remove; front: the trade, by falling rate; remarks: what could not be had.
+    chosen: how (rate, knee, or the weights); K: the state feedback it was planned with; margin, frequency [rad/s]: of the
+    proof; best: L, gamma and what they are worth; present: the scenario's own gains, if they are certified; identifiable:
+    per output; states: which are determined; never: errors that no gains can remove; front: the trade, by falling rate;
+    remarks: what could not be had.
     """
 
     title: str
@@ -78,6 +79,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     margin: float
     frequency: float | None = None
     never: list[str]
+    states: list[bool]
     remarks: list[str]
     best: Point
     present: Point | None = None
@@ -87,23 +89,25 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def model(self) -> Matrices:
         """A, B, C as arrays."""
-        return Matrices(*(np.array(M) for M in (self.A, self.B, self.C)))
+        n = len(self.A)
+        return Matrices(matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n))
 
     @property
     def L(self) -> Floats:
         """Observer gains (n x p) [1/s]."""
-        return np.array(self.best.L)
+        return matrix("best.L", self.best.L, len(self.A), len(self.C))
 
     @property
     def gamma(self) -> Floats:
         """Adaptation gains (p) [1/s]."""
-        return np.array(self.best.gamma)
+        return vector("best.gamma", self.best.gamma, len(self.C))
 
     def require_proof(self, model: Matrices, Ts: float | None, what: str) -> None:
         """Prove the gains again for a model from P and W, by eigenvalues alone. Raises ProofError."""
-        if model.C.shape != (len(self.C), len(self.P)):
-            raise ProofError(f"{what}: the design is for {len(self.P)} states and {len(self.C)} outputs, the model has {model.C.shape[1]} and {model.C.shape[0]}")
-        found = recheck(dynamics(model, self.L, self.gamma, Ts), np.array(self.P), np.array(self.W))
+        n, p = len(self.A), len(self.C)
+        if model.C.shape != (p, n):
+            raise ProofError(f"{what}: the design is for {n} states and {p} outputs, the model has {model.C.shape[1]} and {model.C.shape[0]}")
+        found = recheck(dynamics(model, self.L, self.gamma, Ts), matrix("P", self.P, n, n), vector("W", self.W, p))
         if not found.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality {found.lmi:.3g}, least of P {found.P:.3g}; "
@@ -119,7 +123,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
-        """Read a design and prove it again. Raises FileError, or ProofError if the proof does not hold for its own model."""
+        """Read a design and prove it again. Raises FileError, ShapeError, or ProofError if the proof does not hold for its own model."""
         try:
             with open(path, "rb") as file:
                 found = msgspec.convert(tomllib.load(file), cls)
@@ -160,12 +164,12 @@ def design(
     if maximise == "knee":
         found = balanced(task, linear, before, seed, progress)
     else:
-        found = fastest(task, linear, maximise if isinstance(maximise, Weights) else Weights(), seed, progress)
+        found = fastest(task, linear, maximise if isinstance(maximise, Weights) else RATE, seed, progress)
     proof = found.certificate
     schedule = task.whole
     return Design(
         title=scenario.title,
-        chosen=maximise if isinstance(maximise, str) else f"rate / (disturbance^{maximise.disturbance:g} mismatch^{maximise.mismatch:g} noise^{maximise.noise:g})",
+        chosen=maximise if isinstance(maximise, str) else "rate / (" + " ".join(f"{name}^{power:g}" for name, power in maximise._asdict().items()) + ")",
         seed=seed,
         Ts=problem.model.Ts,
         A=linear.A.tolist(),
@@ -177,6 +181,7 @@ def design(
         margin=proof.margin,
         frequency=proof.frequency,
         never=list(rates(linear, found.best.L, found.best.gamma, schedule).never),
+        states=determined(problem, schedule),
         remarks=list(found.remarks),
         best=_point(found.best),
         present=None if before is None else _point(before),
@@ -194,12 +199,14 @@ def check(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
 
     certified (null where the method has no constant gains), margin, frequency [rad/s]; rate [1/s], time_constant [s],
-    never; identifiable {right, left, width, centre}, std of the same; reasons for every 'no', cures.
+    never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same [z];
+    reasons for every 'no', cures.
     """
     problem = resolve_scenario(scenario)
     schedule = plan(problem)
     known = knowledge(problem, schedule)
-    summary: dict[str, Any] = {"title": scenario.title, "certified": None, "margin": None, "frequency": None, "rate": None, "time_constant": None, "never": []}
+    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "rate", "time_constant"))
+    summary = {"title": scenario.title, **absent, "never": [], "states": determined(problem, schedule)}
     reasons = []
     gains = constant_gains(problem.observer, problem.model)
     if gains is None or problem.model.nonlinear:
@@ -216,7 +223,7 @@ def check(scenario: Scenario) -> dict[str, Any]:
             "time_constant": speed.time_constant,
             "never": list(speed.never),
         }
-        reasons += [f"not certified: {proof.reason}"] * (not proof.certified)
+        reasons += [f"not certified: {proof.reason}"] * (not proof.certified) + ["the error grows along the reference"] * (speed.rate < 0)
     several = len(known) > 1
     identifiable = [{name: getattr(k, name) for name in DIRECTIONS} for k in known]
     std = [{name: finite(value) for name, value in k.std.items()} for k in known]
@@ -259,6 +266,14 @@ def knowledge(problem: Problem, schedule: Schedule) -> list[Known]:
         Known(**verdict._asdict() | {"reasons": list(verdict.reasons)}, cures=[cure.text for cure in help_ if cure.output == i], std=std[i])
         for i, verdict in enumerate(found)
     ]
+
+
+def determined(problem: Problem, schedule: Schedule) -> list[bool]:
+    """Which states the readings along a schedule determine."""
+    linear = problem.model.linear
+    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    hidden = invisible(linear, schedule.visited(problem.model.n), schedule.Ts, bias, problem.sensor.kind == "jump")
+    return [hidden.state(i) for i in range(problem.model.n)]
 
 
 def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -110,9 +110,7 @@ def optimise(
         at = _affine([family(q).transformed(T, inverse) for q in (np.zeros(cost.size), *np.eye(cost.size))])
         scales = [np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(n))]
 
-        def blocks(
-            x: Floats, at: Callable[[Floats], Inequality] = at, inverse: Floats = inverse, scales: list[Floats] = scales
-        ) -> list[Floats]:
+        def blocks(x: Floats, at: Callable[[Floats], Inequality] = at, inverse: Floats = inverse, scales: list[Any] = scales) -> list[Floats]:
             local, q = symmetric(x[:entries], n), x[entries : entries + cost.size]
             found = []
             for M, scale in zip(at(q).matrices(local), scales, strict=True):

@@ -8,12 +8,15 @@ pattern, and the share theta of the innovation that the silence innovation leave
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import Dynamics, Storage, growth, pattern
+from undeadzone.design.floquet import exponential, power
+from undeadzone.errors import InputError
 
 ROUNDING = 1e-9  # of V: what V may rise by in one switch before it counts
 
@@ -57,39 +60,31 @@ def falsify(given: Dynamics, V: Storage, trajectories: int = 100_000, switches: 
     """
     rng = np.random.default_rng(seed)
     modes = _library(given, rng, library)
-    forward, back = _square_root(V)
-    maps = np.stack([forward @ _transition(given, mode) @ back for mode in modes])
-    worst = np.linalg.svd(maps)[2][:, 0]
+    kept, forward, back = _square_root(V)
+    maps = _transitions(given, modes, lambda F: forward @ F[np.ix_(kept, kept)] @ back)
     groups = 200
     size = -(-trajectories // groups)
     states = rng.normal(size=(groups, size, len(forward))) * 10 ** rng.uniform(-1, 1, (groups, size, len(forward)))
-    states[:, 0] = worst[rng.integers(len(modes), size=groups)]
+    states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(modes), size=groups), 0]
     states /= np.linalg.norm(states, axis=2, keepdims=True)
-    adversarial = groups // 20
-    best = (-np.inf, states[0, 0], modes[0])
-    log = np.zeros((groups, size))
-    for k in range(switches):
-        choice = rng.integers(len(modes), size=groups)
-        following = np.matmul(states, maps[choice].transpose(0, 2, 1))
-        lengths = np.einsum("gij,gij->gi", following, following)
+    rise, start, mode, log = -np.inf, states[0, 0], modes[0], np.zeros((groups, size))
+    for _ in range(switches):
+        taken = np.repeat(rng.integers(len(modes), size=groups)[:, None], size, axis=1)
+        following = states @ maps[taken[:, 0]].transpose(0, 2, 1)
         offered = rng.choice(len(modes), min(24, len(modes)), replace=False)
-        for g in range(adversarial):
-            tried = np.matmul(states[g], maps[offered].transpose(0, 2, 1))
-            gains = np.einsum("mij,mij->mi", tried, tried)
-            pick = np.argmax(gains, axis=0)
-            following[g], lengths[g] = tried[pick, np.arange(size)], gains[pick, np.arange(size)]
-            if gains.max() - 1 > best[0]:
-                m, i = np.unravel_index(np.argmax(gains), gains.shape)
-                best = (float(gains[m, i] - 1), states[g, i].copy(), modes[offered[m]])
-        at = np.unravel_index(np.argmax(lengths[adversarial:]), (groups - adversarial, size))
-        if lengths[adversarial:][at] - 1 > best[0]:
-            g = at[0] + adversarial
-            best = (float(lengths[g, at[1]] - 1), states[g, at[1]].copy(), modes[choice[g]])
+        for g in range(groups // 20):
+            tried = states[g] @ maps[offered].transpose(0, 2, 1)
+            pick = np.argmax(np.einsum("mij,mij->mi", tried, tried), axis=0)
+            following[g], taken[g] = tried[pick, np.arange(size)], offered[pick]
+        lengths = np.einsum("gij,gij->gi", following, following)
+        at = np.unravel_index(np.argmax(lengths), lengths.shape)
+        if lengths[at] - 1 > rise:
+            rise, start, mode = float(lengths[at] - 1), states[at], modes[taken[at]]
         log += np.log(np.maximum(lengths, 1e-300))
-        gone = lengths < 1e-200
-        states = following / np.sqrt(np.where(gone, 1.0, lengths))[..., None]
-    rise, start, mode = best
-    return Attack(rise > ROUNDING, rise, back @ start, mode, float(np.exp(min(log.max(), 700.0))), groups * size)
+        states = following / np.sqrt(np.maximum(lengths, 1e-300))[..., None]
+    errors = np.zeros(kept.size)
+    errors[kept] = back @ start
+    return Attack(rise > ROUNDING, rise, errors, mode, float(np.exp(min(log.max(), 700.0))), groups * size)
 
 
 def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
@@ -101,7 +96,7 @@ def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
     rng = np.random.default_rng(seed)
     modes = _library(given, rng, 120)
-    maps = np.stack([_transition(given, mode) for mode in modes])
+    maps = _transitions(given, modes)
     times = np.array([mode.seconds for mode in modes])
 
     def rate(maps: Floats, times: Floats) -> float:
@@ -117,7 +112,7 @@ def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
     def growth_rate(logs: Floats) -> float:
         cycle = timed(logs)
-        return rate(np.stack([_transition(given, mode) for mode in cycle]), np.array([mode.seconds for mode in cycle]))
+        return rate(_transitions(given, cycle), np.array([mode.seconds for mode in cycle]))
 
     logs = np.log(times[chosen])
     if given.Ts is None:
@@ -137,14 +132,13 @@ def generator(given: Dynamics, mode: Mode) -> Floats:
     return np.asarray(free + np.vstack([-given.L, given.gamma @ mode.S.T]) @ innovation)
 
 
-def _transition(given: Dynamics, mode: Mode) -> Floats:
-    """The map of [x~; d~] over the mode's time, exactly; over its whole number of samples if sampled."""
-    F = generator(given, mode)
-    if given.Ts is not None:
-        return np.asarray(np.linalg.matrix_power(np.eye(len(F)) + given.Ts * F, round(mode.seconds / given.Ts)))
-    from scipy.linalg import expm
-
-    return np.asarray(expm(F * mode.seconds))
+def _transitions(given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = lambda F: F) -> Floats:
+    """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled), in coordinates where F is moved(F)."""
+    F = np.stack([moved(generator(given, mode)) for mode in modes])
+    seconds = np.array([mode.seconds for mode in modes])
+    if given.Ts is None:
+        return exponential(F * seconds[:, None, None])
+    return power(np.eye(F.shape[-1]) + given.Ts * F, np.round(seconds / given.Ts).astype(int))
 
 
 def _library(given: Dynamics, rng: np.random.Generator, count: int) -> list[Mode]:
@@ -165,12 +159,14 @@ def _library(given: Dynamics, rng: np.random.Generator, count: int) -> list[Mode
     return found
 
 
-def _square_root(V: Storage) -> tuple[Floats, Floats]:
-    """T with V = |T [x~; d~]|^2, and its inverse; a width without weight keeps its own length."""
-    n, widths = len(V.P), len(V.R)
-    R = V.R.copy()
-    unweighted = np.diag(R) <= 0
-    R[unweighted, unweighted] = 1.0
-    T = np.zeros((n + widths, n + widths))
-    T[:n, :n], T[n:, n:] = np.linalg.cholesky(V.P).T, np.linalg.cholesky(R).T
-    return T, np.linalg.inv(T)
+def _square_root(V: Storage) -> tuple[np.ndarray, Floats, Floats]:
+    """(which of [x~; d~] V sees, T with V = |T [x~; d~]|^2 on these, its inverse); a width that V does not see is known.
+
+    Raises InputError where P is not positive definite.
+    """
+    n, seen = len(V.P), np.diag(V.R) > 0
+    if not np.linalg.eigvalsh(V.P)[0] > 0:
+        raise InputError("V: its P is not positive definite, there is nothing to break")
+    T = np.zeros((n + seen.sum(), n + seen.sum()))
+    T[:n, :n], T[n:, n:] = np.linalg.cholesky(V.P).T, np.linalg.cholesky(V.R[np.ix_(seen, seen)]).T
+    return np.concatenate([np.ones(n, bool), seen]), T, np.linalg.inv(T)

@@ -21,7 +21,7 @@ class Rates(NamedTuple):
     """The Floquet multipliers of the error over one pass of a schedule, and what they say.
 
     rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable directions keep on the unit circle
-    are set apart; time_constant: 1 / rate [s], inf where the error does not die. logs: logarithms of the multipliers,
+    are set apart; time_constant: 1 / rate [s], inf where the error does not die (rate -inf: it grows beyond all numbers). logs: logarithms of the multipliers,
     by falling real part; slow (n + 2p, m): what dies last, in (x~, [d~_r, d~_l] per output), largest entry 1; never: the
     unidentifiable states and widths, whose errors stay; period: T [s]; periodic: whether the schedule repeats by itself;
     gain: the largest factor by which one pass can multiply an error, in balanced units.
@@ -50,7 +50,11 @@ def rates(linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: 
     hidden = invisible(linear, schedule.visited(), schedule.Ts, jump=jump).within(part)
     units = hidden.scale[part]
     F, _ = error_matrices(given.A[0], given.C, given.L, given.gamma, schedule.sides)
-    M, size = product(transitions(F[:, part][:, :, part] * units / units[:, None], schedule))
+    with np.errstate(over="ignore", invalid="ignore"):
+        M, size = product(transitions(F[:, part][:, :, part] * units / units[:, None], schedule))
+    T = schedule.duration
+    if not np.isfinite(M).all():
+        return Rates(-np.inf, np.inf, np.array([np.inf]), np.zeros((part.size, 0)), (), T, schedule.periodic, np.inf)
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [hidden.basis.shape[1]], axis=1)
 
     multipliers, kept = np.linalg.eig(U.T @ M @ U)
@@ -62,7 +66,6 @@ def rates(linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: 
     slowest = np.flatnonzero(logs.real > logs.real.max(initial=-np.inf) - 1e-7)
     slow = np.zeros((part.size, slowest.size))
     slow[part] = np.where(logs[slowest].imag < 0, ways[:, slowest].imag, ways[:, slowest].real)
-    T = schedule.duration
     rate = -float(logs.real.max()) / T if logs.size else 0.0
     return Rates(
         rate,
@@ -114,15 +117,15 @@ def product(factors: Floats) -> tuple[Floats, Floats]:
 
 
 def exponential(X: Floats) -> Floats:
-    """e^X of many small matrices (..., N, N) at once, by scaling, Taylor's series and squaring."""
-    norm = float(np.abs(X).sum(axis=-1).max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(max(norm, TINY) * 8))))
-    X = X / 2**halvings
+    """e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series and squaring."""
+    norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
+    halvings = np.ceil(np.log2(np.maximum(8 * norm, 1.0))).astype(int)
+    X = X / (2.0**halvings)[:, None, None]
     identity = np.eye(X.shape[-1])
     E = identity + X / TERMS
     for k in range(TERMS - 1, 0, -1):
         E = identity + X @ E / k
-    return power(E, np.full(E.shape[-3], 2**halvings))
+    return power(E, 2**halvings)
 
 
 def power(X: Floats, times: Floats) -> Floats:

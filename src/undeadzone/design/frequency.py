@@ -61,7 +61,7 @@ def worst(G: Response) -> Worst:
     n, p = A.shape[0], D.shape[0]
     poles = np.linalg.eigvals(A)
     best = _least(G, np.concatenate([[0.0, np.inf], np.abs(poles), np.abs(poles.imag)]))
-    size = max(np.linalg.norm(D), 1.0)
+    size = max(float(np.linalg.norm(D)), 1.0)
     zero = np.zeros((n, n))
     while True:
         level = best.value - TOLERANCE * size
@@ -76,8 +76,8 @@ def worst(G: Response) -> Worst:
 
 def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
     """Eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
-    corner = pencil[n:, n:]
-    if np.linalg.cond(corner) < 1e6:
+    corner, size = pencil[n:, n:], np.linalg.norm(pencil[:n, :n])
+    if np.linalg.norm(pencil[:n, n:]) * np.linalg.norm(pencil[n:, :n]) < 1e4 * size * np.linalg.svd(corner, compute_uv=False)[-1]:
         return np.linalg.eigvals(pencil[:n, :n] - pencil[:n, n:] @ np.linalg.solve(corner, pencil[n:, :n]))
     from scipy.linalg import eigvals
 

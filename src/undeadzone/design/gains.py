@@ -33,7 +33,7 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
         identity = np.broadcast_to(np.eye(F.shape[-1]), F.shape)
         return _power(Span(identity + schedule.Ts * F, np.broadcast_to(H, F.shape), 0 * F, np.ones((F.shape[-3], 1, 1))), schedule.spans.astype(int))
     norm = np.abs(F).sum(axis=-1).max(axis=-1).reshape(-1, F.shape[-3]).max(axis=0)
-    halvings = np.maximum(0, np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0)))).astype(int)
+    halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     Phi, power = np.eye(F.shape[-1]) + 0 * F, np.eye(F.shape[-1]) + 0 * F
     G, GG, term = 0 * F, 0 * F, H + 0 * F
@@ -129,4 +129,3 @@ def _whole(Phi: Floats) -> Floats:
 
 def _t(M: Floats) -> Floats:
     return np.swapaxes(M, -1, -2)
-

@@ -31,14 +31,14 @@ class Invisible(NamedTuple):
 
     def state(self, i: int) -> bool:
         """Whether state i is determined nevertheless."""
-        return not (np.abs(self.basis[i]) > PRESENT).any()
+        return not bool((np.abs(self.basis[i]) > PRESENT).any())
 
     def width(self, i: int, name: str) -> bool:
         """Whether `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l of output i is determined nevertheless."""
         first = self.n + 2 * i
-        return not (np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > PRESENT).any()
+        return not bool((np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > PRESENT).any())
 
-    def within(self, part: Floats) -> Invisible:
+    def within(self, part: np.ndarray) -> Invisible:
         """Those that leave every unknown outside `part` (bool) as it is."""
         return self._replace(basis=self.basis @ _null(self.basis[~part], PRESENT))
 
@@ -75,7 +75,7 @@ class Cure(NamedTuple):
     text: str
 
 
-def invisible(linear: Matrices, visited: Floats, Ts: float | None = None, bias: Floats | None = None, jump: bool = False) -> Invisible:
+def invisible(linear: Matrices, visited: np.ndarray, Ts: float | None = None, bias: Floats | None = None, jump: bool = False) -> Invisible:
     """The changes of [x(0); d; beta] that no reading shows, given which [right, left] sides are visited (p x 2, bool).
 
     They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is the subspace that the
@@ -87,9 +87,9 @@ def invisible(linear: Matrices, visited: Floats, Ts: float | None = None, bias: 
     B = np.zeros((n, 0)) if bias is None else bias
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
-    rate, output, drive = max(float(np.linalg.norm(A, 2)), 1e-300), np.linalg.norm(C, axis=1), np.maximum(np.linalg.norm(B, axis=0), 1e-300)
-    A, C, B = A / rate, C / output[:, None], B / drive
-    tolerance = TOLERANCE + (0.0 if Ts is None else 1e3 * np.finfo(float).eps / (Ts * rate))
+    rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
+    rate, output, drive = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300), np.linalg.norm(C, axis=1), np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    A, C, B, tolerance = A / rate, C / output[:, None], B / drive, TOLERANCE + rounding / rate
     U = _unobservable(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
     rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ B])]
@@ -105,10 +105,8 @@ def verdicts(linear: Matrices, schedule: Schedule, bias: Floats | None = None, j
     if jump:
         return [Verdict(bool(r), bool(l), bool(r and l), bool(r and l), tuple(_unreached(schedule, visited, i))) for i, (r, l) in enumerate(visited)]
     hidden = invisible(linear, visited, schedule.Ts, bias)
-    return [
-        Verdict(**{name: hidden.width(i, name) for name in DIRECTIONS}, reasons=tuple([*_unreached(schedule, visited, i), *_confounded(linear, schedule, bias, i)]))
-        for i in range(visited.shape[0])
-    ]
+    reasons = [(*_unreached(schedule, visited, i), *_confounded(linear, schedule, bias, i)) for i in range(visited.shape[0])]
+    return [Verdict(**{name: hidden.width(i, name) for name in DIRECTIONS}, reasons=why) for i, why in enumerate(reasons)]
 
 
 def cures(linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False) -> list[Cure]:
@@ -149,7 +147,7 @@ def _confounded(linear: Matrices, schedule: Schedule, bias: Floats | None, i: in
     return {f"the centre is not identifiable: A is singular (an integrator), {left}": "let the plant pass a place where z is known"}
 
 
-def _unreached(schedule: Schedule, visited: Floats, i: int) -> list[str]:
+def _unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     reasons = []
     for name, edge, seen, room, peak, level, word in (
         ("right", "d_r", visited[i, 0], schedule.levels[i, 0] - schedule.high[i], schedule.high[i], schedule.levels[i, 0], "below"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.design.dissipation import LEAST
-from undeadzone.design.errordynamics import Dynamics, balance, delta, dynamics
+from undeadzone.design.errordynamics import Dynamics, balance, dynamics
 from undeadzone.design.frequency import response, worst
 from undeadzone.design.passivity import Certificate, certify_dynamics
 from undeadzone.design.semidefinite import minimise, symmetric
@@ -18,19 +18,19 @@ from undeadzone.plant import Matrices
 
 class Nearest(NamedTuple):
     """The nearest gains' certificate (its dynamics hold L and gamma), and how far they are: the norm of the change of
-    W^(1/2) G (energy of its impulse response) over that of W^(1/2) G itself, a number that no change of coordinates alters."""
+    W^(1/2) G W^(-1/2) (energy of its impulse response) over that of itself, a number that no change of coordinates alters."""
 
     certificate: Certificate
     distance: float
 
 
-def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01, rounds: int = 3) -> Nearest:
+def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01) -> Nearest:
     """The gains nearest to L (n x p) whose margin is `least` or more; L itself if it has that.
 
-    For one output the admissible L are an intersection of half-spaces, one per frequency, so that the nearest is unique
-    and is found by adding the exact worst frequency again and again; for several outputs it is nearest for the weights
-    W that suit it best (alternated `rounds` times). Sampled, Gamma is first scaled down so that no Ts gamma exceeds 1.
-    Raises StructureError for a model that no gain can certify.
+    With the weights W that suit L best, the admissible gains are an intersection of half-spaces, one per frequency and
+    direction, so that the nearest is unique; it is found by adding the exact worst frequency again and again. If it
+    cannot be proved in floating point it is drawn towards L = 0. Sampled, Gamma is first scaled down so that no Ts
+    gamma exceeds 1. Raises StructureError for a model that no gain can certify.
     """
     given = dynamics(linear, L, gamma, Ts)
     if given.Ts is not None:
@@ -38,15 +38,16 @@ def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None,
     certificate = certify_dynamics(given)
     if certificate.margin == -np.inf:
         raise StructureError(f"observer.L: no gains can be certified: {certificate.reason}")
-    distance = 0.0
-    for _ in range(rounds):
-        if distance == 0.0 and certificate.certified and certificate.margin >= least:
+    if certificate.certified and certificate.margin >= least:
+        return Nearest(certificate, 0.0)
+    W, found = certificate.W, _project(given, certificate.W, least)
+    for share in (1.0, 0.99, 0.9, 0.5, 0.1, 0.0):
+        certificate = certify_dynamics(given._replace(L=share * found), W)
+        if certificate.certified and certificate.margin >= least:
             break
-        found, distance = _project(given, certificate.W, least)
-        certificate = certify_dynamics(given._replace(L=found))
-        if certificate.W.size == 1:
-            break
-    return Nearest(certificate, distance)
+    shape = _metric(given, W)
+    change, size = (float(np.linalg.norm(shape.T @ (gains / np.sqrt(W)))) for gains in (given.L - share * found, given.L))
+    return Nearest(certificate, change / size)
 
 
 def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e-4) -> float:
@@ -71,36 +72,48 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
     return low / scaling.time
 
 
-def _project(given: Dynamics, W: Floats, least: float) -> tuple[Floats, float]:
-    """(L nearest to the given one whose margin under W is `least`, relative distance): least-distance cutting planes."""
+def _project(given: Dynamics, W: Floats, least: float) -> Floats:
+    """L nearest to the given one whose margin under W is `least`: least-distance cutting planes."""
     (A,), C, start, _, Ts = given
     root = np.sqrt(W)
     observed = C * root[:, None]
-    values, vectors = np.linalg.eigh(_gramian(A, observed, Ts))
-    shape = vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))  # |shape' dL|_F is the distance
-    inward = vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    inward = np.linalg.inv(_metric(given, W)).T
     target = start / root  # L in units where W = 1
-    L, normals, levels = target, [], []
+    L, seen, normals, levels = target, [set[float]() for _ in given.steps], np.zeros((0, target.size)), np.zeros(0)
     for _ in range(200):
-        cuts = []
-        for step in given.steps:
+        done = True
+        for step, frequencies in zip(given.steps, seen, strict=True):
             D = np.eye(root.size) - step / 2
             G = response(A, observed, L, D, Ts)
             found = worst(G)
-            if found.value < least:
-                row = found.direction.conj() @ observed @ _resolvent(A, found.w, Ts)
-                normal = np.real(row[:, None] * found.direction[None, :])
-                floor = least * (1 + 1e-3) - float(np.real(found.direction.conj() @ D @ found.direction))
-                cuts.append((inward.T @ normal, floor - float((normal * target).sum())))
-        if not cuts:
+            done &= found.value >= least
+            frequencies.add(found.w)
+            at = np.array([*frequencies])
+            for w, values, directions in zip(at, *np.linalg.eigh(G.at(at)), strict=True):
+                rows = observed @ _resolvent(A, w, Ts)
+                for v in directions.T[values < least]:
+                    slope = np.real((v.conj() @ rows)[:, None] * v)
+                    normals = np.vstack([normals, (inward.T @ slope).ravel()])
+                    levels = np.append(levels, least * (1 + 1e-3) - np.real(v.conj() @ D @ v) - (slope * target).sum())
+        if done:
             break
-        for normal, level in cuts:
-            normals.append(normal.ravel())
-            levels.append(level)
-        move = _least_distance(np.array(normals), np.array(levels)).reshape(target.shape)
-        L = target + inward @ move
-    change = np.linalg.norm(shape.T @ (L - target)) / max(np.linalg.norm(shape.T @ target), 1e-300)
-    return L * root, float(change)
+        move, active = _least_distance(normals, levels)
+        normals, levels = normals[active], levels[active]
+        L = target + inward @ move.reshape(target.shape)
+    return np.asarray(L * root)
+
+
+def _metric(given: Dynamics, W: Floats) -> Floats:
+    """M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W: M M' is the observability Gramian.
+
+    Directions that are hardly observable are given a least weight, so that M can be inverted.
+    """
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    (A,), C, Ts = given.A, given.C * np.sqrt(W)[:, None], given.Ts
+    Q = solve_continuous_lyapunov(A.T, -C.T @ C) if Ts is None else solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
+    values, vectors = np.linalg.eigh(Q)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 
 
 def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
@@ -111,23 +124,18 @@ def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
     return np.linalg.inv(s * np.eye(A.shape[0]) - A)
 
 
-def _gramian(A: Floats, C: Floats, Ts: float | None) -> Floats:
-    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
-
-    if Ts is None:
-        return np.asarray(solve_continuous_lyapunov(A.T, -C.T @ C))
-    return np.asarray(solve_discrete_lyapunov((np.eye(A.shape[0]) + Ts * A).T, Ts * C.T @ C))
-
-
-def _least_distance(G: Floats, h: Floats) -> Floats:
-    """The shortest x with G x >= h (Lawson and Hanson 1974, chapter 23)."""
+def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
+    """(the shortest x with G x >= h, which rows hold it): Lawson and Hanson 1974, chapter 23."""
     from scipy.optimize import nnls
 
     size = np.linalg.norm(G, axis=1)
-    E = np.vstack([(G / size[:, None]).T, h / size])
-    u, _ = nnls(E, np.append(np.zeros(G.shape[1]), 1.0))
-    r = E @ u - np.append(np.zeros(G.shape[1]), 1.0)
-    return np.asarray(-r[:-1] / r[-1])
+    levels = h / size
+    scale = np.abs(levels).max()
+    E = np.vstack([(G / size[:, None]).T, levels / scale])
+    target = np.append(np.zeros(G.shape[1]), 1.0)
+    u, _ = nnls(E, target)
+    r = E @ u - target
+    return -r[:-1] / r[-1] * scale, u > 0
 
 
 def _decays(given: Dynamics, rate: float) -> bool:

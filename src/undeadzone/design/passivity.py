@@ -62,14 +62,17 @@ def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None)
     return certify_dynamics(dynamics(linear, L, gamma, Ts))
 
 
-def certify_dynamics(given: Dynamics) -> Certificate:
-    """`certify` for error dynamics, whose A may have several vertices: one P for all of them and what lies between."""
+def certify_dynamics(given: Dynamics, W: Floats | None = None) -> Certificate:
+    """`certify` for error dynamics, whose A may have several vertices: one P for all of them and what lies between.
+
+    W (p): weights to be used instead of the best, for dynamics with one A.
+    """
     trivial = np.eye(given.A[0].shape[0]), np.ones(given.C.shape[0])
     if reason := _unstable(given):
         return Certificate(False, reason, -np.inf, None, Storage(*trivial, given.gamma), given, recheck(given, *trivial))
     scaling = balance(given)
     scaled = scaling.dynamics(given)
-    W, least, w = _weights(scaled)
+    W, least, w = _weights(scaled) if W is None else (W * scaling.output**2, *margin(scaled, W * scaling.output**2))
     found = storage(scaled.inequality(W))
     P, W = trivial if found is None else (scaling.storage(found), scaling.weights(W))
     proof = recheck(given, P, W)
@@ -118,7 +121,8 @@ def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's iteration, one LMI a step.
     """
     exact = len(given.A) == 1
-    W, (best, w) = np.ones(given.C.shape[0]), margin(given, np.ones(given.C.shape[0])) if exact else (-np.inf, None)
+    W: Floats = np.ones(given.C.shape[0])
+    best, w = margin(given, W) if exact else (-np.inf, None)
     if exact and given.groups.shape[1] == 1:
         return W, best, w
     shift = best if exact else 0.0
@@ -156,7 +160,7 @@ def _deepest(given: Dynamics, shift: float) -> tuple[Floats, float] | None:
 def _unstable(given: Dynamics) -> str:
     """Why no V can exist whatever the gains, or an empty string."""
     fastest, k = max((growth(A, given.Ts), k) for k, A in enumerate(given.A))
-    size = np.linalg.norm(given.A[k], 2)
+    size = float(np.linalg.norm(given.A[k], 2))
     where = "" if len(given.A) == 1 else f" (vertex {k})"
     if fastest > 1e-9 * size:
         return f"the model is unstable{where}, growth rate {fastest:.4g} 1/s: while the sensor is silent nothing holds the error, so no common V exists"
@@ -164,15 +168,15 @@ def _unstable(given: Dynamics) -> str:
         return ""
     if _defective(given.A[k], given.Ts):
         return f"the model has a chain of integrators or a repeated undamped mode{where}: while the sensor is silent the error grows, so no common V exists"
-    return (
-        f"the model is only marginally stable{where} (an integrator or an undamped mode): while the sensor is silent the error stays, "
-        "so no strict V exists; the error can be kept bounded, but of the widths only their sum can be known"
-    )
+    what, then = "undamped mode", "the error can be kept bounded"
+    if np.linalg.svd(given.A[k], compute_uv=False)[-1] < 1e-9 * size or size == 0:
+        what, then = "integrator", "the error can be kept bounded, but of the widths only their sum can be known"
+    return f"the model is only marginally stable{where} (an {what}): while the sensor is silent the error stays, so no strict V exists; {then}"
 
 
 def _defective(A: Floats, Ts: float | None) -> bool:
     """Whether an eigenvalue on the stability boundary has fewer eigenvectors than its multiplicity."""
-    poles, size = np.linalg.eigvals(A), max(np.linalg.norm(A, 2), 1e-300)
+    poles, size = np.linalg.eigvals(A), max(float(np.linalg.norm(A, 2)), 1e-300)
     decay = np.abs(poles.real) if Ts is None else np.abs(np.abs(1 + Ts * poles) - 1) / Ts
     for s in poles[decay < 1e-6 * size]:
         multiplicity = (np.abs(poles - s) < 1e-4 * size).sum()

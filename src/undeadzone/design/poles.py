@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, array
+from undeadzone.arrays import Array, Floats, array, listed
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plant import Matrices
 
@@ -20,7 +20,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
         many = "s" * (n != 1)
         raise ShapeError(f"{key}: expected {n} pole{many} (one per state; complex ones as [real, imaginary]), found {' x '.join(map(str, found.shape))}")
     if not np.allclose(np.sort_complex(found), np.sort_complex(found.conj())):
-        raise InputError(f"{key}: complex poles must come in conjugate pairs, found {found.tolist()}")
+        raise InputError(f"{key}: complex poles must come in conjugate pairs, found {listed(found)}")
     return found
 
 

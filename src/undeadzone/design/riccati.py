@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from undeadzone.arrays import Array, Floats, array, matrix
+from undeadzone.arrays import Array, Floats, array, listed, matrix
 from undeadzone.errors import InputError, StructureError
 from undeadzone.plant import Matrices
 
 
 class Riccati(NamedTuple):
-    """P (n x n), K = alpha B'P (m x n), and the relative residual of the equation."""
+    """P (n x n), the gain K (m x n), and the residual of the equation relative to its terms."""
 
     P: Floats
     K: Floats
@@ -24,19 +24,60 @@ def weight(key: str, Q: Array, n: int) -> Floats:
     """Q as a symmetric positive definite n x n matrix; a number q means q I. Raises InputError, ShapeError."""
     found = array(key, Q)
     found = float(found) * np.eye(n) if found.ndim == 0 else matrix(key, found, n, n, "states x states")
-    if not np.allclose(found, found.T) or np.linalg.eigvalsh(found)[0] <= 0:
-        raise InputError(f"{key}: must be symmetric and positive definite, found eigenvalues {np.linalg.eigvals(found).round(6).tolist()}")
+    if not np.allclose(found, found.T):
+        raise InputError(f"{key}: must be symmetric")
+    if (least := np.linalg.eigvalsh(found)[0]) <= 0:
+        raise InputError(f"{key}: must be positive definite, its least eigenvalue is {least:.4g}")
     return found
 
 
-def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
-    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), with whatever stands for A. Raises StructureError if none is found."""
+def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
+    """The stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P, for any number of inputs.
+
+    Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is improved by Newton's
+    method (Kleinman 1968; Hewer 1971) for as long as the residual falls. Raises StructureError if there is none.
+    """
+    A, B = (np.asarray(M, float) for M in linear[:2])
+    Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
     try:
-        P = linalg.solve_continuous_are(A, B, Q, np.eye(B.shape[1]) / (2 * alpha))
+        P = linalg.solve_continuous_are(A, B, Q, R) if Ts is None else linalg.solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise StructureError(f"the Riccati equation (34) has no stabilising solution here: {error}") from None
-    left = A.T @ P + P @ A - 2 * alpha * P @ B @ B.T @ P
-    return Riccati(P, alpha * B.T @ P, float(np.linalg.norm(left + Q) / max(np.linalg.norm(Q), np.linalg.norm(A.T @ P))))
+        name = "Riccati equation" if Ts is None else "discrete Riccati equation"
+        raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
+
+    def judge(P: Floats) -> tuple[float, Floats, Floats]:
+        """(relative residual, residual, K)."""
+        if Ts is None:
+            K = np.linalg.solve(R, B.T @ P)
+            terms = (A.T @ P, P @ A, -K.T @ R @ K, Q)
+        else:
+            K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+            terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
+        off = sum(terms[1:], terms[0])
+        return float(np.linalg.norm(off) / max(sum(np.linalg.norm(term) for term in terms), 1e-300)), off, K
+
+    relative, off, K = judge(P)
+    for _ in range(10):
+        if relative == 0 or not _stable(np.linalg.eigvals(A - B @ K), Ts):
+            break
+        trial = P + _lyapunov(A - B @ K, off, Ts)
+        judged = judge((trial + trial.T) / 2)
+        if not judged[0] < relative / 2:
+            break
+        P, (relative, off, K) = (trial + trial.T) / 2, judged
+    return Riccati(P, K, relative)
+
+
+def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
+    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), with whatever stands for A (A - L C as printed), and K = alpha B'P.
+
+    Raises StructureError if none is found.
+    """
+    try:
+        found = riccati(Matrices(A, B, np.zeros((0, len(A)))), Q, np.eye(B.shape[1]) / (2 * alpha))
+    except StructureError as error:
+        raise StructureError(str(error).replace("equation", "equation (34)", 1)) from None
+    return found._replace(K=alpha * B.T @ found.P)
 
 
 def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
@@ -48,12 +89,7 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
     A, B, _ = linear
     if Ts is None:
         return paper_riccati(A, B, alpha, Q).K
-    R = np.eye(B.shape[1]) * Ts / (2 * alpha)
-    try:
-        P = linalg.solve_discrete_are(A, B, Q * Ts, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise StructureError(f"the discrete Riccati equation has no stabilising solution here: {error}") from None
-    K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) / 2
+    K = riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
     radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
     if radius >= 1:
         raise StructureError(f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius {radius:.4g}); use a smaller step or poles")
@@ -64,6 +100,14 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
     """P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form. Raises StructureError if A - BK is not stable."""
     closed = linear.A - linear.B @ K
     poles = np.linalg.eigvals(closed)
-    if (poles.real.max() >= 0) if Ts is None else (np.abs(poles).max() >= 1):
-        raise StructureError(f"controller: A - BK is not stable, its poles are {poles.round(4).tolist()}")
-    return np.asarray(linalg.solve_continuous_lyapunov(closed.T, -Q) if Ts is None else linalg.solve_discrete_lyapunov(closed.T, Q))
+    if not _stable(poles, Ts):
+        raise StructureError(f"controller: A - BK is not stable, its poles are {listed(poles)}")
+    return _lyapunov(closed, Q, Ts)
+
+
+def _stable(poles: np.ndarray, Ts: float | None) -> bool:
+    return bool((poles.real.max() < 0) if Ts is None else (np.abs(poles).max() < 1))
+
+
+def _lyapunov(A: Floats, Q: Floats, Ts: float | None) -> Floats:
+    return np.asarray(linalg.solve_continuous_lyapunov(A.T, -Q) if Ts is None else linalg.solve_discrete_lyapunov(A.T, Q))

@@ -70,7 +70,7 @@ def l2_gain(given: Dynamics, E: Floats | None = None, noise: Floats | None = Non
         return Gain(np.inf, np.inf, _nothing(given), UNPROVED)
     V = Storage(size**2 * scaling.storage(found.P), size**2 * scaling.weights(given.groups @ found.q[:groups]), given.gamma)
     gains = iter(np.sqrt(found.q[groups:]) * sizes * size)
-    disturbance, noisy = (0.0 if given is None else float(next(gains)) for given in (E, noise))
+    disturbance, noisy = (0.0 if signal is None else float(next(gains)) for signal in (E, noise))
     return Gain(disturbance, noisy, V, check(family(found.q), found.P))
 
 
@@ -87,24 +87,25 @@ def certified_radius(given: Dynamics, E: Floats, F: Floats) -> float:
 def sector(given: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) -> Sector:
     """Whether one V falls for x' = A x + B u + G phi(H x), phi known, each phi_i with slopes in [low_i, high_i] (k numbers).
 
-    phi(H x) - phi(H x^) = w with (w - low h)(high h - w) >= 0, h = H x~; a multiplier per component, so that it is
-    sharper than `certified_radius` with the largest |slope|.
+    phi(H x) - phi(H x^) = (centre + w) H x~ componentwise with |w| <= radius; a multiplier for each component, so that it
+    is sharper than `certified_radius` with the largest |slope|, and A alone need not be stable.
     """
     n, k = np.shape(G)
     H, low, high = matrix("H", H, k, n), vector("low", low, k), vector("high", high, k)
     if (low > high).any():
-        raise InputError("low: every lower slope must not exceed the upper one")
+        raise InputError(f"low: must not exceed high, found {low.tolist()} and {high.tolist()}")
+    given = given._replace(A=tuple(A + G * (low + high) / 2 @ H for A in given.A))
     scaling = balance(given)
     scaled = scaling.dynamics(given)
-    E, h = scaling.time * G / scaling.state[:, None], H * scaling.state
-    balance_w = np.linalg.norm(h, axis=1) / np.maximum(np.linalg.norm(E, axis=0), 1e-300)
-    E, h = E * np.sqrt(balance_w), h / np.sqrt(balance_w)[:, None]
+    E, h = scaling.time * G / scaling.state[:, None], (high - low)[:, None] / 2 * H * scaling.state
+    ratio = np.sqrt(np.linalg.norm(h, axis=1) / np.maximum(np.linalg.norm(E, axis=0), 1e-300))
+    ratio[ratio == 0] = 1.0
+    E, h = E * ratio, h / ratio[:, None]
     groups = given.groups.shape[1]
 
     def family(q: Floats) -> Inequality:
         T = q[groups:]
-        terms = [(0, 0, -(h.T * (T * low * high)) @ h), (0, 2, h.T * (T * (low + high) / 2)), (2, 2, -np.diag(T))]
-        return scaled.extended(given.groups @ q[:groups], E, terms)
+        return scaled.extended(given.groups @ q[:groups], E, [(0, 0, h.T * T @ h), (2, 2, -np.diag(T))])
 
     found = _deepest(family, np.ones(groups + k), lambda P, q: [q - LEAST, groups + k - q.sum(keepdims=True)])
     if found is None:
@@ -123,8 +124,9 @@ def ultimate_bound(
 ) -> Ultimate:
     """Where |z|, z = output x~ (C by default), ends for |w| <= 1, |v| <= 1 (put their sizes into E and noise).
 
-    widths (2p, or one number): what |d - d^| cannot exceed, by projection onto [0, d_M]; with leakage
-    d^' = ... - sigma Gamma (d^ - d0) (sigma without unit, so that the leak's rate is sigma gamma) what |d - d0| cannot exceed. Leakage needs a diagonal Gamma.
+    widths (2p, or one number): what |d - d^| cannot exceed, by projection onto [0, d_M]. With leakage
+    d^' = ... - sigma Gamma (d^ - d0), so that the leak's rate is sigma gamma, it is what |d - d0| cannot exceed; Gamma
+    must be diagonal then.
     """
     p, groups = given.L.shape[1], given.groups.shape[1]
     widths = vector("widths", widths, 2 * p, "[right, left] of each output")
@@ -134,7 +136,10 @@ def ultimate_bound(
     scaling = balance(given)
     scaled = scaling.dynamics(given)
     channels, z = _channels(given, scaling, E, noise, output)
-    confine: Callable[[Floats, Floats], list[Floats]] = lambda P, q: [np.block([[P, z.T], [z, np.eye(len(z))]])]
+
+    def confine(P: Floats, q: Floats) -> list[Floats]:
+        return [np.block([[P, z.T], [z, np.eye(len(z))]])]
+
     # The most that d~'R d~ can be, and the rate at which leakage feeds V, per unit weight of each group (in scaled units).
     widths_scaled = widths / np.repeat(scaling.output, 2)
     most = np.outer(widths_scaled, widths_scaled) * np.abs(V.R) / scaling.time

@@ -16,6 +16,7 @@ from undeadzone.signals import Exosystem
 
 ROUNDING = 1e-12  # of a signal's size: nearer to a level than this it neither crosses nor leaves it
 PERIODS = 50  # after which a sampled reference must repeat to count as periodic
+BISECTIONS = 54  # halve an interval down to the rounding of its ends
 MEAN = 4096  # points of the mean over a period: exact for sines below that many cycles
 
 
@@ -41,7 +42,7 @@ class Schedule(NamedTuple):
         """Of the whole [s]."""
         return float(self.spans.sum()) * (1.0 if self.Ts is None else self.Ts)
 
-    def visited(self, samples: int = 0) -> Floats:
+    def visited(self, samples: int = 0) -> np.ndarray:
         """Whether the [right, left] side of each output (p x 2) lasts, in all, for more than that many samples, if it is sampled."""
         return np.stack([self.spans @ (self.sides == side) > samples * self.grain for side in (1.0, -1.0)], axis=1)
 
@@ -144,12 +145,12 @@ def _bisect(reference: Exosystem, row: Floats, level: float, middle: Floats, hal
     a, b = middle - half, middle + half
 
     def above(t: Floats) -> Any:
-        return np.asarray(reference.state(t) @ row > level) if t.size else np.zeros(0, bool)
+        return reference.state(t) @ row > level
 
     crossing = above(a) != above(b)
     a, b = a[crossing], b[crossing]
     first = above(a)
-    for _ in range(54 if a.size else 0):
+    for _ in range(BISECTIONS):
         middle = (a + b) / 2
         left = above(middle) == first
         a, b = np.where(left, middle, a), np.where(left, b, middle)

@@ -13,9 +13,7 @@ NEIGHBOURS = 12  # weights that share their solutions
 TILT = 0.05  # part of the sum in the scalar cost, so that no objective is neglected where another one binds
 
 
-def evolve(
-    cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None
-) -> tuple[Floats, float]:
+def evolve(cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None) -> tuple[Floats, float]:
     """(x, cost) of the least cost found in the box by CMA-ES, Hansen and Ostermeier (2001); cost takes (size, d) and gives (size).
 
     From a random point with wide steps, or from `start` with narrow ones.
@@ -82,11 +80,12 @@ def pareto(
     weights = np.maximum(_grid(found.shape[1], divisions), 1e-3)
     size, every = len(weights), np.arange(len(weights))
     near = np.argsort(((weights[:, None] - weights) ** 2).sum(axis=2), axis=1)[:, :NEIGHBOURS]
+    mates = near.shape[1]
     frame = _frame(found)
     first = scalar(found, *frame, weights).argmin(axis=1)
     points, found = points[first], found[first]
     for turn in range(rounds):
-        one, two = (np.where(rng.uniform(size=size) < 0.1, rng.integers(0, size, size), near[every, rng.integers(0, NEIGHBOURS, size)]) for _ in range(2))
+        one, two = (np.where(rng.uniform(size=size) < 0.1, rng.integers(0, size, size), near[every, rng.integers(0, mates, size)]) for _ in range(2))
         children = np.where(rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5), points + 0.6 * (points[one] - points[two]), points)
         jump = (rng.uniform(size=(size, d)) < 1 / d) * rng.normal(size=(size, d)) * rng.uniform(size=(size, 1)) ** 3
         children = np.clip(children + 0.03 * span * jump, low, high)
@@ -113,7 +112,7 @@ def scalar(found: Floats, least: Floats, greatest: Floats, weights: Floats) -> F
 def undominated(found: Floats) -> Floats:
     """Which points (b, k) no other one beats in all costs."""
     worse = (found[:, None] >= found).all(axis=2) & (found[:, None] > found).any(axis=2)
-    return np.asarray(~worse.any(axis=1))
+    return ~np.any(worse, axis=1)
 
 
 def _frame(found: Floats) -> tuple[Floats, Floats]:

@@ -12,16 +12,17 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.design.passivity import Certificate, certify
-from undeadzone.design.search import evolve, pareto, scalar
+from undeadzone.design.search import evolve, pareto, scalar, undominated
 from undeadzone.design.task import Task, certified, score, watched
 from undeadzone.plant import Matrices
 
 FLOOR = 0.1  # of the best rate: slower candidates are not on the front
 REACH = 5.0  # times the plant's fastest pole: the largest gains in L that are tried
 SPEED = (0.01, 100.0)  # gamma between these times the plant's slowest and fastest pole
+WEIGHT = 3.0  # largest logarithm of the ratio of two storage weights
 STARTS = 10  # short searches for the fastest; the best of them is continued
 SHORT, LONG = 60, 250  # rounds of the short searches and of the long one
-ROUNDS = 120  # of the search for the front
+ROUNDS = 200  # of the search for the front
 BETTER = np.log(1.05)  # by which the knee should beat present gains
 WORSE = 1e3  # cost of a candidate whose error does not die
 
@@ -32,6 +33,9 @@ class Weights(NamedTuple):
     disturbance: float = 0.0
     mismatch: float = 0.0
     noise: float = 0.0
+
+
+RATE = Weights()
 
 
 class Candidate(NamedTuple):
@@ -57,7 +61,7 @@ class Synthesis(NamedTuple):
 Tick = Callable[[int], None]
 
 
-def fastest(task: Task, linear: Matrices, weights: Weights = Weights(), seed: int = 0, tick: Tick | None = None) -> Synthesis:
+def fastest(task: Task, linear: Matrices, weights: Weights = RATE, seed: int = 0, tick: Tick | None = None) -> Synthesis:
     """The certified gains of the largest rate, or of the best trade that `weights` name; tick(1) is called STARTS times."""
     best, certificate = _proved(task, linear, _search(task, weights, seed, tick), lambda task: _cost(task, weights))
     return Synthesis(best, certificate, [best], ())
@@ -70,8 +74,8 @@ def balanced(task: Task, linear: Matrices, present: Candidate | None = None, see
     gains in all three, by 5 % if possible, the knee is chosen among these; where none does, a remark says in what the
     knee is worse. tick(1) is called STARTS + ROUNDS times.
     """
-    quickest = _search(task, Weights(), seed, tick)
-    limit = float(score(task, *_gains(task, quickest[None])[:2], mismatch=False, gains=False).rate[0]) * FLOOR
+    quickest = _search(task, RATE, seed, tick)
+    limit = float(score(task, *_gains(task, quickest[None]), mismatch=False, gains=False).rate[0]) * FLOOR
 
     def costs(task: Task, points: Floats) -> Floats:
         L, gamma = _gains(task, points)
@@ -100,8 +104,17 @@ def balanced(task: Task, linear: Matrices, present: Candidate | None = None, see
     remarks = []
     if present is not None and (worse := [name for name in ("rate", "disturbance", "noise") if not _beats(best, present, name)]):
         remarks.append(f"no certified gains were found that beat the present ones in rate, disturbance and noise at once: these lose in {' and '.join(worse)}")
-    front = sorted((_candidate(task, point) for point in points), key=lambda c: -c.rate)
-    return Synthesis(best, certificate, front, tuple(remarks))
+    return Synthesis(best, certificate, _front(task, linear, points), tuple(remarks))
+
+
+def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
+    """The undominated of these points by falling rate, their margins made exact at their own worst frequencies."""
+    candidates = [_candidate(task, point) for point in points]
+    worst = [certify(linear, one.L, one.gamma, task.Ts).frequency for one in candidates]
+    task = watched(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
+    candidates = sorted((_candidate(task, point) for point in points), key=lambda one: -one.rate)
+    keep = undominated(np.array([[-one.rate, one.disturbance, one.noise] for one in candidates]))
+    return [one for one, kept in zip(candidates, keep, strict=True) if kept]
 
 
 def _beats(one: Candidate, other: Candidate, name: str) -> bool:
@@ -176,10 +189,10 @@ def _gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
 
 
 def _box(task: Task) -> tuple[Floats, Floats]:
-    n, p = task.n, task.p
+    """The least and greatest points of the search; steps of simulation and sampling bound the gains too."""
     slow, quick = float(task.poles.min()), float(task.poles.max())
     step = task.step if task.Ts is None else task.Ts
-    reach = np.arcsinh(min(REACH * quick, 0.5 / step) / slow)
-    gamma = np.log([SPEED[0] * slow, min(SPEED[1] * quick, 0.5 / step)])
-    bound = np.concatenate([np.full(n * p, reach), np.full(p, np.nan), np.full(p - 1, 3.0)])
-    return tuple(np.where(np.isnan(bound), edge, sign * bound) for sign, edge in zip((-1.0, 1.0), gamma, strict=True))  # type: ignore[return-value]
+    reach = float(np.arcsinh(min(REACH * quick, 0.5 / step) / slow))
+    least, greatest = np.log([SPEED[0] * slow, min(SPEED[1] * quick, 0.5 / step)])
+    sizes = task.n * task.p, task.p, task.p - 1
+    return np.repeat([-reach, least, -WEIGHT], sizes), np.repeat([reach, greatest, WEIGHT], sizes)

@@ -18,7 +18,7 @@ from undeadzone.plant import Matrices
 from undeadzone.problem import Problem
 from undeadzone.scaling import sizes
 
-PER_POLE = 25  # frequencies at which a candidate's margin is looked at, around each pole
+PER_POLE = 49  # frequencies at which a candidate's margin is looked at, around each pole
 NUDGE = 1e-12  # of the schedule: the exosystem's state at a corner is that of the piece that follows
 
 

@@ -13,6 +13,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.arrays import scalar
+from undeadzone.errors import InputError
+from undeadzone.observers.interface import NONE
 
 
 class Edge(NamedTuple):
@@ -29,26 +31,27 @@ class Edge(NamedTuple):
 class Law(NamedTuple):
     """A law as pure functions; gains and rates are per step in sampled time.
 
-    numbers: run-time numbers; soften(numbers, y): factor in (0, 1] on the innovation; gains: whether each edge has a gain
-    that moves, from gamma on; move(numbers, edge): (what is added to d^, the gain's derivative or next value);
-    reset(numbers, gain, gamma): the gain that takes the place of one that has become too small.
+    numbers: run-time numbers, None for the one law whose gains are constant; soften(numbers, y): factor in (0, 1] on the
+    innovation; gains: whether each edge has a gain that moves, from gamma on; move(numbers, edge): (what is added to d^,
+    the gain's derivative or next value); reset(numbers, gain, gamma): the gain in place of one that has become too small.
     """
 
     numbers: Any = None
     soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
     gains: bool = False
-    move: Callable[[Any, Edge], tuple[Any, Any]] = lambda numbers, edge: (edge.gamma * edge.push, None)
+    move: Callable[[Any, Edge], tuple[Any, Any]] = lambda numbers, edge: (edge.gamma * edge.push, NONE)
     reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
+
+
+GRADIENT = Law()
 
 
 class Gradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="gradient"):
     """d^' = gamma push, (25) as repaired. Certified where M < 0."""
 
-    certifiable = True
-
     def law(self, Ts: float | None) -> Law:
         """The law; Ts [s] is the sample time, None in continuous time."""
-        return Law()
+        return GRADIENT
 
 
 class Normalised(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="normalised"):
@@ -58,7 +61,6 @@ class Normalised(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """
 
     weight: float = 1.0
-    certifiable = True
 
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
@@ -67,16 +69,15 @@ class Normalised(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="least_squares"):
-    """Recursive least squares: d^' = g push with g' = forgetting g - g^2 where the edge is active, g(0) = gamma >= g.
+    """Recursive least squares: d^' = g push, g' = forgetting g - g^2 where the edge is active, g(0) = gamma, g <= gamma.
 
-    forgetting [1/s]: at which old readings fade; reset: the share of gamma at which g is set back to gamma (0: never).
-    Loses the certificate for constant gains; in continuous time V = x~'P x~ + sum d~^2 / g never rises, resets and
-    forgetting included, if |G(jw)| < 1, G = C (sI - A)^-1 L.
+    forgetting [1/s]: rate at which old readings fade; reset: the share of gamma below which g is set back to gamma.
+    Loses the certificate for constant gains, but V = x~'P x~ + sum d~^2 / g never rises, whatever is forgotten or reset,
+    if |G(jw)| < 1, G = C (sI - A)^-1 L; sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
     """
 
     forgetting: float = 0.0
     reset: float = 0.0
-    certifiable = False
 
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
@@ -90,13 +91,13 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             return edge.gain * edge.push, ca.if_else(edge.gain < edge.gamma, growth, ca.fmin(growth, 0.0))
 
         def step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-            after = edge.gain / (numbers[0] + edge.adapted * edge.gain)
-            return after * edge.push, ca.fmin(after, edge.gamma)
+            after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
+            return after * edge.push, after
 
         def reset(numbers: Any, gain: Any, gamma: Any) -> Any:
             return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
-        fade = forgetting if Ts is None else float(np.exp(-forgetting * Ts))
+        fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
         return Law(np.array([fade, share]), gains=True, move=flow if Ts is None else step, reset=reset)
 
 
@@ -108,12 +109,11 @@ class Sigma(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """
 
     leak: float
-    certifiable = False
 
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * (edge.width - edge.width0)), None))
+        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * (edge.width - edge.width0)), NONE))
 
 
 class EModification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="e_modification"):
@@ -123,12 +123,11 @@ class EModification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """
 
     leak: float
-    certifiable = False
 
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * ca.fabs(edge.push) * (edge.width - edge.width0)), None))
+        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * ca.fabs(edge.push) * (edge.width - edge.width0)), NONE))
 
 
 Adaptation = Gradient | Normalised | LeastSquares | Sigma | EModification

@@ -46,6 +46,9 @@ class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         assert model.flow is not None
         correlation = time_scale(model.flow) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
         washout = 1.5 * correlation if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
+        for key, value in (("correlation_time", correlation), ("washout_time", washout)):
+            if not 0.1 * model.Ts <= value <= 1e6 * model.Ts:
+                raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {model.Ts:g} s, found {value:.4g} s")
         rms, bias = (nonnegative(f"observer.{key}", getattr(self, key), model.m, "one per input") for key in ("disturbance", "bias"))
         extension = unknowns(model, band_pass(correlation, washout, model.Ts), rms, bias, tolerances(model, self.tolerance))
         return measured_filter(model, sensor, believed, extension, max(1.0, correlation / model.Ts), self.silence)

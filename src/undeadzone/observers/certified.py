@@ -10,6 +10,7 @@ import numpy as np
 
 from undeadzone.arrays import Array, Floats, array, matrix, vector
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.observers.adaptation import GRADIENT, Adaptation, Edge, Gradient, Law
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
 from undeadzone.plant import System
 from undeadzone.sensor import Zone, offset, present
@@ -22,7 +23,8 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     gain [1/s], one or one per output, default 1. design: a file saved by `Design.save`, in place of L and gamma; its proof
     is checked again for the model. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side, the estimates
     are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
-    so that the integration error falls as h^2 only). Gains are continuous-time ones in either time.
+    so that the integration error falls as h^2 only). adaptation: another law for the widths than the gradient; with one
+    that is not constant no certificate is claimed. Gains are continuous-time ones in either time.
     """
 
     L: Array | None = None
@@ -31,6 +33,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     widths0: Array = 0.0
     width_max: Array = 1e3
     silence: bool = False
+    adaptation: Adaptation = Gradient()
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled. Raises InputError, ShapeError; ProofError for a design that does not hold."""
@@ -48,7 +51,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         widths = pairs("observer.widths0", self.widths0, p)
         if (widths < 0).any() or (widths > limit[:, None]).any():
             raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
-        return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence)
+        return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence, self.adaptation.law(model.Ts))
 
 
 def _designed(path: str, model: System) -> tuple[Floats, Floats]:
@@ -70,14 +73,17 @@ class Params(NamedTuple):
     limit: Floats
     slope: Floats
     threshold: Floats
+    law: Any
 
 
 class State(NamedTuple):
-    """x^ and the widths d_r^, d_l^."""
+    """x^, the widths d_r^, d_l^, and their gains where the adaptation law moves them."""
 
     x: Any
     right: Any
     left: Any
+    right_gain: Any
+    left_gain: Any
 
 
 def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
@@ -103,19 +109,21 @@ def pairs(key: str, value: Array, p: int) -> Floats:
     return matrix(key, found, p, 2, "one [right, left] per output")
 
 
-def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths: Floats, limit: Floats, silence: bool) -> Observer:
+def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths: Floats, limit: Floats, silence: bool, law: Law = GRADIENT) -> Observer:
     """The observer itself; with gamma = 0 and true widths it is the known-width oracle."""
     jump = sensor.kind == "jump"
     Ts = model.Ts
     per_step = 1.0 if Ts is None else Ts
     keep = 0.0 if Ts is None else 1.0
-    params = Params(model.params, L * per_step, gamma * per_step, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold)
+    params = Params(model.params, L * per_step, gamma * per_step, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold, law.numbers)
 
     def init(p: Params) -> State:
-        return State(np.zeros(model.n), p.right0, p.left0)
+        gain = p.gamma if law.gains else np.zeros(0)
+        return State(np.zeros(model.n), p.right0, p.left0, gain, gain)
 
     def project(p: Params, s: State) -> State:
-        return State(s.x, *(ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left)))
+        widths = (ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left))
+        return State(s.x, *widths, *(law.reset(p.law, gain, p.gamma) for gain in (s.right_gain, s.left_gain)))
 
     def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         z, side, y = model.output(p.model, s.x), reading.side, reading.y / p.slope
@@ -126,17 +134,18 @@ def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths:
         over, under = silent * ca.fmax(z - s.right - slack, 0.0), silent * ca.fmin(z + s.left + slack, 0.0)
         if jump:
             e = ca.if_else(active, y - z, 0.0)
-            grow_right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
-            grow_left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
+            push_right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
+            push_left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
+            told_right, told_left = push_right != 0, push_left != 0
         else:
             e = ca.if_else(active, y - (z - offset(side, s.right, s.left)), -over - under)
-            grow_right = ca.if_else(ca.logic_or(side > 0, over > 0), -e, 0.0)
-            grow_left = ca.if_else(ca.logic_or(side < 0, under < 0), e, 0.0)
-        after = State(
-            model.move(p.model, s.x, u) + p.L @ e,
-            keep * s.right + p.gamma * grow_right,
-            keep * s.left + p.gamma * grow_left,
-        )
+            told_right, told_left = ca.logic_or(side > 0, over > 0), ca.logic_or(side < 0, under < 0)
+            push_right, push_left = ca.if_else(told_right, -e, 0.0), ca.if_else(told_left, e, 0.0)
+        soft = law.soften(p.law, ca.if_else(active, y, 0.0))
+        change_right, gain_right = law.move(p.law, Edge(soft * push_right, told_right, s.right, p.right0, s.right_gain, p.gamma))
+        change_left, gain_left = law.move(p.law, Edge(soft * push_left, told_left, s.left, p.left0, s.left_gain, p.gamma))
+        moved = model.move(p.model, s.x, u) + p.L @ (soft * e)
+        after = State(moved, keep * s.right + change_right, keep * s.left + change_left, gain_right, gain_left)
         if Ts is not None:
             after = project(p, after)
         return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)

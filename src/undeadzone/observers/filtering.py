@@ -102,7 +102,7 @@ def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: 
 def _ranges(key: str, value: Array, p: int) -> Floats:
     found = array(key, value)
     if found.shape not in ((2,), (p, 2)):
-        raise ShapeError(f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), found {found.tolist()}")
+        raise ShapeError(f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), found {' x '.join(map(str, found.shape)) or 'one number'}")
     found = np.broadcast_to(found, (p, 2))
     if (found[:, 0] < 0).any() or (found[:, 0] >= found[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {found.tolist()}")

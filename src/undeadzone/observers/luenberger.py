@@ -30,7 +30,7 @@ class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         elif self.L is not None and self.poles is None:
             L = gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
         else:
-            raise InputError("observer: luenberger needs either L or poles")
+            raise InputError("observer: luenberger needs exactly one of L, poles")
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)

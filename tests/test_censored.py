@@ -1,0 +1,267 @@
+"""The filter that hears silence: where it must be `kalman`, what its models of disturbance, bias and tolerance are, true claims."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks import coverage
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
+from undeadzone import sensor
+from undeadzone.arrays import Floats
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.observers import Censored, Estimate, Kalman
+from undeadzone.observers.censored import band_pass, time_scale, tolerances
+from undeadzone.plant import Matrices, Plant, System, sampled, system, zoh
+from undeadzone.sensor import Sensor, Zone, resolve
+from undeadzone.simulation import simulate
+
+seeds = st.integers(0, 2**32 - 1)
+TS = 0.02
+MODEL = sampled(PAPER_PLANT, TS)
+RANGE = [0.3, 2.0]
+PRIOR = 1.7 / np.sqrt(12)
+
+
+def zone(p: int = 1, **options: Any) -> Zone:
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+
+
+def watch(options: Any, model: System, where: Zone, u: Floats, x: Floats, bias: float = 0.0, noise: Floats | None = None) -> Estimate:
+    """The last estimate of a filter that watches the model's own motion under u (N x m) + bias, from x(0) = x."""
+    observer = options.build(model, where)
+    step, state = on_numbers(observer, model), observer.init(observer.params)
+    A, B, C = model.linear
+    for k, drive in enumerate(u):
+        read = sensor.jump if where.kind == "jump" else sensor.deadzone
+        y = read(C @ x, where.right, where.left, where.slope) + (0.0 if noise is None else noise[k])
+        state, estimate = step(state, drive, y, sensor.side(y, where.threshold))
+        x = A @ x + B @ (drive + bias)
+    return estimate
+
+
+def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
+    t = np.arange(0.0, seconds, TS)
+    return (offset + amplitude * np.sin(1.3 * t) + 0.3 * amplitude * np.sin(3.1 * t))[:, None]
+
+
+def centre_std(found: Estimate) -> float:
+    return float(np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[0] / 2)
+
+
+# --- Where it is the Kalman filter
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(1, 3), st.integers(1, 2))
+def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> None:
+    rng = np.random.default_rng(seed)
+    model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, noise=0.02)
+    common: dict[str, Any] = {"right": RANGE, "x_std": 2.0, "drift": 0.1}
+    pair = [options.build(model, where) for options in (Kalman(**common), Censored(**common, silence=False))]
+    steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
+    for _ in range(30):
+        y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
+        found = [step(state, u, y, sensor.side(y, where.threshold)) for step, state in zip(steps, states, strict=True)]
+        states = [after for after, _ in found]
+        assert all(np.array_equal(a, b) for a, b in zip(found[0][1], found[1][1], strict=True))
+    assert (found[0][1].x_std < 2.0).any()
+
+
+def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
+    """Inside the zone with a state that is known to be at 0, silence is what was expected."""
+    quiet = np.zeros((200, 1))
+    options = {"right": [1.0, 1.2], "x_std": 0.01}
+    with_silence, without = (watch(Censored(**options, silence=silence), MODEL, zone(noise=0.01), quiet, np.zeros(2)) for silence in (True, False))
+    assert all(np.array_equal(a, b) for a, b in zip(with_silence, without, strict=True))
+
+
+# --- Its models
+
+
+@given(st.floats(0.01, 10), st.floats(0.1, 10), st.floats(0.001, 0.3))
+def test_the_disturbance_has_unit_rms_its_correlation_and_no_constant_part(correlation: float, ratio: float, relative_step: float) -> None:
+    """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0, with integral 0; a = 1 / correlation, b = 1 / washout."""
+    Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
+    F, Q, cov = band_pass(correlation, washout, Ts)
+    assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
+    a, b, w = 1 / correlation, 1 / washout, np.array([1.0, -1.0])
+    for lag in (0, 1, 5, 20):
+        t = lag * Ts
+        expected = (a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b)
+        assert w @ np.linalg.matrix_power(F, lag) @ cov @ w == pytest.approx(expected, abs=1e-6)
+    total = w @ np.linalg.solve(np.eye(2) - F, cov) @ w * Ts - Ts / 2
+    assert abs(total) < 0.1 * relative_step**2 * correlation * (1 + 1 / ratio) ** 2
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(1, 3), st.integers(1, 2))
+def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    flow = random_plant(rng, n, m)
+    found = tolerances(sampled(flow, TS), 0.1)
+    A, B, C = flow.linear
+    assert found.std == pytest.approx(np.full(n * (n + m), 0.1))
+    slopes, h = found.slopes.reshape(-1, n, n + m), 1e-6
+    for (i, j), slope in zip(np.ndindex(n, n), slopes, strict=False):
+        moved = A.copy()
+        moved[i, j] *= 1 + h
+        gained = zoh(Matrices(moved, B, C), TS)
+        assert slope == pytest.approx((np.hstack(gained[:2]) - np.hstack(zoh(flow.linear, TS)[:2])) / h, rel=1e-4, abs=1e-7)
+    for (i, j), slope in zip(np.ndindex(n, m), slopes[n * n :], strict=True):
+        assert slope[:, n + j] == pytest.approx(np.linalg.solve(A, expm(A * TS) - np.eye(n))[:, i] * B[i, j], rel=1e-6, abs=1e-12)
+
+
+def test_rows_that_only_say_that_one_state_moves_another_are_exact() -> None:
+    assert tolerances(MODEL, 0.1).std.size == 3  # a_0, a_1 and b of (39)
+    assert tolerances(MODEL, {"A[1,0]": 0.2}).std == pytest.approx([0.2])
+    assert tolerances(MODEL, 0.0).slopes.shape == (0, 3)
+
+
+def test_the_time_scale_is_a_quarter_period() -> None:
+    assert time_scale(linear([[0, 1], [-4, 0.1]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(np.pi / 4)
+    assert time_scale(linear([[0, 1], [0, -4]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(np.pi / 8)
+
+
+# --- What bias hides
+
+
+def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
+    """Twin worlds: centre 0.35 and no bias, or symmetric and a bias: the same readings, whatever is believed; the prior decides."""
+    options = Censored(right=RANGE, bias=0.35, tolerance=0.1)
+    u = tones(30.0, 8.0)
+    shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
+    biased = watch(options, MODEL, zone(right=0.95, left=0.95), u, np.array([0.15, 0.0]), bias=-0.35)
+    assert np.concatenate(shifted) == pytest.approx(np.concatenate(biased), abs=1e-9)
+    assert shifted.width_std < 0.01
+    assert shifted.right + shifted.left == pytest.approx(1.9, abs=4 * shifted.width_std[0])
+    # The readings only show the sum of centre and what a bias adds to z (gain 1 of (39)): two Gaussian priors, one sum.
+    prior = PRIOR / np.sqrt(2)
+    assert centre_std(shifted) == pytest.approx(prior * 0.35 / np.hypot(prior, 0.35), rel=1e-3)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.1])
+def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
+    found = watch(Censored(right=RANGE, tolerance=tolerance), MODEL, zone(right=1.3, left=0.6), tones(30.0, 8.0), np.array([0.5, 0.0]))
+    assert centre_std(found) < 0.01
+    assert abs((found.right - found.left) / 2 - 0.35) < 4 * centre_std(found)
+
+
+def test_a_wrong_model_is_found_out() -> None:
+    """The plant's A[1,0] is 10 % stiffer than the model's: with that tolerance the widths are right, without it confidently wrong."""
+    plant, where = sampled(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS), zone(right=1.3, left=0.6, noise=0.01)
+    rng, u, x = np.random.default_rng(2), tones(30.0, 8.0), np.array([0.5, 0.0])
+    errors = []
+    for tolerance in (0.0, {"A[1,0]": 0.1}):
+        observer = Censored(right=RANGE, tolerance=tolerance).build(MODEL, where)
+        step, state, z = on_numbers(observer, MODEL), observer.init(observer.params), x
+        for drive in u:
+            y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(size=1)
+            state, found = step(state, drive, y, sensor.side(y, where.threshold))
+            z = plant.linear.A @ z + plant.linear.B @ drive
+        errors.append(np.abs(found.right - 1.3)[0] / found.right_std[0])
+    assert errors[0] > 10
+    assert errors[1] < 3
+
+
+# --- What silence tells
+
+
+def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
+    """z swings to +-1.2 inside edges at 1.5: d_r, d_l are somewhere between there and the end of their range."""
+    u = tones(20.0, 2.5)
+    t_end = watch(Censored(right=RANGE, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
+    plain = watch(Kalman(right=RANGE, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
+    assert plain.right_std == pytest.approx(PRIOR)
+    for width, std in ((t_end.right, t_end.right_std), (t_end.left, t_end.left_std)):
+        assert 1.15 < width < 2.0
+        assert 0.15 < std < 0.9 * PRIOR
+        assert abs(width - 1.5) < 2 * std
+
+
+def test_a_missing_sample_is_not_a_silent_one() -> None:
+    observer = Censored(right=RANGE, x_std=0.01).build(MODEL, zone())
+    step = on_numbers(observer, MODEL)
+    state = observer.init(observer.params)
+    state = state._replace(mean=np.array([1.9, 0.0, *state.mean[2:]]))
+    missing, silent = (step(state, [0.0], [y], [0.0])[1] for y in (float("nan"), 0.0))
+    assert missing.right_std == pytest.approx(PRIOR)
+    assert silent.right_std < 0.6 * PRIOR
+    assert silent.right > 1.8
+
+
+def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
+    found = watch(Censored(right=RANGE), MODEL, zone(right=1.3, left=0.6, kind="jump"), tones(20.0, 8.0), np.array([0.5, 0.0]))
+    for width, std, truth in ((found.right, found.right_std, 1.3), (found.left, found.left_std, 0.6)):
+        assert std < 0.5 * PRIOR
+        assert abs(width - truth) < 3 * std
+
+
+# --- Claims against the truth
+
+
+@pytest.mark.parametrize("reach", coverage.REACHES)
+def test_claims_are_true_over_random_problems(reach: str) -> None:
+    """120 problems with disturbance, bias and model error: coverage within three standard errors of 95 %, or more; NEES near 1."""
+    found = coverage.observe(coverage.censored, coverage.problems(reach, coverage.WORLDS["disturbed"], 2, 120, 8))
+    assert found.covered().min() > 0.89
+    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
+    assert reach == "no edge" or found.nis == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_coloured_disturbance_taken_for_white_is_not_covered() -> None:
+    """What the disturbance model is for: the same problems with `kalman`."""
+    found = coverage.observe(coverage.kalman, coverage.problems("both edges", coverage.WORLDS["disturbed"], 2, 120, 8))
+    assert found.covered().max() < 0.7
+
+
+def test_two_outputs_and_two_inputs_in_the_loop() -> None:
+    run = simulate(
+        scene(
+            plant={"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]},
+            sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
+            reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
+            disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
+            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2, "washout_time": 50.0},
+            controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
+            simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
+        )
+    )
+    assert run.d_std is not None
+    assert (run.d_std[-1] < 0.1).all()
+    assert (np.abs(run.d_hat[-1] - [0.8, 0.6, 0.5, 1.0]) < 3.5 * run.d_std[-1]).all()
+
+
+# --- Wrong input
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "error", "words"),
+    [
+        ({}, PAPER_PLANT, InputError, r"set simulation\.time"),
+        ({"bias": [1.0, 2.0]}, MODEL, ShapeError, "observer.bias: expected 1 number"),
+        ({"disturbance": -1.0}, MODEL, InputError, "observer.disturbance: must not be negative"),
+        ({"correlation_time": 0.0}, MODEL, InputError, "observer.correlation_time: must be greater than 0"),
+        ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
+        ({"tolerance": {"A[0,0]": 0.1}}, MODEL, InputError, r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]"),
+        ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
+        ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
+        ({}, sampled(system(Plant(integrators=2)), TS), InputError, "observer.correlation_time: missing"),
+    ],
+)
+def test_wrong_options_are_named(changes: dict[str, Any], model: System, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Censored(**{"right": RANGE} | changes).build(model, zone())
+
+
+def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
+    pendulum = system(Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81}))
+    with pytest.raises(InputError, match="takes one number"):
+        Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sampled(pendulum, TS), zone())
+    observer = Censored(right=RANGE, tolerance=0.1).build(sampled(pendulum, TS), zone())
+    assert len(observer.init(observer.params).mean) == 2 + 2 + 1

@@ -1,0 +1,300 @@
+"""What can be known: verdicts against brute-force sensitivities, deviations against naive filters, cures that cure."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenes import PAPER_PLANT, random_plant, scene
+from undeadzone.arrays import Floats
+from undeadzone.design.identifiability import DIRECTIONS, Verdict, cures, invisible, verdicts
+from undeadzone.design.information import deviations, information
+from undeadzone.design.schedule import Schedule, planned
+from undeadzone.plant import Matrices, Plant, TransferFunction, matrices, zoh
+from undeadzone.problem import resolve_scenario
+from undeadzone.scenario import Scenario
+from undeadzone.sensor import deadzone
+from undeadzone.simulation import simulate
+
+seeds = st.integers(0, 2**32 - 1)
+CHAIN = matrices(Plant(integrators=2))
+WIDTHS = np.array([1.0, 0.7])
+
+
+def visiting(right: list[bool], left: list[bool], Ts: float | None = None) -> Schedule:
+    """A schedule that visits those sides long enough, and that is all that is said of it."""
+    sides = np.array([np.zeros(len(right)), np.array(right, float), -np.array(left, float)])
+    spans = np.array([0.3, 0.5, 0.7]) if Ts is None else np.array([20.0, 30.0, 40.0])
+    high, low = np.where(right, 2.0, 0.9), np.where(left, -2.0, -0.9)
+    return Schedule(sides, spans, Ts, True, 0.0 if Ts is None else 1.0, low, (high + low) / 2, high, np.ones((len(right), 2)))
+
+
+def plan(scenario: Scenario) -> tuple[Matrices, Schedule]:
+    problem = resolve_scenario(scenario)
+    return problem.model.linear, planned(problem.model, problem.reference, problem.tracked, problem.sensor, scenario.simulation.duration)
+
+
+def flags(verdict: Verdict) -> tuple[bool, ...]:
+    return verdict[:4]
+
+
+@given(seeds, st.integers(1, 4), st.booleans(), st.booleans())
+def test_the_centre_is_known_exactly_when_A_is_nonsingular(seed: int, n: int, singular: bool, sampled: bool) -> None:
+    A, B, C = random_plant(np.random.default_rng(seed), n).linear
+    if singular:
+        A = np.where(np.arange(n) == 0, 0.0, A)
+    plant, Ts = Matrices(A, B, C), 0.01 if sampled else None
+    (found,) = verdicts(plant if Ts is None else zoh(plant, Ts), visiting([True], [True], Ts))
+    assert flags(found) == (not singular, not singular, True, not singular)
+    assert ("A is singular (an integrator), only the width" in " ".join(found.reasons)) == singular
+
+
+@pytest.mark.parametrize("plant", [CHAIN, matrices(Plant(integrators=1)), PAPER_PLANT.linear])
+@pytest.mark.parametrize(("right", "left"), list(product([True, False], repeat=2)))
+def test_verdict_of_each_visit(plant: Matrices, right: bool, left: bool) -> None:
+    integrator = np.linalg.matrix_rank(plant.A) < len(plant.A)
+    (found,) = verdicts(plant, visiting([right], [left]))
+    assert flags(found) == (right and not integrator, left and not integrator, right and left, right and left and not integrator)
+    assert sum("never reached" in reason for reason in found.reasons) == (not right) + (not left)
+    assert ("cannot be told from a shift" in " ".join(found.reasons)) == (integrator and right != left)
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
+def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(Ts: float | None) -> None:
+    """C A^-1 B = 0 is a zero at s = 0: a constant input then leaves no trace in z."""
+    for plant, felt in (
+        (PAPER_PLANT.linear, True),
+        (matrices(Plant(transfer_function=TransferFunction(numerator=[1.0, 0.0], denominator=[1.0, 2.0, 1.0]))), False),
+    ):
+        model = plant if Ts is None else zoh(plant, Ts)
+        (found,) = verdicts(model, visiting([True], [True], Ts), bias=model.B)
+        assert flags(found) == (not felt, not felt, True, not felt)
+        assert ("constant input bias, centre and bias cannot be told apart" in " ".join(found.reasons)) == felt
+
+
+def test_a_jump_sensor_tells_each_edge_that_is_passed() -> None:
+    (found,) = verdicts(CHAIN, visiting([True], [False]), jump=True)
+    assert flags(found) == (True, False, False, False)
+
+
+def test_each_output_is_judged_by_itself() -> None:
+    """An integrator behind one dead zone, a stable part behind another: only the first loses its centre."""
+    found = verdicts(Matrices(np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)), visiting([True, True], [True, True]))
+    assert [verdict.centre for verdict in found] == [False, True]
+    assert [verdict.width for verdict in found] == [True, True]
+
+
+def test_a_state_that_only_a_silent_output_sees_is_not_determined() -> None:
+    plant = Matrices(np.diag([-1.0, -2.0]), np.ones((2, 1)), np.eye(2))
+    hidden = invisible(plant, np.array([[True, True], [False, False]]))
+    assert [hidden.state(0), hidden.state(1)] == [True, False]
+    assert hidden.names == ("x[1]", "right[1]", "left[1]")
+
+
+@given(seeds, st.integers(1, 4), st.booleans())
+def test_verdicts_do_not_depend_on_units(seed: int, n: int, singular: bool) -> None:
+    """States, outputs, inputs and time in other units, by factors from 1e-4 to 1e4."""
+    rng = np.random.default_rng(seed)
+    A, B, C = random_plant(rng, n).linear
+    if singular:
+        A = np.where(np.arange(n) == 0, 0.0, A)
+    state, output, time = 10.0 ** rng.uniform(-4, 4, n), 10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-4, 4)
+    scaled = Matrices(time * A * state / state[:, None], B / state[:, None], output * C * state)
+    (found,) = verdicts(scaled, visiting([True], [True]))
+    assert (found.width, found.centre) == (True, not singular)
+
+
+def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: float) -> Floats:
+    """d y_k / d [x0; d] by central differences of the simulated plant behind the true sensor (N x p x (n + 2p))."""
+    n, p = len(plant.A), len(plant.C)
+
+    def readings(unknown: Floats) -> Floats:
+        x, d = unknown[:n], unknown[n:].reshape(p, 2)
+        found = []
+        for now in u:
+            found.append(deadzone(plant.C @ x, d[:, 0], d[:, 1]))
+            x = plant.A @ x + plant.B @ now
+        return np.array(found)
+
+    centre, moves = np.concatenate([x0, widths.ravel()]), np.eye(n + 2 * p) * step
+    return np.stack([(readings(centre + move) - readings(centre - move)) / (2 * step) for move in moves], axis=2)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"plant": {"integrators": 2, "x0": [0.2, 0.0]}, "observer": {"method": "certified", "L": [3.0, 2.0]}},
+        {"plant": {"companion": [0.0, 2.0, 3.0]}, "observer": {"method": "certified", "L": [3.0, 2.0, 0.0]}},
+        {"reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}},
+        {
+            "plant": {
+                "A": [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -2.0, -1.0]],
+                "B": [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
+                "C": [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0]],
+            },
+            "observer": {"method": "certified", "L": [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]},
+        },
+    ],
+)
+def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(changes: dict[str, Any]) -> None:
+    """Run the loop, perturb x(0) and the widths under the same input, square the change of the readings."""
+    p = len(changes.get("plant", {}).get("C", [0]))
+    scenario = scene(**changes, sensor={"right": [1.0] * p, "left": [0.7] * p}, simulation={"time": "sampled", "step": 2e-2, "duration": 4.0})
+    run, problem = simulate(scenario), resolve_scenario(scenario)
+    plant, widths = problem.model.linear, np.tile(WIDTHS, (p, 1))
+    rows = np.concatenate(sensitivities(plant, run.x[0], run.u, widths, 1e-5))
+    hidden = invisible(plant, np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1), 2e-2)
+    _, singular, rotation = np.linalg.svd(rows)
+    kernel = rotation[int((singular > 1e-6 * singular[0]).sum()) :].T
+    found = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
+    assert found.shape == kernel.shape
+    assert found @ found.T == pytest.approx(kernel @ kernel.T, abs=1e-5)
+    names = [part for verdict in run.info.identifiable for part in [[verdict[name] for name in DIRECTIONS]]]
+    assert names == [[not (np.abs(np.array(g) @ kernel[len(plant.A) + 2 * i :][:2]) > 1e-6).any() for g in DIRECTIONS.values()] for i in range(p)]
+
+
+@pytest.mark.parametrize("bias", [False, True])
+def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
+    """Sampled, without process noise: sigma times the root of the inverse of the summed squares."""
+    scenario = scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0})
+    linear, schedule = plan(scenario)
+    found = deviations(linear, schedule, np.array([0.05]), 2e-2, 3.0, linear.B if bias else None)
+    run = simulate(scene(sensor={"left": 0.7}, plant={**PAPER, "x0": [0.0, 0.0]}, simulation={"time": "sampled", "step": 2e-2, "duration": 12.0}))
+    later = slice(450, 600)  # three whole periods, the transients gone
+    rows = np.concatenate(sensitivities(linear, run.x[450], run.u[later], WIDTHS[None], 1e-5))
+    if bias:
+        tail = np.zeros((len(rows), 1))
+        x = np.zeros(2)
+        for k in range(len(rows)):
+            tail[k] = linear.C @ x if run.side[450 + k, 0] else 0.0
+            x = linear.A @ x + linear.B[:, 0]
+        rows = np.hstack([rows, tail])
+    covariance = 0.05**2 * np.linalg.pinv(rows.T @ rows, rcond=1e-9)
+    for name, g in DIRECTIONS.items():
+        if bias and name != "width":
+            assert found.widths[0][name] == np.inf
+        else:
+            assert found.widths[0][name] == pytest.approx(float(np.sqrt(np.array(g) @ covariance[2:4, 2:4] @ np.array(g))), rel=1e-4)
+    assert np.isinf(found.states).tolist() == [bias, False]
+
+
+PAPER = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+
+
+def test_continuous_information_is_the_integral_of_squared_sensitivities() -> None:
+    linear, schedule = plan(scene(sensor={"left": 0.7}, simulation={"duration": 1.0}))
+    found = information(linear, schedule, np.array([0.04]), 1e-3, 1.0)
+    fine = zoh(linear, 1e-5)
+    total, Phi, k = np.zeros((4, 4)), np.eye(2), 0
+    ends = np.cumsum(schedule.spans)
+    for k in range(100_000):
+        t = (k + 0.5) * 1e-5
+        side = schedule.sides[min(np.searchsorted(ends, t), len(ends) - 1), 0]
+        if side:
+            row = np.concatenate([linear.C[0] @ Phi, [-max(side, 0.0), max(-side, 0.0)]])
+            total += np.outer(row, row) * 1e-5 / (0.04 * 1e-3)
+        Phi = fine.A @ Phi
+    assert found == pytest.approx(total, rel=1e-3, abs=1e-3 * np.abs(total).max())
+
+
+def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
+    """A Kalman filter on [x; d] over the same sides, started with a vague prior, ends with the same variance of d."""
+    scenario = scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0})
+    linear, schedule = plan(scenario)
+    Q = np.zeros((4, 4))
+    Q[:2, :2] = 0.3 * linear.B @ linear.B.T
+    found = deviations(linear, schedule, np.array([0.05]), 2e-2, 6.0, process=Q[:2, :2])
+    F, P = np.eye(4), 1e6 * np.eye(4)
+    F[:2, :2] = linear.A
+    for side in np.tile(np.repeat(schedule.sides[:, 0], schedule.spans.astype(int)), 6):
+        if side:
+            row = np.array([*linear.C[0], -max(side, 0.0), max(-side, 0.0)])
+            K = P @ row / (row @ P @ row + 0.05**2)
+            P = (np.eye(4) - np.outer(K, row)) @ P @ (np.eye(4) - np.outer(K, row)).T + 0.05**2 * np.outer(K, K)
+        P = F @ P @ F.T + Q
+    for name, g in DIRECTIONS.items():
+        assert found.widths[0][name] == pytest.approx(float(np.sqrt(np.array(g) @ P[2:, 2:] @ np.array(g))), rel=1e-3)
+
+
+def test_continuous_and_sampled_deviations_agree_for_short_samples() -> None:
+    for process in (None, 0.2 * PAPER_PLANT.linear.B @ PAPER_PLANT.linear.B.T):
+        linear, schedule = plan(scene(sensor={"left": 0.7}))
+        one = deviations(linear, schedule, np.array([0.05]), 1e-3, 10.0, process=process)
+        linear, schedule = plan(scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 1e-3}))
+        other = deviations(linear, schedule, np.array([0.05]), 1e-3, 10.0, process=None if process is None else process * 1e-3)
+        assert [one.widths[0][name] for name in DIRECTIONS] == pytest.approx([other.widths[0][name] for name in DIRECTIONS], rel=0.02)
+
+
+def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
+    linear, schedule = plan(scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]}))
+    found = deviations(linear, schedule, np.array([0.05]), 1e-3, 1e4)
+    assert 0 < found.widths[0]["centre"] < 1.0
+
+
+def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
+    linear, schedule = plan(scene())
+    one = deviations(linear, schedule, np.array([0.05]), 1e-3, 100.0).widths[0]["width"]
+    assert deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0]["width"] == pytest.approx(2 * one, rel=1e-9)
+    assert deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0]["width"] == pytest.approx(one / 2, rel=0.02)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize(
+    ("amplitude", "offset"),
+    [(0.9, 0.0), (0.5, 1.2), (2.0, 1.5), (-3.0, 2.5), (1.0, 9.0)],
+)
+def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offset: float) -> None:
+    time = {"time": "sampled", "step": 1e-2} if sampled else {}
+
+    def judge(amplitude: float, offset: float) -> tuple[Verdict, Any]:
+        linear, schedule = plan(
+            scene(reference={"kind": "sine", "amplitude": amplitude, "frequency": 0.2, "offset": offset}, simulation={"duration": 10.0, **time})
+        )
+        return verdicts(linear, schedule)[0], cures(linear, schedule)
+
+    before, (cure,) = judge(amplitude, offset)
+    assert not before.centre
+    assert cure.shift is None
+    after, none = judge(cure.factor * amplitude, offset)
+    assert after.centre
+    assert none == []
+    assert not judge(cure.factor * amplitude / 1.06, offset)[0].centre
+
+
+def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> None:
+    """A sum of sines that dwells near its least value: scaling moves the far end more than a shift."""
+    tones = [{"amplitude": 2.0, "frequency": 0.5, "phase": np.pi / 2}, {"amplitude": 0.9, "frequency": 1.0, "phase": np.pi / 2}]
+    linear, schedule = plan(scene(reference={"kind": "sines", "components": tones}, sensor={"left": 1.6}))
+    (cure,) = cures(linear, schedule)
+    assert cure.shift is not None
+    assert cure.shift < 0
+    moved = plan(scene(reference={"kind": "sines", "components": tones, "offset": cure.shift}, sensor={"left": 1.6}))
+    assert verdicts(*moved)[0].centre
+    assert cures(*moved) == []
+
+
+def test_a_constant_reference_and_an_integrator_are_told_what_would_help() -> None:
+    (cure,) = cures(*plan(scene(reference={"kind": "step", "amplitude": 0.0})))
+    assert "let output 0 move: a swing of 1.05 about 0" in cure.text
+    (cure,) = cures(CHAIN, visiting([True], [True]))
+    assert (cure.factor, cure.shift) == (None, None)
+    assert cure.text.startswith("no reference can: let the plant pass a place where z is known")
+    (cure,) = cures(PAPER_PLANT.linear, visiting([True], [True]), bias=PAPER_PLANT.linear.B)
+    assert "calibrate the input" in cure.text
+
+
+def test_a_run_says_what_its_constant_disturbance_hides() -> None:
+    for disturbance, hides in (
+        ({"kind": "step", "amplitude": 0.5}, True),
+        ({"kind": "sine", "amplitude": 0.5, "frequency": 0.3}, False),
+        ({"kind": "sine", "amplitude": 0.5, "frequency": 0.3, "offset": 0.1}, True),
+    ):
+        (verdict,) = simulate(scene(disturbance=disturbance, simulation={"duration": 4.0})).info.identifiable
+        assert set(verdict) == {"right", "left", "width", "centre", "reasons"}
+        assert (verdict["width"], verdict["centre"]) == (True, not hides)

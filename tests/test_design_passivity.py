@@ -1,0 +1,391 @@
+"""The certificate: exact where theory is exact, provable in rational arithmetic, scale-free, honest where there is none."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from designs import random_design, random_matrices
+from scenes import PAPER_PLANT, random_plant
+from undeadzone.arrays import Floats
+from undeadzone.design import frequency
+from undeadzone.design.errordynamics import Dynamics, adaptation, delta, dynamics
+from undeadzone.design.limits import decay_limit, nearest
+from undeadzone.design.passivity import Certificate, certify, certify_dynamics, margin, passive_gain, recheck
+from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.plant import Matrices, zoh
+
+PAPER = PAPER_PLANT.linear
+TIMES = [None, 1e-4, 1e-3, 1e-2, 0.1, 1.0]
+
+
+def column(*L: float) -> Floats:
+    return np.array(L)[:, None]
+
+
+def sampled(linear: Matrices, Ts: float | None) -> Matrices:
+    return linear if Ts is None else zoh(linear, Ts)
+
+
+def gridded(linear: Matrices, L: Floats, Ts: float | None) -> float:
+    """min Re G on a grid: the textbook's way, in delta form."""
+    if Ts is None:
+        s = 1j * np.concatenate([[0.0], np.geomspace(1e-4, 1e5, 20001)])
+    else:
+        s = np.expm1(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 20001)])) / Ts
+    n = len(L)
+    G = linear.C @ np.linalg.solve(s[:, None, None] * np.eye(n) - delta(linear, Ts), L[None].astype(complex))
+    return float(np.linalg.eigvalsh((G + G.conj().transpose(0, 2, 1)) / 2)[:, 0].min())
+
+
+def condition(L: Floats) -> tuple[bool, float]:
+    """For (39): 1 + G is positive real iff b0 > 0 and 2 b1 > (sqrt(b0) - 1)^2; and how far from the edge, relatively."""
+    b1, b0 = 2 + L[0, 0], 1 + 2 * L[0, 0] + L[1, 0]
+    if b0 <= 0:
+        return False, abs(b0)
+    gap = 2 * b1 - (np.sqrt(b0) - 1) ** 2
+    return bool(gap > 0), min(abs(gap) / (1 + abs(b1)), b0)
+
+
+def test_certified_exactly_where_theory_says_for_ten_thousand_gains() -> None:
+    rng = np.random.default_rng(0)
+    wrong = [0, 0]
+    for k in range(10_000):
+        L = rng.normal(0, 10 ** rng.uniform(-1, 2), (2, 1))
+        expected, distance = condition(L)
+        if distance < 1e-7:
+            continue
+        wrong[0] += (margin(dynamics(PAPER, L, np.ones(1), None), np.ones(1))[0] > 0) != expected
+        if k % 25 == 0 and distance > 1e-4:
+            wrong[1] += certify(PAPER, L, np.ones(1)).certified != expected
+    assert wrong == [0, 0]
+
+
+def test_the_papers_gains_miss_it_narrowly() -> None:
+    """(12, 15): Re(1 + G) = (u^2 - 13 u + 40)/(1 + u)^2 with u = w^2, least at u = 6.2, which is -1/24."""
+    found = certify(PAPER, column(12, 15), np.array([2.0]))
+    assert not found.certified
+    assert found.margin == pytest.approx(-1 / 24, abs=1e-9)
+    assert found.frequency == pytest.approx(np.sqrt(6.2), abs=1e-5)
+    assert "not positive real" in found.reason
+    assert "2.49 rad/s" in found.reason
+
+
+@pytest.mark.parametrize(("L", "gamma", "least"), [((1, 1.5), 10.0, 0.8875), ((2, 3), 10.0, 0.775), ((0, 0), 10.0, 1.0), ((-0.8733, 0.7567), 7.78, 0.0101)])
+def test_gains_of_the_table_are_certified(L: tuple[float, float], gamma: float, least: float) -> None:
+    found = certify(PAPER, column(*L), np.array([gamma]))
+    assert found.certified
+    assert found.margin == pytest.approx(least, abs=1e-9)
+    assert found.reason == ""
+    assert found.check.lmi < -found.check.rounding
+
+
+@pytest.mark.parametrize("Ts", TIMES[1:])
+def test_sampled_the_adaptation_step_is_limited_exactly(Ts: float) -> None:
+    """Feasible iff g < 2 (1 + min Re C (zI - Ad)^-1 Ld), from 0.1 ms to 1 s."""
+    linear = zoh(PAPER, Ts)
+    for L in (column(0.1, 0.2), column(-0.3, 0.1), column(0.4, -0.3)):
+        limit = 2 * (1 + gridded(linear, L, Ts))
+        assert certify(linear, L, np.array([(1 - 1e-4) * limit / Ts]), Ts).certified
+        above = certify(linear, L, np.array([(1 + 1e-4) * limit / Ts]), Ts)
+        assert not above.certified
+        assert above.margin == pytest.approx(-1e-4 * limit / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(1, 9)), int(rng.integers(1, 4))
+    Ts = TIMES[seed % len(TIMES)]
+    linear, L = sampled(random_matrices(rng, n, p, spread=3.0), Ts), rng.normal(size=(n, p))
+    least, w = margin(dynamics(linear, L, np.zeros(p), Ts), np.ones(p))
+    grid = 1 + gridded(linear, L, Ts)
+    assert least <= grid + 1e-9 * max(1, abs(grid))
+    assert grid - least < 1e-3 * max(1, abs(grid))
+    G = frequency.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
+    at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
+    assert np.linalg.eigvalsh(G.at(np.array([at]))[0])[0] == pytest.approx(least, rel=1e-6, abs=1e-9)
+
+
+def exact(M: Any) -> list[list[Fraction]]:
+    return [[Fraction(float(entry)) for entry in row] for row in np.atleast_2d(M)]
+
+
+def product(X: list[list[Fraction]], Y: list[list[Fraction]]) -> list[list[Fraction]]:
+    return [[sum((a * b for a, b in zip(row, col, strict=True)), Fraction(0)) for col in zip(*Y, strict=True)] for row in X]
+
+
+def positive_definite(M: list[list[Fraction]]) -> bool:
+    """By the pivots of Gaussian elimination, without rounding."""
+    M = [row[:] for row in M]
+    for k in range(len(M)):
+        if M[k][k] <= 0:
+            return False
+        for i in range(k + 1, len(M)):
+            factor = M[i][k] / M[k][k]
+            M[i] = [a - factor * b for a, b in zip(M[i], M[k], strict=True)]
+    return True
+
+
+def proved_exactly(found: Certificate, linear: Matrices) -> bool:
+    """V+ - V < 0 or V' < 0 in (x~, e), from the plain (not the delta) form, in rational numbers."""
+    given, Ts = found.dynamics, found.dynamics.Ts
+    A, C, L, P, W = exact(linear.A), exact(given.C), exact(given.L), exact(found.P), exact(np.diag(found.W))
+    n, p = given.L.shape
+    CW = product([list(col) for col in zip(*C, strict=True)], W)
+    if Ts is None:
+        PA, PL = product(P, A), product(P, L)
+        top = [[PA[i][j] + PA[j][i] for j in range(n)] + [CW[i][j] - PL[i][j] for j in range(p)] for i in range(n)]
+        bottom = [[top[j][n + i] for j in range(n)] + [-2 * W[i][j] for j in range(p)] for i in range(p)]
+    else:
+        step = Fraction(Ts)
+        F = [A[i] + [-step * entry for entry in L[i]] for i in range(n)]
+        square = product([list(col) for col in zip(*F, strict=True)], product(P, F))
+        gamma = [step * max(Fraction(given.gamma[2 * i, 2 * i]), Fraction(given.gamma[2 * i + 1, 2 * i + 1])) for i in range(p)]
+        top = [[(square[i][j] - (P[i][j] if j < n else 0)) / step + (CW[i][j - n] if j >= n else 0) for j in range(n + p)] for i in range(n)]
+        bottom = [
+            [top[j][n + i] for j in range(n)] + [square[n + i][n + j] / step + (W[i][i] * (gamma[i] - 2) if i == j else 0) for j in range(p)] for i in range(p)
+        ]
+    return positive_definite(P) and positive_definite([[-entry for entry in row] for row in top + bottom])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_proofs_hold_in_rational_arithmetic(seed: int) -> None:
+    """No floating point, no delta form, no solver: the numbers P, W prove V falls for the numbers A, C, L, gamma."""
+    rng = np.random.default_rng(seed)
+    n = 1 + seed % 4
+    linear, L, gamma, Ts = random_design(rng, n, min(n, 1 + seed % 3))
+    found = certify(linear, L, np.diag(adaptation(gamma, len(linear.C))).reshape(-1, 2), Ts)
+    assert found.certified
+    assert proved_exactly(found, linear)
+    assert not proved_exactly(found._replace(V=found.V._replace(P=100 * found.P)), linear)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_margin_of_several_outputs_is_the_best_over_weights(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    linear, L, _, Ts = random_design(rng, 5, 3)
+    found = certify(linear, 3 * L, np.ones(3), Ts)
+    at, w = margin(found.dynamics, found.W)
+    assert at == pytest.approx(found.margin, abs=1e-6 * max(1, abs(at)))
+    assert found.frequency == pytest.approx(w, rel=1e-3, abs=1e-3)
+    for _ in range(100):
+        other = found.W * np.exp(rng.normal(size=3) * 10 ** rng.uniform(-2, 0.5))
+        assert margin(found.dynamics, other)[0] <= found.margin + 1e-5 * max(1, abs(found.margin))
+
+
+def test_decoupled_outputs_have_the_least_of_their_margins() -> None:
+    one, two = certify(PAPER, column(4, 6), np.ones(1)), certify(PAPER, column(1, 1.5), np.ones(1))
+    both = Matrices(np.kron(np.eye(2), PAPER.A), np.kron(np.eye(2), PAPER.B), np.kron(np.eye(2), PAPER.C))
+    found = certify(both, np.block([[column(4, 6), np.zeros((2, 1))], [np.zeros((2, 1)), column(1, 1.5)]]), np.ones(2))
+    assert found.certified
+    assert found.margin == pytest.approx(min(one.margin, two.margin), abs=1e-8)
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
+def test_units_do_not_matter(Ts: float | None) -> None:
+    """States in other units by 1e-4 to 1e5, outputs by 1e3: same verdict and margin; continuous, time by 1e4 too."""
+    rng = np.random.default_rng(4)
+    linear, L = sampled(random_matrices(rng, 4, 2), Ts), rng.normal(size=(4, 2)) * 0.02
+    gamma = np.array([0.5, 0.2])
+    plain = certify(linear, L, gamma, Ts)
+    x, y = np.array([1e-4, 1.0, 1e5, 30.0]), np.array([1e3, 1e-2])
+    other = certify(Matrices(linear.A * x / x[:, None], linear.B, linear.C * x / y[:, None]), L * y / x[:, None], gamma, Ts)
+    assert plain.certified
+    assert other.certified
+    assert other.margin == pytest.approx(plain.margin, abs=1e-6)
+    if Ts is None:
+        fast = certify(Matrices(1e4 * linear.A, linear.B, linear.C), 1e4 * L, 1e4 * gamma)
+        assert fast.certified
+        assert fast.margin == pytest.approx(plain.margin, abs=1e-6)
+        assert fast.frequency == pytest.approx(1e4 * (plain.frequency or 0), rel=1e-3)
+
+
+def test_sampled_tends_to_continuous() -> None:
+    L, gamma = column(1, 1.5), np.array([10.0])
+    limit = certify(PAPER, L, gamma)
+    errors = [abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin) for Ts in (1e-2, 1e-3, 1e-4)]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[1] / errors[2] == pytest.approx(10, rel=0.05)
+
+
+def test_stiff_plants_are_proved() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        linear, L = random_matrices(rng, 4, 1, spread=4.0), rng.normal(size=(4, 1))
+        least, _ = margin(dynamics(linear, L, np.zeros(1), None), np.ones(1))
+        found = certify(linear, L * 0.9 / max(1 - least, 1e-3), np.ones(1))
+        assert found.certified
+
+
+def test_gamma_may_differ_right_and_left_and_be_full() -> None:
+    assert adaptation(np.array(3.0), 1).tolist() == [[3, 0], [0, 3]]
+    assert np.diag(adaptation(np.array([1.0, 2.0]), 2)).tolist() == [1, 1, 2, 2]
+    assert np.diag(adaptation(np.array([[1.0, 2.0], [3.0, 4.0]]), 2)).tolist() == [1, 2, 3, 4]
+    full = np.array([[2.0, 1.0], [1.0, 3.0]])
+    assert adaptation(full, 1).tolist() == full.tolist()
+    linear, Ts = zoh(PAPER, 0.1), 0.1
+    right, left = (certify(linear, column(1, 1.5), np.array([pair]), Ts) for pair in ([6.0, 1.0], [1.0, 6.0]))
+    assert right.certified
+    assert right.margin == pytest.approx(left.margin)
+    assert right.margin == pytest.approx(certify(linear, column(1, 1.5), np.array([6.0]), Ts).margin)
+    assert certify(linear, column(1, 1.5), full, Ts).certified
+
+
+def test_outputs_that_gamma_couples_share_a_weight() -> None:
+    linear = random_matrices(np.random.default_rng(2), 4, 2)
+    gamma = np.eye(4) + 0.3
+    found = certify(linear, passive_gain(linear, None), gamma)
+    assert found.certified
+    assert found.W[0] == found.W[1]
+    assert np.allclose(found.V.R, found.V.R.T)
+    assert not recheck(found.dynamics, found.P, found.W * np.array([1.0, 1.0 + 1e-6])).proved
+
+
+@pytest.mark.parametrize(
+    ("gamma", "error", "message"),
+    [
+        (np.array([-1.0]), InputError, "gamma: must not be negative, found -1"),
+        (np.array([1.0, 2.0]), ShapeError, "gamma: expected 1 number"),
+        (np.array([[1.0, 2.0], [2.0, 1.0]]), InputError, "gamma: a full matrix must be symmetric and positive definite"),
+    ],
+)
+def test_impossible_gamma_is_refused(gamma: Floats, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        certify(PAPER, column(1, 1), gamma)
+
+
+def test_gains_of_the_wrong_shape_are_refused() -> None:
+    with pytest.raises(ShapeError, match=r"L: expected a 2 x 1 matrix \(states x outputs\), found 1 x 2"):
+        certify(PAPER, np.array([[1.0, 1.0]]), np.ones(1))
+
+
+def test_recheck_trusts_nobody() -> None:
+    found = certify(PAPER, column(1, 1.5), np.array([10.0]))
+    P, W, given = found.P, found.W, found.dynamics
+    assert found.recheck() == found.check
+    assert recheck(given, P * 3, W * 3).proved
+    assert not recheck(given, -P, W).proved
+    assert not recheck(given, P, -W).proved
+    assert not recheck(given, P * np.nan, W).proved
+    assert not recheck(given, P + np.diag([0, 50.0]), W).proved
+    assert not recheck(given, P, 30 * W).proved
+    assert not recheck(given._replace(L=column(12, 15)), P, W).proved
+    assert not recheck(given._replace(A=(-PAPER.A,)), P, W).proved
+    edge = given._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
+    assert recheck(edge, np.eye(1), np.ones(1)).proved
+    assert not recheck(edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)).proved
+
+
+IMPOSSIBLE: list[tuple[Any, str]] = [
+    ([[0.5]], "unstable"),
+    ([[0.0, 1.0], [1.0, 0.0]], "unstable"),
+    ([[0.0]], "an integrator.* only their sum"),
+    ([[0.0, 1.0], [0.0, -1.0]], "an integrator"),
+    ([[0.0, 1.0], [-4.0, 0.0]], "an undamped mode"),
+    ([[0.0, 1.0], [0.0, 0.0]], "chain of integrators"),
+    (np.eye(4, k=1), "chain of integrators"),
+]
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
+@pytest.mark.parametrize(("A", "reason"), IMPOSSIBLE)
+def test_marginal_and_unstable_models_get_an_honest_no(A: Any, reason: str, Ts: float | None) -> None:
+    A = np.array(A)
+    n = len(A)
+    linear = sampled(Matrices(A, np.eye(n)[:, -1:], np.eye(n)[:1]), Ts)
+    found = certify(linear, np.ones((n, 1)), np.ones(1), Ts)
+    assert not found.certified
+    assert found.margin == -np.inf
+    assert re.search(reason, found.reason)
+    assert not found.check.proved
+    with pytest.raises(StructureError, match=r"observer\.L: no gains can be certified"):
+        nearest(linear, np.ones((n, 1)), np.ones(1), Ts)
+
+
+@pytest.mark.parametrize("Ts", TIMES)
+@pytest.mark.parametrize("seed", range(4))
+def test_passive_gain_is_certified_for_every_stable_model(seed: int, Ts: float | None) -> None:
+    rng = np.random.default_rng(seed)
+    linear = sampled(random_plant(rng, 1 + seed, p=1 + seed % 2).linear, Ts)
+    found = certify(linear, passive_gain(linear, Ts), np.full(1 + seed % 2, 0.1), Ts)
+    assert found.certified or (Ts is not None and found.margin <= 0)
+    assert Ts is not None or found.margin == pytest.approx(1, abs=1e-6)
+
+
+def test_nearest_gains_to_the_papers() -> None:
+    found = nearest(PAPER, column(12, 15), np.array([2.0]))
+    assert found.certificate.certified
+    assert found.certificate.margin == pytest.approx(0.01, abs=2e-5)
+    assert found.certificate.dynamics.L.ravel() == pytest.approx([12.185, 14.552], abs=2e-3)
+    assert found.distance == pytest.approx(0.0049, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_certified_is_nearer(seed: int) -> None:
+    """Random certified gains, and those on the way to the found ones, are all farther away in the metric of G."""
+    rng = np.random.default_rng(seed)
+    Ts = TIMES[seed % len(TIMES)]
+    linear = sampled(random_matrices(rng, 3, 1), Ts)
+    L, gamma = rng.normal(size=(3, 1)) * 20, np.array([0.1 / (Ts or 1)])
+    found = nearest(linear, L, gamma, Ts)
+    assert found.certificate.margin >= 0.01 * (1 - 1e-6)
+
+    def size(change: Floats) -> float:
+        """Energy of the impulse response of C (s - A)^-1 change, summed the naive way over eigenvalues."""
+        poles, V = np.linalg.eig(delta(linear, Ts))
+        residues = (linear.C @ V).ravel() * np.linalg.solve(V, change).ravel()
+        overlap = poles[:, None] + poles.conj() + (0 if Ts is None else Ts * poles[:, None] * poles.conj())
+        return float(np.sqrt(np.real(-(residues[:, None] * residues.conj() / overlap).sum())))
+
+    best = size(found.certificate.dynamics.L - L)
+    assert found.distance == pytest.approx(best / size(L) if best > 0 else 0.0, rel=1e-3, abs=1e-9)
+    given = dynamics(linear, L, gamma, Ts)
+    for _ in range(300):
+        other = found.certificate.dynamics.L + rng.normal(size=(3, 1)) * 10 ** rng.uniform(-3, 1)
+        if margin(given._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
+            assert size(other - L) >= best * (1 - 1e-3)
+
+
+def test_nearest_keeps_what_is_certified_and_serves_several_outputs() -> None:
+    kept = nearest(PAPER, column(1, 1.5), np.array([10.0]))
+    assert kept.distance == 0
+    assert kept.certificate.dynamics.L.tolist() == [[1.0], [1.5]]
+    slower = nearest(zoh(PAPER, 0.01), column(1, 1.5), np.array([500.0]), 0.01)
+    assert slower.certificate.dynamics.gamma[0, 0] == pytest.approx(100)
+    rng = np.random.default_rng(0)
+    linear, L = random_matrices(rng, 5, 3), rng.normal(size=(5, 3)) * 20
+    found = nearest(linear, L, np.ones(3))
+    assert found.certificate.certified
+    assert found.certificate.margin >= 0.01 * (1 - 1e-6)
+    assert 0 < found.distance < 1
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3, 1e-2, 0.1])
+def test_a_common_p_caps_the_decay_rate_at_two(Ts: float | None) -> None:
+    assert decay_limit(sampled(PAPER, Ts), Ts) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_a_first_order_plant_has_no_cap() -> None:
+    assert decay_limit(Matrices(np.array([[-1.0]]), np.ones((1, 1)), np.ones((1, 1)))) == np.inf
+
+
+def test_one_v_for_several_vertices() -> None:
+    """A common P for stiffness and damping within 50 %; none where a vertex is unstable, or where 90 % is asked."""
+
+    def vertices(spread: float) -> Dynamics:
+        corners = [np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]) for a in (-1, 1) for b in (-1, 1)]
+        return dynamics(PAPER, column(1, 1.5), np.ones(1), None)._replace(A=tuple(corners))
+
+    found = certify_dynamics(vertices(0.5))
+    assert found.certified
+    assert found.frequency is None
+    for A in found.dynamics.A:
+        assert recheck(found.dynamics._replace(A=(A,)), found.P, found.W).proved
+        assert margin(found.dynamics._replace(A=(A,)), np.ones(1))[0] >= found.margin - 1e-6
+    assert "share no V" in certify_dynamics(vertices(0.95)).reason
+    assert "unstable (vertex 0)" in certify_dynamics(vertices(1.05)).reason

@@ -1,0 +1,125 @@
+"""Riccati equations and poles against collections and figures that others published."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg.tests.test_solvers import TestSolveContinuousAre as Carex
+from scipy.linalg.tests.test_solvers import TestSolveDiscreteAre as Darex
+
+from scenes import random_plant
+from undeadzone.arrays import Floats
+from undeadzone.design.poles import place
+from undeadzone.design.riccati import paper_riccati, riccati
+from undeadzone.errors import StructureError
+from undeadzone.plant import Matrices, zoh
+
+REAL = [k for k, case in enumerate(Darex.cases) if not any(np.iscomplexobj(M) for M in case[:4])]
+for published in (Carex, Darex):
+    published.__test__ = False  # their data only
+
+
+def model(A: Floats, B: Floats) -> Matrices:
+    return Matrices(np.asarray(A, float), np.asarray(B, float), np.zeros((0, len(A))))
+
+
+@pytest.mark.filterwarnings("ignore:Input .a. has an eigenvalue pair:RuntimeWarning")  # of the nearly singular Newton step of the last case
+@pytest.mark.parametrize("k", range(20))
+def test_carex(k: int) -> None:
+    """The 20 cases of the CAREX collection that scipy's tests carry: the residual is small and the loop stable in all of them.
+
+    scipy marks five of them as known failures; one of these because its data are unsigned bytes, which -Q wraps around.
+    """
+    A, B, Q, R, _ = Carex.cases[k]
+    A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, Q, R))
+    P, K, residual = riccati(model(A, B), Q, R)
+    assert residual < 1e-11
+    direct = A.T @ P + P @ A - P @ B @ np.linalg.solve(R, B.T @ P) + Q
+    size = np.linalg.norm(Q) + 2 * np.linalg.norm(A.T @ P) + np.linalg.norm(P @ B @ K)
+    assert np.linalg.norm(direct) < 1e-11 * size
+    assert np.allclose(P, P.T, rtol=1e-12, atol=0)
+    assert np.linalg.eigvals(A - B @ K).real.max() < 0
+
+
+def test_there_are_twenty_cases() -> None:
+    assert len(Carex.cases) == 20
+    assert len(REAL) == 16
+
+
+@pytest.mark.filterwarnings("ignore:An ill-conditioned matrix detected")
+@pytest.mark.parametrize("k", REAL)
+def test_darex(k: int) -> None:
+    A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in Darex.cases[k][:4])
+    P, K, residual = riccati(model(A, B), Q, R, 1.0)
+    assert residual < 1e-11
+    direct = A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) + Q
+    assert np.linalg.norm(direct) < 1e-11 * (np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A))
+    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+
+
+def test_care_figures_of_octave() -> None:
+    """The two examples in the tests of the Octave control package, to its four digits (the first is also MATLAB's)."""
+    c = np.array([[1.0, -1.0]])
+    A, B = np.array([[-3.0, 2.0], [1.0, 1.0]]), np.array([[0.0], [1.0]])
+    P, K, _ = riccati(model(A, B), c.T @ c, np.array([[3.0]]))
+    assert pytest.approx(np.array([[0.5895, 1.8216], [1.8216, 8.8188]]), abs=1e-4) == P
+    assert pytest.approx(np.array([[0.6072, 2.9396]]), abs=1e-4) == K
+    assert np.sort(np.linalg.eigvals(A - B @ K)) == pytest.approx([-3.5026, -1.4370], abs=1e-4)
+    A = np.array([[0.0, 1.0], [0.0, 0.0]])
+    P, K, _ = riccati(model(A, B), np.eye(2), np.eye(1))
+    assert pytest.approx(np.array([[1.7321, 1.0], [1.0, 1.7321]]), abs=1e-4) == P
+    assert pytest.approx(np.array([[1.0, 1.7321]]), abs=1e-4) == K
+
+
+def test_place_figures_of_octave() -> None:
+    """Its example for one input; its example for two, where K is not unique but the figure's poles are."""
+    K = place(np.array([[0.0, 1.0], [3.0, 2.0]]), np.array([[0.0], [1.0]]), np.array([-1.0, -0.5]), "poles")
+    assert K.ravel() == pytest.approx([3.5, 3.5], abs=1e-14)
+    A = np.array([[-6.8, 0, -207, 0], [1, 0, 0, 0], [43.2, 0, 0, -4.2], [0, 0, 1, 0]])
+    B = np.array([[5.64, 0], [0, 0], [0, 1.18], [0, 0]])
+    figure = -np.array([[-0.0876, -4.2138, 0.0837, -18.1412], [-0.0233, 18.2483, -0.4259, -4.8120]])
+    poles = np.linalg.eigvals(A - B @ figure)
+    K = place(A, B, poles, "poles")
+    assert np.sort_complex(np.linalg.eigvals(A - B @ K)) == pytest.approx(np.sort_complex(poles), abs=1e-6)
+    assert np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(axis=0) == pytest.approx([0, 0], abs=1e-3)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 3))
+def test_agrees_with_python_control(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    linear = random_plant(rng, n, m).linear
+    root = rng.normal(size=(m, m))
+    Q, R = np.eye(n), root @ root.T + np.eye(m)
+    P, K, _ = riccati(linear, Q, R)
+    X, _, G = control.care(linear.A, linear.B, Q, R)
+    assert np.allclose(P, X, rtol=1e-7, atol=1e-9)
+    assert np.allclose(K, G, rtol=1e-7, atol=1e-9)
+    sampled = zoh(linear, 0.1)
+    P, K, _ = riccati(sampled, Q, R, 0.1)
+    X, _, G = control.dare(sampled.A, sampled.B, Q, R)
+    assert np.allclose(P, X, rtol=1e-7, atol=1e-9)
+    assert np.allclose(K, G, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
+    """K of (34) is half the gain that minimises int x'Qx + u'u/(2 alpha), for any number of inputs; A - BK is stable all the same."""
+    linear = random_plant(np.random.default_rng(m), 4, m).linear
+    alpha = 3.0
+    P, K, residual = paper_riccati(linear.A, linear.B, alpha, np.eye(4))
+    optimal = riccati(linear, np.eye(4), np.eye(m) / (2 * alpha))
+    assert pytest.approx(optimal.P) == P
+    assert pytest.approx(optimal.K / 2) == K
+    assert residual < 1e-13
+    assert np.linalg.eigvals(linear.A - linear.B @ K).real.max() < 0
+
+
+def test_what_has_no_solution_is_said() -> None:
+    with pytest.raises(StructureError, match="the Riccati equation has no stabilising solution"):
+        riccati(model(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1))
+    with pytest.raises(StructureError, match="the discrete Riccati equation has no stabilising solution"):
+        riccati(model(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1), 0.1)

@@ -1,0 +1,341 @@
+"""Every extension of the certificate holds in simulation, and where a number is claimed to be the least it is nearly reached."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from designs import random_design, random_matrices
+from scenes import PAPER_PLANT, scene
+from undeadzone.arrays import Floats
+from undeadzone.design.errordynamics import Dynamics, dynamics, pattern
+from undeadzone.design.falsify import Mode, falsify, generator
+from undeadzone.design.passivity import certify, certify_dynamics, passive_gain
+from undeadzone.design.robust import certified_radius, closed_loop, l2_gain, project, sector, ultimate_bound
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.plant import Matrices, zoh
+from undeadzone.simulation import simulate
+
+PAPER = PAPER_PLANT.linear
+B, C = PAPER.B, PAPER.C
+L = np.array([[1.0], [1.5]])
+SIDES = (1, 0, -1)
+
+
+def paper(Ts: float | None = None, gains: Floats = L, gamma: Any = 10.0) -> Dynamics:
+    return dynamics(PAPER if Ts is None else zoh(PAPER, Ts), gains, np.asarray(gamma), Ts)
+
+
+def entry(Ts: float | None) -> Floats:
+    """Where an input disturbance enters: B, or Bd / Ts."""
+    return B if Ts is None else zoh(PAPER, Ts).B / Ts
+
+
+def switched(
+    given: Dynamics,
+    sides: Any,
+    steps: int,
+    h: float,
+    E: Floats,
+    w: Floats,
+    noise: Floats,
+    v: Floats,
+    start: Floats,
+    leak: float = 0.0,
+    d0: Any = 0.0,
+    limit: Any = None,
+) -> Floats:
+    """[x~; d~] (steps + 1 rows) of the error dynamics on given sides (steps x p), w (steps x q) and v (steps x p) held for each step.
+
+    Continuous time is solved exactly over each h; leak: d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
+    """
+    n, p = given.L.shape
+    found = [start]
+    maps: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
+    for k in range(steps):
+        key = tuple(int(side) for side in sides[k])
+        if key not in maps:
+            S = pattern(key)
+            active = np.diag(np.abs(key).astype(float))
+            F = generator(given, Mode(np.ones(1), S, np.ones(p), h))
+            F[n:, n:] -= leak * given.gamma
+            inputs = np.block(
+                [[E, -given.L @ active * noise, np.zeros((n, 2 * p))], [np.zeros((2 * p, E.shape[1])), given.gamma @ S.T * noise, leak * given.gamma]]
+            )
+            if given.Ts is None:
+                size = len(F)
+                both = expm(h * np.block([[F, inputs], [np.zeros((inputs.shape[1], size + inputs.shape[1]))]]))
+                maps[key] = both[:size, :size], both[:size, size:]
+            else:
+                maps[key] = np.eye(len(F)) + given.Ts * F, given.Ts * inputs
+        step, drive = maps[key]
+        after = step @ found[-1] + drive @ np.concatenate([w[k], v[k], np.full(2 * p, d0) if np.ndim(d0) == 0 else d0])
+        if limit is not None:
+            after[n:] = np.clip(after[n:], -limit, limit)
+        found.append(after)
+    return np.array(found)
+
+
+def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
+    """A random sequence of rows, each held for about `hold` steps."""
+    choices = np.asarray(choices, float)
+    picks = np.repeat(rng.integers(len(choices), size=steps), rng.integers(1, 2 * hold, size=steps))[:steps]
+    return choices[picks]
+
+
+@pytest.mark.parametrize("Ts", [None, 0.01, 0.2])
+@pytest.mark.parametrize("gains", [(1.0, 1.5), (2.0, 3.0), (-0.5, 0.4)])
+def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float | None) -> None:
+    """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v; the worst w is a slow one on the silent side."""
+    given = paper(Ts, np.array(gains)[:, None], 2.0)
+    E = entry(Ts)
+    both, only_w, only_v = l2_gain(given, E, np.array([0.3])), l2_gain(given, E), l2_gain(given, noise=np.array([0.3]))
+    assert both.check.proved
+    assert only_w.check.proved
+    assert only_v.check.proved
+    assert only_w.disturbance <= both.disturbance * (1 + 1e-6)
+    assert only_v.noise <= both.noise * (1 + 1e-6)
+    assert only_w.disturbance >= 1 - 1e-6  # the silent side is the plant, whose gain at 0 is 1
+    rng = np.random.default_rng(0)
+    h = Ts or 0.02
+    for trial in range(6):
+        steps = 3000
+        sides = held(rng, [[s] for s in SIDES], steps, 1 + 10**trial % 997)
+        w = held(rng, rng.normal(size=(5, 1)), steps, 1 + 7**trial % 211)
+        v = rng.normal(size=(steps, 1)) if trial % 2 else held(rng, [[1.0], [-1.0]], steps, 50)
+        start = rng.normal(size=4) * (trial % 3)
+        for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
+            path = switched(given, sides, steps, h, E, dist, np.array([0.3]), noise, start)
+            z2 = (path[:-1, 0] ** 2).sum() * h
+            supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum())
+            assert z2 <= supply * (1 + (0.03 if Ts is None else 1e-9))
+
+
+def test_the_disturbance_gain_is_reached() -> None:
+    """(1, 1.5): the gain is 1, and a constant force while the sensor is silent comes within 1 % of it."""
+    given = paper()
+    found = l2_gain(given, B)
+    assert found.disturbance == pytest.approx(1.0, abs=1e-5)
+    steps, h = 20_000, 0.02
+    path = switched(given, np.zeros((steps, 1)), steps, h, B, np.ones((steps, 1)), np.zeros(1), np.zeros((steps, 1)), np.zeros(4))
+    assert (path[:-1, 0] ** 2).sum() >= 0.99 * steps
+
+
+def test_gains_without_correction_are_those_of_the_plant() -> None:
+    found = l2_gain(paper(gains=0 * L), B, np.array([1.0]))
+    assert found.disturbance == pytest.approx(1.0, abs=1e-4)
+    assert found.noise < 2e-3
+
+
+def test_gains_of_an_uncertified_observer_are_infinite() -> None:
+    found = l2_gain(paper(gains=np.array([[12.0], [15.0]])), B)
+    assert found.disturbance == np.inf
+    assert not found.check.proved
+    assert certified_radius(paper(gains=np.array([[12.0], [15.0]])), B, C) == 0
+    assert ultimate_bound(paper(gains=np.array([[12.0], [15.0]])), 0.5, B).bound == np.inf
+
+
+def test_gains_do_not_depend_on_units() -> None:
+    given, x, y = paper(), np.array([1e4, 1e-3]), 100.0
+    other = dynamics(Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y), L * y / x[:, None], np.array([10.0]), None)
+    one, two = l2_gain(given, B, np.array([0.3])), l2_gain(other, B / x[:, None], np.array([0.3 / y]))
+    assert np.array(two[:2]) * y == pytest.approx(np.array(one[:2]), rel=1e-4)
+    a, b = ultimate_bound(given, 0.5, B, np.array([0.1])), ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y]))
+    assert b.bound * y == pytest.approx(a.bound, rel=1e-3)
+
+
+@pytest.mark.parametrize("Ts", [None, 0.05])
+@pytest.mark.parametrize("sigma", [0.0, 0.02, 0.2])
+def test_ultimate_bound_holds_with_projection_and_with_leakage(sigma: float, Ts: float | None) -> None:
+    """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level, whatever sides, w and v."""
+    given = paper(Ts, gamma=[[5.0, 2.0]])
+    E, noise, widths = entry(Ts), np.array([0.1]), np.array([0.4, 0.7])
+    found = ultimate_bound(given, widths, E, noise, sigma)
+    assert found.check.proved
+    assert 1.0 <= found.bound < 3.0  # the silent plant under a constant force alone ends at 1
+    rng = np.random.default_rng(1)
+    h = Ts or 0.05
+    for trial in range(8):
+        steps = 3000
+        sides = held(rng, [[s] for s in SIDES], steps, 1 + 5**trial % 97)
+        w = held(rng, [[-1.0], [1.0]], steps, 1 + 3**trial % 157) if trial else np.ones((steps, 1))
+        v = held(rng, [[-1.0], [1.0]], steps, 10)
+        start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
+        d0 = widths * rng.choice([-1, 1], 2)
+        path = switched(given, sides, steps, h, E, w, noise, v, start, sigma, d0, widths if sigma == 0 else None)
+        tail = path[-1500:]
+        assert np.abs(tail[:, 0]).max() <= found.bound
+        assert found.V.value(tail[:, :2], tail[:, 2:]).max() <= found.level
+
+
+def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
+    """Without disturbance, V ends below its value at x~ = 0, d~ = d - d0, if x~ can follow as fast as the leak."""
+    given = paper(gamma=1.0)
+    found = ultimate_bound(given, np.array([0.5, 0.5]), sigma=0.1)
+    level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
+    assert found.check.proved
+    assert found.level == pytest.approx(level, rel=0.1)
+
+
+def test_leakage_is_refused_where_it_is_not_covered() -> None:
+    with pytest.raises(InputError, match="sigma: leakage is covered for a diagonal positive Gamma only"):
+        ultimate_bound(paper(gamma=np.array([[2.0, 1.0], [1.0, 2.0]])), 0.5, sigma=0.1)
+    with pytest.raises(InputError, match="sigma: Ts sigma gamma must be below 1, found 2"):
+        ultimate_bound(paper(0.1, gamma=10.0), 0.5, sigma=2.0)
+    with pytest.raises(ShapeError, match=r"E: expected a matrix with 2 rows"):
+        l2_gain(paper(), np.ones((3, 1)))
+
+
+@pytest.mark.parametrize("Ts", [None, 0.02])
+def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | None) -> None:
+    """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r at the corners; at 1.5 r of a stiffness it can rise."""
+    rng = np.random.default_rng(3)
+    linear = random_matrices(rng, 3, 1) if Ts is None else zoh(random_matrices(rng, 3, 1), Ts)
+    given = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
+    E, F = rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
+    radius = certified_radius(given, E, F)
+    assert radius > 0
+    V = l2_gain(given, E, output=F).V
+    turns = [np.linalg.qr(rng.normal(size=(2, 2)))[0] for _ in range(12)]
+    inside = given._replace(A=tuple(given.A[0] + 0.999 * radius * E @ Delta @ F for Delta in turns))
+    assert not falsify(inside, V, 5000, seed=1).broken
+    outside = given._replace(A=tuple(given.A[0] + 5 * radius * E @ Delta @ F for Delta in turns))
+    assert falsify(outside, V, 5000, seed=1).broken
+
+
+def test_known_nonlinear_plant() -> None:
+    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: no linear part alone is stable, yet one V falls; [-0.1, 1] has none."""
+    linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
+    given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)
+    found = sector(given, -B, C, np.array([0.2]), np.array([1.0]))
+    assert found.certified
+    ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
+    assert not falsify(ends, found.V, 5000).broken
+    assert certify_dynamics(ends).certified  # Jacobian vertices: the same here, phi being one component
+    assert not sector(given, -B, C, np.array([-0.1]), np.array([1.0])).certified
+    with pytest.raises(InputError, match="low: must not exceed high"):
+        sector(given, -B, C, np.array([1.0]), np.array([0.0]))
+
+
+def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
+    given = paper(gamma=1.0)
+    assert certified_radius(given, B, C) == pytest.approx(1.0, abs=1e-4)
+    assert sector(given, B, C, np.array([-3.0]), np.array([0.0])).certified
+    assert sector(given, B, C, np.array([-0.99]), np.array([0.99])).certified
+    assert not sector(given, B, C, np.array([-1.01]), np.array([1.01])).certified
+
+
+def test_v_falls_along_a_nonlinear_closed_loop() -> None:
+    """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls from sample to sample."""
+    plant = {"f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"], "h": ["x1"], "states": ["x1", "x2"], "x0": [3.0, -2.0]}
+    run = simulate(
+        scene(
+            plant=plant,
+            observer={"method": "certified", "L": [1.0, 1.5], "gamma": 5.0, "widths0": [0.2, 0.3], "width_max": 3.0},
+            controller={"method": "state_feedback", "poles": [-2.0, -3.0]},
+            simulation={"duration": 6.0},
+        )
+    )
+    given = paper(gamma=5.0)
+    found = sector(given, -B, C, np.array([0.0]), np.array([0.9]))
+    assert found.certified
+    V = found.V.value(run.x - run.x_hat, np.array([1.0, 1.0]) - run.d_hat)
+    assert V[-1] < 0.05 * V[0]
+    assert np.diff(V).max() <= 1e-9 * V[0]
+
+
+@pytest.mark.parametrize("Ts", [None, 0.01])
+def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
+    """Stiffness, damping and gain within 20 %: one V over (x - x_ref, x~, d~), which no sequence of plants and sides makes rise."""
+    model = PAPER if Ts is None else zoh(PAPER, Ts)
+    K = np.array([[1.0, 1.0]])
+
+    def corners(spread: float) -> list[Matrices]:
+        found = [
+            Matrices(np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]), B * (1 + c * spread), C)
+            for a, b, c in itertools.product((-1, 1), repeat=3)
+        ]
+        return found if Ts is None else [zoh(plant, Ts) for plant in found]
+
+    found = certify_dynamics(closed_loop(model, corners(0.2), L, K, np.array([5.0]), Ts))
+    assert found.certified
+    assert not falsify(found.dynamics, found.V, 10_000).broken
+    assert not certify_dynamics(closed_loop(model, corners(0.9), L, K, np.array([5.0]), Ts)).certified
+    alone = certify_dynamics(closed_loop(model, [model], L, K, np.array([5.0]), Ts))
+    assert alone.certified
+    assert alone.margin <= certify(model, L, np.array([5.0]), Ts).margin + 1e-6
+
+
+def test_v_falls_along_a_mismatched_closed_loop() -> None:
+    """The real loop, its plant a corner of the certified box, released from afar with nothing to follow."""
+    corner = [[0.0, 1.0], [-1.2, -1.6]]
+    run = simulate(
+        scene(
+            plant={"A": corner, "B": [[0.0], [1.2]], "C": [[1.0, 0.0]], "x0": [5.0, -3.0]},
+            model={"A": PAPER.A.tolist(), "B": B.tolist()},
+            reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
+            observer={"method": "certified", "L": [1.0, 1.5], "gamma": 5.0, "widths0": [0.2, 0.2], "width_max": 3.0},
+            controller={"method": "state_feedback", "K": [[1.0, 1.0]]},
+            simulation={"duration": 5.0},
+        )
+    )
+    plants = [Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C) for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2))]
+    found = certify_dynamics(closed_loop(PAPER, plants, L, np.array([[1.0, 1.0]]), np.array([5.0])))
+    assert found.certified
+    V = found.V.value(np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat)
+    assert np.diff(V).max() <= 1e-9 * V[0]
+    assert V[-1] < 0.1 * V[0]
+
+
+def test_projection_in_the_metric_of_v_never_raises_it() -> None:
+    """For a full Gamma, clipping each width by itself can raise V; the projection in the metric of V cannot."""
+    linear = random_matrices(np.random.default_rng(0), 3, 1)
+    found = certify(linear, passive_gain(linear, None), np.array([[1.0, 0.9], [0.9, 1.0]]))
+    assert found.certified
+    rng = np.random.default_rng(0)
+    limit, clipped = np.array([1.0, 1.0]), 0
+    for _ in range(200):
+        d, d_hat = rng.uniform(0, 1, 2), rng.normal(0.5, 1.0, 2)
+        nearest = project(d_hat, found.V, limit)
+        before, after, naive = (found.V.value(np.zeros((1, 3)), (d - point)[None])[0] for point in (d_hat, nearest, np.clip(d_hat, 0, limit)))
+        assert ((nearest >= 0) & (nearest <= limit)).all()
+        assert after <= before * (1 + 1e-9)
+        clipped += naive > before * (1 + 1e-9)
+    assert clipped > 0
+    diagonal = certify(linear, passive_gain(linear, None), np.array([[1.0, 5.0]])).V
+    assert project(np.array([1.5, -0.2]), diagonal, limit) == pytest.approx([1.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.5, 2.0])
+def test_any_silence_threshold_is_certified(threshold: float) -> None:
+    """|y| <= threshold counts as silence: V still never rises, in the real loop."""
+    run = simulate(scene(sensor={"right": 1.0, "left": 0.7, "threshold": threshold}, simulation={"duration": 3.0}))
+    assert run.info.certified
+    assert run.largest_rise_of_V is not None
+    assert run.largest_rise_of_V < 1e-9
+    assert run.V is not None
+    assert run.V[-1] < run.V[0]
+
+
+def test_noise_below_the_threshold_obeys_the_noise_gain() -> None:
+    """Bounded noise, |v| <= threshold: no false side, so that int |z~|^2 <= V(0) + b^2 int |v|^2 in the real loop."""
+    Ts, noise = 0.01, 0.02
+    run = simulate(scene(sensor={"noise": noise, "threshold": 6 * noise}, simulation={"time": "sampled", "step": Ts, "duration": 40.0}))
+    found = l2_gain(paper(Ts), noise=np.array([1.0]))
+    v = run.y - np.where(run.z > 1, run.z - 1, np.where(run.z < -1, run.z + 1, 0.0))
+    assert np.abs(v).max() < 6 * noise
+    V0 = found.V.value((run.x - run.x_hat)[:1], np.array([1.0, 1.0]) - run.d_hat[:1])[0]
+    assert Ts * ((run.z - run.z_hat) ** 2).sum() <= V0 + found.noise**2 * Ts * (v**2).sum()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gamma_of_any_kind_is_not_broken(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    linear, gains, gamma, Ts = random_design(rng, 3, 1 + seed % 2)
+    found = certify(linear, gains, gamma, Ts)
+    assert found.certified
+    assert not falsify(found.dynamics, found.V, 5000, seed=seed).broken

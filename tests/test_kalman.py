@@ -1,0 +1,368 @@
+"""The measured-side Kalman filter against textbook twins, and its claims against the truth; the Gaussian maths beneath it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from benchmarks import coverage
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from scenes import PAPER_PLANT, on_numbers, random_plant, scene
+from undeadzone import gaussian, sensor
+from undeadzone.arrays import Floats
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.gaussian import Gaussian
+from undeadzone.observers import Kalman, filtering
+from undeadzone.observers.filtering import State
+from undeadzone.plant import Plant, System, sampled, system
+from undeadzone.run import Run
+from undeadzone.sensor import Sensor, Zone, resolve
+from undeadzone.simulation import simulate
+
+seeds = st.integers(0, 2**32 - 1)
+TS = 0.05
+MODEL = sampled(PAPER_PLANT, TS)
+OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0]}
+NOTHING = float("nan")
+
+
+def zone(p: int = 1, **options: Any) -> Zone:
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+
+
+def covariance(state: State) -> Floats:
+    """The full matrix of a state's triangle."""
+    size = len(state.mean)
+    upper = np.zeros((size, size))
+    upper[np.tril_indices(size)] = state.cov
+    return upper + np.tril(upper, -1).T
+
+
+def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
+    """f of CasADi symbols, at numbers."""
+    symbols = [ca.SX.sym("a", *np.reshape(value, (len(np.atleast_1d(value)), -1)).shape) for value in values]
+    return [found.full() for found in ca.Function("f", symbols, list(f(*symbols))).call([ca.DM(value) for value in values])]
+
+
+# --- Gaussian maths
+
+
+@given(seeds)
+def test_covariance_and_triangle_are_inverse(seed: int) -> None:
+    square = np.random.default_rng(seed).normal(size=(4, 4))
+    (found,) = evaluate(lambda P: [gaussian.symmetric(gaussian.triangle(P), 4)], square + square.T)
+    assert (found == square + square.T).all()
+
+
+@given(seeds)
+def test_prediction_is_exact_for_second_degree(seed: int) -> None:
+    """Mean and covariance of random quadratic maps by Gauss-Hermite quadrature, which is exact for them."""
+    rng = np.random.default_rng(seed)
+    H, F, mean, root, Q = rng.normal(size=(2, 3, 3)), rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=(3, 3)), np.diag(rng.uniform(size=3))
+
+    def f(X: Any) -> Any:
+        return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
+
+    found = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(4)
+    points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
+    weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)
+    values = np.stack([*(points @ F[i] + np.einsum("ki,ij,kj->k", points, H[i], points) for i in range(2)), points @ F[2]], axis=1)
+    expected = weight @ values
+    assert found[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert found[1] == pytest.approx((values - expected).T @ np.diag(weight) @ (values - expected) + Q, rel=1e-8, abs=1e-8)
+
+
+def test_hazard_agrees_with_scipy() -> None:
+    alpha = np.linspace(-30, 30, 1201)
+    (found,) = evaluate(lambda a: [gaussian.hazard(a)], alpha)
+    expected = np.exp(norm.logpdf(alpha) - norm.logcdf(alpha))
+    assert found[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
+    assert found[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
+
+
+@given(seeds, st.just(0.0) | st.floats(0.01, 2.0))
+def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) -> None:
+    """Against quadrature of the belief in q = h x times the probability Phi(-q / sqrt R) that q + v <= 0."""
+    rng = np.random.default_rng(seed)
+    root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
+    P, mean = root @ root.T, rng.normal(size=3)
+    found = evaluate(lambda m, P: gaussian.cut(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0], mean, P)
+    variance = h @ P @ h
+
+    def moment(power: int) -> float:
+        std = np.sqrt(variance)
+        chance = norm.cdf if R else lambda x: float(x >= 0)
+        ends = (excess - 12 * std, excess + 12 * std)
+        return float(
+            quad(lambda q: (q - excess) ** power * norm.pdf(q, excess, std) * chance(-q / np.sqrt(R) if R else -q), *ends, points=[0.0, excess], limit=200)[0]
+        )
+
+    total = moment(0)
+    if total < 1e-6:
+        return
+    shift = moment(1) / total
+    gain = P @ h / variance
+    assert found[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
+    assert found[1] == pytest.approx(P + np.outer(gain, gain) * (moment(2) / total - shift**2 - variance), abs=1e-5)
+
+
+def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
+    """Noise of 1e-6 on a prior of 1e3: the plain form P - K S K' goes indefinite there."""
+    rng = np.random.default_rng(1)
+    P, mean, h = ca.SX.sym("P", 4, 4), ca.SX.sym("m", 4), ca.SX.sym("h", 1, 4)
+    step = ca.Function("step", [mean, P, h], list(gaussian.update(Gaussian(mean, P), h, 0.0, 1e-12, 1.0)[0]))
+    belief, plain = np.eye(4) * 1e6, np.eye(4) * 1e6
+    lowest = plain_lowest = 0.0
+    for _ in range(300):
+        row = rng.normal(size=4) * [1.0, 1e-3, 1.0, 1e-3]
+        belief = step(np.zeros(4), belief, row)[1].full()
+        gain = plain @ row / (row @ plain @ row + 1e-12)
+        plain = plain - np.outer(gain, row @ plain)
+        lowest, plain_lowest = (min(low, np.linalg.eigvalsh((P + P.T) / 2)[0] / np.abs(P).max()) for low, P in ((lowest, belief), (plain_lowest, plain)))
+    assert lowest > -1e-15
+    assert plain_lowest < -1e-12
+
+
+# --- Twins
+
+
+def textbook(model: System, given: Kalman, noise: float, ys: Floats, us: Floats) -> list[tuple[Floats, Floats]]:
+    """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook: all outputs at once, K = P H' S^-1."""
+    A, B, C = model.linear
+    n, p = model.n, model.p
+    (lo, hi), (low, high) = given.right, given.left or given.right  # type: ignore[misc]
+    mean = np.concatenate([np.zeros(n), np.full(p, (lo + hi) / 2), np.full(p, (low + high) / 2)])
+    P = np.diag(np.concatenate([np.full(n, given.x_std), np.full(p, (hi - lo) / np.sqrt(12)), np.full(p, (high - low) / np.sqrt(12))]) ** 2)
+    F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * given.drift**2 * TS
+    F[:n, :n], Q[:n, :n] = A, B @ B.T * float(given.disturbance) ** 2  # type: ignore[arg-type]
+    found = []
+    for y, u in zip(ys, us, strict=True):
+        H = np.hstack([C, -np.diag(1.0 * (y > 0)), np.diag(1.0 * (y < 0))])
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise**2 * np.eye(p))
+        mean, P = mean + K @ (y - H @ mean), (np.eye(n + 2 * p) - K @ H) @ P
+        found.append((mean, P))
+        mean, P = F @ mean, F @ P @ F.T + Q
+        mean[:n] += B @ u
+    return found
+
+
+@given(seeds, st.integers(1, 4), st.integers(1, 2), st.integers(1, 2))
+def test_where_every_reading_is_active_it_is_the_textbook_filter(seed: int, n: int, m: int, p: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = sampled(random_plant(rng, n, m, p), TS)
+    options = Kalman(right=[0.5, 2.0], left=[0.2, 3.0], noise=0.1, x_std=2.0, disturbance=0.7, drift=0.3)
+    observer = options.build(model, zone(p))
+    step, state = on_numbers(observer, model), observer.init(observer.params)
+    ys, us = rng.choice([-1, 1], (30, p)) * rng.uniform(1, 9, (30, p)), rng.normal(size=(30, m))
+    for y, u, (mean, P) in zip(ys, us, textbook(model, options, 0.1, ys, us), strict=True):
+        state, estimate = step(state, u, y, np.sign(y))
+        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(mean, rel=1e-10, abs=1e-10)
+        std = np.sqrt(np.diag(P))
+        assert np.concatenate([estimate.x_std, estimate.right_std, estimate.left_std]) == pytest.approx(std, rel=1e-10)
+        width = [np.sqrt(P[n + i, n + i] + P[n + p + i, n + p + i] + 2 * P[n + i, n + p + i]) for i in range(p)]
+        assert estimate.width_std == pytest.approx(width, rel=1e-10)
+
+
+@given(seeds, st.integers(1, 3))
+def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> None:
+    """The estimate of the last state and of d minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2 over theta = [x(0); d]."""
+    rng = np.random.default_rng(seed)
+    model = sampled(random_plant(rng, n), TS)
+    A, B, C = model.linear
+    observer = Kalman(right=[0.5, 2.0], noise=0.1, x_std=2.0).build(model, zone())
+    step, state = on_numbers(observer, model), observer.init(observer.params)
+    ys, us = rng.choice([-1, 1], 40) * rng.uniform(1, 9, 40), rng.normal(size=40)
+    Phi, forced, rows, rest = np.eye(n), np.zeros(n), [], []
+    for y, u in zip(ys, us, strict=True):
+        rows.append(np.concatenate([C[0] @ Phi, [-1.0 * (y > 0), 1.0 * (y < 0)]]) / 0.1)
+        rest.append((y - C[0] @ forced) / 0.1)
+        last = Phi, forced
+        state, estimate = step(state, [u], [y], [np.sign(y)])
+        Phi, forced = A @ Phi, A @ forced + B[:, 0] * u
+    scale = np.concatenate([np.full(n, 2.0), np.full(2, 1.5 / np.sqrt(12))])
+    first = np.concatenate([np.zeros(n), [1.25, 1.25]])
+    theta = np.linalg.lstsq(np.vstack([rows, np.diag(1 / scale)]), np.concatenate([rest, first / scale]), rcond=None)[0]
+    assert estimate.x == pytest.approx(last[0] @ theta[:n] + last[1], rel=1e-8, abs=1e-8)
+    assert np.concatenate([estimate.right, estimate.left]) == pytest.approx(theta[n:], rel=1e-8, abs=1e-8)
+
+
+def test_sides_that_are_never_read_and_missing_samples_only_predict() -> None:
+    A, B, _ = MODEL.linear
+    observer = Kalman(right=[0.5, 2.0], x_std=2.0, disturbance=0.5, drift=0.1).build(MODEL, zone(noise=0.01))
+    step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+    for y in (NOTHING, 0.0, 0.01, np.inf, -0.01):
+        after, estimate = step(state, [0.3], [y], [0.0])
+        mean, P = np.asarray(state.mean), covariance(state)
+        F, Q = np.eye(4), np.diag([0, 0, 0.01 * TS, 0.01 * TS])
+        F[:2, :2], Q[:2, :2] = A, B @ B.T * 0.25
+        assert after.mean == pytest.approx(F @ mean + np.concatenate([B[:, 0] * 0.3, [0, 0]]))
+        assert covariance(after) == pytest.approx(F @ P @ F.T + Q)
+        assert estimate.innovation == 0.0
+        state = after
+
+
+def test_the_estimate_does_not_depend_on_the_input() -> None:
+    observer = Kalman(right=[0.5, 2.0]).build(MODEL, zone())
+    step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+    (first, one), (second, two) = (step(state, [u], [1.0], [1.0]) for u in (-5.0, 5.0))
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+    assert not np.array_equal(first.mean, second.mean)
+
+
+# --- Which readings are used
+
+
+@pytest.mark.parametrize(
+    ("y", "last", "previous", "expected"),
+    [
+        (2.1, 0.0, 0.0, 1),  # far beyond the gate
+        (1.9, 0.0, 0.0, 0),  # neither far nor announced
+        (0.1, 1.2, 1.1, 1),  # announced: two beyond, and their line too
+        (0.1, 1.2, 1.9, 0),  # the line of the two before is back inside
+        (-0.1, 1.2, 1.1, 0),  # across 0 after all
+        (1.5, 1.2, 0.9, 0),  # only one before
+        (-2.1, 0.0, 0.0, -1),
+        (-0.1, -1.2, -1.1, -1),
+    ],
+)
+def test_a_reading_is_used_if_far_or_announced(y: float, last: float, previous: float, expected: int) -> None:
+    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
+    assert found == expected
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
+def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previous: float) -> None:
+    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
+    assert found == sensor.side(y)
+
+
+def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = coverage.problems("grazing", coverage.World(), 2, 150, 3)
+    ours = coverage.observe(coverage.kalman, problems)
+    monkeypatch.setattr(filtering, "sure_side", lambda y, last, previous, gate: sensor.side(y, gate))
+    naive = coverage.observe(coverage.kalman, problems)
+    assert ours.covered()[:2].min() > 0.92
+    assert ours.nis == pytest.approx(1.0, abs=0.03)
+    assert naive.covered()[:2].min() < 0.85
+    assert naive.nis > 1.2
+
+
+# --- Claims against the truth
+
+
+@pytest.mark.parametrize("reach", ["both edges", "right edge only"])
+def test_claims_are_true_over_random_problems(reach: str) -> None:
+    """300 problems: coverage within three standard errors of 95 % or more, NEES and NIS near 1 (chi-square, 4 sigma)."""
+    found = coverage.observe(coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5))
+    assert found.covered().min() > 0.91
+    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
+    assert found.nis == pytest.approx(1.0, abs=0.02)
+
+
+def test_an_edge_that_is_never_reached_keeps_its_prior() -> None:
+    found = coverage.observe(coverage.kalman, coverage.problems("no edge", coverage.World(), 2, 50, 6))
+    prior = np.ptp(coverage.RANGE) / np.sqrt(12)
+    assert found.stds[:, :4] == pytest.approx(np.tile([prior, prior, np.sqrt(2) * prior, prior / np.sqrt(2)], (50, 1)))
+    assert found.covered().min() > 0.9
+
+
+@pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])
+@pytest.mark.parametrize("reach", ["grazing", "right edge only"])
+def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, reach: str) -> None:
+    """filterpy's EKF and UKF where an edge is hardly or never reached, on problems that ours gets right."""
+    pytest.importorskip("filterpy")
+    problems = coverage.problems(reach, coverage.World(), 2, 12, 7)
+    ours, theirs = coverage.observe(coverage.kalman, problems), coverage.rivalling(build, problems, 12)
+    assert ours.covered()[:4].min() >= 10 / 12
+    assert ours.nees() < 2
+    assert theirs.covered()[:4].min() < ours.covered()[:4].min()
+    assert theirs.nees() > 10
+
+
+def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
+    model = sampled(system(Plant(integrators=2, x0=[2.0, 0.0])), TS)
+    where = zone(right=1.3, left=0.6)
+    observer = Kalman(right=[0.5, 2.0], x_std=3.0).build(model, where)
+    step, state, x = on_numbers(observer, model), observer.init(observer.params), np.array([2.0, 0.0])
+    for k in range(400):
+        u = np.array([-12.0 * np.cos(2.0 * k * TS)])
+        y = sensor.deadzone(model.linear.C @ x, where.right, where.left)
+        state, estimate = step(state, u, y, sensor.side(y))
+        x = model.linear.A @ x + model.linear.B @ u
+    assert estimate.width_std < 1e-3
+    assert estimate.right + estimate.left == pytest.approx(1.9, abs=3 * estimate.width_std[0])
+    centre = np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2) / 2
+    assert centre == pytest.approx(1.5 / np.sqrt(24), rel=0.01)
+    assert abs((estimate.right - estimate.left) / 2 - 0.35) < 2 * centre
+
+
+# --- In the loop
+
+
+def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any) -> None:
+    run = simulate(scene(observer=OPTIONS, sensor={"right": 1.3, "left": 0.6, "noise": 0.02}, simulation={"time": "sampled", "step": 0.01, "duration": 10.0}))
+    assert run.info.method == "kalman"
+    assert run.d_std is not None
+    assert run.x_std is not None
+    assert run.width_std is not None
+    assert (run.d_std[-1] < 0.02).all()
+    assert (np.abs(run.d_hat[-1] - [1.3, 0.6]) < 4 * run.d_std[-1]).all()
+    for suffix in ("npz", "csv"):
+        kept = Run.load(run.save(tmp_path / f"run.{suffix}"))
+        assert all(np.array_equal(getattr(run, name), getattr(kept, name)) for name in ("x_std", "d_std", "width_std", "innovation_std"))
+    assert simulate(scene()).d_std is None
+    assert {"d_right_std[0]", "d_left_std[0]", "width_std[0]"} <= set(run.columns())
+    assert run.unit("d_right_std[0]") == run.unit("z")
+
+
+def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
+    pendulum = {"states": ["angle", "rate"], "inputs": ["u"], "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"], "h": ["angle"], "x0": [2.0, 0.0]}
+    run = simulate(
+        scene(
+            plant=pendulum,
+            sensor={"right": 0.3, "left": 0.2, "noise": 0.01},
+            reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
+            observer={"method": "kalman", "right": [0.05, 0.6], "x_std": [1.5, 3.0]},
+            controller={"method": "state_feedback", "poles": [-5.0, -5.0]},
+            simulation={"time": "sampled", "step": 0.01, "duration": 8.0},
+        )
+    )
+    assert run.d_std is not None
+    assert (run.d_std[-1] < 0.01).all()
+    assert (np.abs(run.d_hat[-1] - [0.3, 0.2]) < 4 * run.d_std[-1]).all()
+
+
+# --- Wrong input
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "where", "error", "words"),
+    [
+        ({}, PAPER_PLANT, zone(), InputError, 'simulation.time = "sampled"'),
+        ({}, MODEL, zone(kind="jump"), InputError, "use 'censored'"),
+        ({"right": [2.0, 0.5]}, MODEL, zone(), InputError, "observer.right: a range"),
+        ({"left": [-1.0, 0.5]}, MODEL, zone(), InputError, "observer.left: a range"),
+        ({"right": 1.0}, MODEL, zone(), ShapeError, "observer.right: expected the declared range"),
+        ({"noise": 0.0}, MODEL, zone(), InputError, "observer.noise: must be positive"),
+        ({"x_std": [1.0, 2.0, 3.0]}, MODEL, zone(), ShapeError, "observer.x_std: expected 2 numbers"),
+        ({"disturbance": -1.0}, MODEL, zone(), InputError, "observer.disturbance: must not be negative"),
+        ({"drift": -1.0}, MODEL, zone(), InputError, "observer.drift"),
+    ],
+)
+def test_wrong_options_are_named(changes: dict[str, Any], model: System, where: Zone, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Kalman(**{"right": [0.5, 2.0]} | changes).build(model, where)
+
+
+def test_continuous_time_is_refused_with_what_to_do() -> None:
+    with pytest.raises(InputError, match=r"set simulation\.time"):
+        simulate(scene(observer=OPTIONS))
