@@ -12,7 +12,7 @@ from undeadzone import tree
 from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
 from undeadzone.observers import Censored, Kalman, Reading
-from undeadzone.observers.censored import BandPass, band_pass
+from undeadzone.observers.unknowns import BandPass, band_pass
 from undeadzone.plant import Matrices, Plant, sampled, system, zoh
 from undeadzone.sensor import Sensor, deadzone, resolve, side
 

@@ -32,7 +32,7 @@ def page() -> str:
             parts += [f"## [{field.name}]{chooser(struct)}\n", f"{prose(struct)}\n", rows(msgspec.structs.fields(struct))]
             for inner in msgspec.structs.fields(struct):
                 for nested in structs(inner.type):
-                    parts += [f"`{field.name}.{inner.name}`: {prose(nested)}\n", rows(msgspec.structs.fields(nested))]
+                    parts += [f"`{field.name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n", rows(msgspec.structs.fields(nested))]
     return "\n".join(parts)
 
 

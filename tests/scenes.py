@@ -55,10 +55,10 @@ def random_plant(rng: np.random.Generator, n: int, m: int = 1, p: int = 1, stabl
     return linear(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)))
 
 
-def response(plant: Matrices, s: complex) -> Any:
-    """C (sI - A)^-1 B."""
+def response(plant: Matrices, s: Any) -> Any:
+    """C (sI - A)^-1 B at one s or at many (one matrix each)."""
     A, B, C = plant
-    return C @ np.linalg.solve(s * np.eye(A.shape[0]) - A, B)
+    return C @ np.linalg.solve(np.asarray(s)[..., None, None] * np.eye(A.shape[0]) - A, B)
 
 
 def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Estimate]]:

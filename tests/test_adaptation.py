@@ -74,7 +74,7 @@ def test_least_squares_is_weighted_least_squares(seed: int, forgetting: float) -
     weights, values = [1 / (GAMMA * TS)], [0.5]
     for _ in range(40):
         u, d = rng.normal(size=1), rng.uniform(1.0, 2.0)
-        state, estimate = step(state, u, x[:1] - d, [1.0])
+        state, _ = step(state, u, x[:1] - d, [1.0])
         x = SAMPLED.linear.A @ x + SAMPLED.linear.B @ u
         weights, values = [*(fade * w for w in weights), 1.0], [*values, d]
         if sum(weights) * GAMMA * TS >= 1:  # the gain is not held at gamma

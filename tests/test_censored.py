@@ -16,7 +16,7 @@ from undeadzone import sensor
 from undeadzone.arrays import Floats
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Kalman
-from undeadzone.observers.censored import band_pass, time_scale, tolerances
+from undeadzone.observers.unknowns import band_pass, time_scale, tolerances
 from undeadzone.plant import Matrices, Plant, System, sampled, system, zoh
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation import simulate
@@ -145,6 +145,23 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
     assert centre_std(shifted) == pytest.approx(prior * 0.35 / np.hypot(prior, 0.35), rel=1e-3)
 
 
+def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
+    """Shown: the odds of two Gaussian beliefs about the centre c, by Bayes, for readings that show only s = c + bias; kept: as without."""
+    u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
+    wide, small, mixed = (
+        watch(Censored(right=RANGE, **options), MODEL, where, u, x) for options in ({"bias": 1.5}, {"bias": 0.15}, {"bias": 1.5, "calibrated": 0.7})
+    )
+    centres = [float(found.right[0] - found.left[0]) / 2 for found in (wide, small, mixed)]
+    prior = PRIOR / np.sqrt(2)
+    shown = centres[1] * (prior**2 + 0.15**2) / prior**2  # what readings show of s
+    chances = [weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms) for weight, rms in ((0.3, 1.5), (0.7, 0.15))]
+    share = chances[1] / sum(chances)
+    assert 0.8 < share < 1
+    assert centres[2] == pytest.approx(share * centres[1] + (1 - share) * centres[0], rel=1e-3)
+    variance = share * centre_std(small) ** 2 + (1 - share) * centre_std(wide) ** 2 + share * (1 - share) * (centres[0] - centres[1]) ** 2
+    assert centre_std(mixed) ** 2 == pytest.approx(variance, rel=1e-2)
+
+
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
     found = watch(Censored(right=RANGE, tolerance=tolerance), MODEL, zone(right=1.3, left=0.6), tones(30.0, 8.0), np.array([0.5, 0.0]))
@@ -250,6 +267,8 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
         ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
         ({"tolerance": {"A[0,0]": 0.1}}, MODEL, InputError, r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]"),
         ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
+        ({"calibrated": 0.5}, MODEL, InputError, "observer.calibrated: must be a probability below 1, and bias"),
+        ({"calibrated": 1.0, "bias": 1.0}, MODEL, InputError, "observer.calibrated"),
         ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
         ({}, sampled(system(Plant(integrators=2)), TS), InputError, "observer.correlation_time: missing"),
     ],

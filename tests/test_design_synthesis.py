@@ -13,7 +13,8 @@ import pytest
 from scenes import scene, table
 from undeadzone import toml
 from undeadzone.arrays import Floats
-from undeadzone.design.design import Design, check, design, rounds
+from undeadzone.design.check import check
+from undeadzone.design.design import Design, design, rounds
 from undeadzone.design.errordynamics import adaptation
 from undeadzone.design.floquet import error_matrices, rates
 from undeadzone.design.passivity import certify
@@ -119,7 +120,7 @@ def test_noise_gain_is_what_a_noisy_run_shows() -> None:
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(gain * noise, rel=0.05)
 
 
-@pytest.mark.parametrize("changes", [{}, COUPLED])
+@pytest.mark.parametrize("changes", [{}, COUPLED, {"reference": {"kind": "trapezoid", "amplitude": 3.0, "rise": 0.5, "hold": 0.53}}])
 def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> None:
     values = []
     for simulation in ({"step": 1e-3}, {"time": "sampled", "step": 1e-3}):

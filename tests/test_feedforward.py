@@ -174,3 +174,13 @@ def test_default_gain_is_unity_dc_only_when_asked() -> None:
     for gain, expected in ((1.0, 4 * np.pi**2 * 3.0), (4 * np.pi**2, 3.0)):
         plant = plant_of(second_order=SecondOrder(zeta=1.0, omega_n=2 * np.pi, gain=gain))
         assert linear_targets(plant, exo(Step(amplitude=3.0)), [0], T).u_ff[0, 0] == pytest.approx(expected)
+
+
+def test_inversion_of_fast_and_large_references() -> None:
+    """Accelerations of 1e6: the Newton iteration stops at rounding, not at a fixed residual."""
+    for frequency in (1.0, 30.0, 300.0):
+        t = np.linspace(0, 1 / frequency, 501)
+        reference = exo(Sine(amplitude=1.0, frequency=frequency))
+        r, dr, ddr = (reference.value(t, order)[:, 0] for order in range(3))
+        target = inverted_targets(plant_of(**PENDULUM), reference, [0], t, np.zeros(2))
+        assert target.u_ff[:, 0] == pytest.approx(ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max())

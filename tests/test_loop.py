@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
+from undeadzone import noise
 from undeadzone.arrays import Floats
 from undeadzone.run import Run
 from undeadzone.simulation import simulate
@@ -135,27 +136,41 @@ def test_jump_sensor_equals_its_event_twin() -> None:
     assert found[4:].max() < 1e-5
 
 
-def test_noise_held_over_a_step_acts_inside_the_zone_when_no_threshold_guards() -> None:
-    """Noise of each step is y_k - Dz(z_k); the twin judges the side anew at each stage of twenty small steps."""
-    twin, step, substeps = Twin(1.3, 0.6), 1e-3, 20
-    sensor = {"right": twin.right, "left": twin.left, "noise": 0.1, "threshold": 0.0}
-    run = simulate(scene(sensor=sensor, simulation={"duration": 0.5, "step": step, "seed": 3}))
-    noise = run.y[:, 0] - (run.z - np.clip(run.z, -twin.left, twin.right))[:, 0]
-    assert 0.08 < noise.std() < 0.12
+@pytest.mark.parametrize(
+    ("twin", "after", "before"),
+    [(Twin(1.3, 0.6), 0.1, 0.0), (Twin(1.3, 0.6, threshold=0.15), 0.1, 0.2), (Twin(1.3, 0.6, jump=True, start=(0.5, 0.0, 0.0, 0.0, 3.0, 3.0)), 0.1, 0.2)],
+    ids=["no threshold guards the zone", "before and after", "jump"],
+)
+def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
+    """The twin judges reading and side anew at each stage of twenty small steps, so that both err by about h^2 at a change of side."""
+    step, substeps, steps = 1e-3, 20, 500
+    sensor = {"right": twin.right, "left": twin.left, "noise": after, "noise_before": before, "threshold": twin.threshold}
+    run = simulate(
+        scene(
+            sensor=sensor | {"kind": "jump" if twin.jump else "deadzone"},
+            observer=OBSERVER | {"widths0": [twin.start[4:]]},
+            simulation={"duration": steps * step, "step": step, "seed": 3},
+        ),
+        check_step=False,
+    )
+    samples = [rms * noise.gaussian(3, stream, steps + 1, 1)[:, 0] for rms, stream in ((after, noise.AFTER), (before, noise.BEFORE))]
 
-    def rate(t: float, s: Floats, n: float) -> Floats:
-        y = s[0] - np.clip(s[0], -twin.left, twin.right) + n
-        return twin.rate(t, s, int(np.sign(y)), y)
+    def rate(t: float, s: Floats, n: float, b: float) -> Floats:
+        z = s[0] + b
+        inside = -twin.left <= z <= twin.right
+        y = (0.0 if inside else twin.branch(z, 1 if z > 0 else -1)) + n
+        return twin.rate(t, s, int(y > twin.threshold) - int(y < -twin.threshold), y)
 
     s, h = np.array(twin.start), step / substeps
-    for k, n in enumerate(noise[:-1]):
-        assert np.abs(signals(run)[k] - s).max() < 1e-4
+    for k, (n, b) in enumerate(zip(*samples, strict=True)):
+        assert np.abs(signals(run)[k] - s).max() < (1e-3 if twin.jump else 1e-4)
         for t in k * step + h * np.arange(substeps):
-            k1 = rate(t, s, n)
-            k2 = rate(t + h / 2, s + h / 2 * k1, n)
-            k3 = rate(t + h / 2, s + h / 2 * k2, n)
-            s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, s + h * k3, n))
+            k1 = rate(t, s, n, b)
+            k2 = rate(t + h / 2, s + h / 2 * k1, n, b)
+            k3 = rate(t + h / 2, s + h / 2 * k2, n, b)
+            s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, s + h * k3, n, b))
             s[4:] = np.clip(s[4:], 0.0, 3.0)
+    assert {-1, 0, 1} >= set(run.side.ravel()) > {0}
 
 
 @pytest.mark.parametrize("kinks", [True, False])

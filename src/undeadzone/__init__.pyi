@@ -19,6 +19,11 @@ from .observers import Kalman as Kalman
 from .observers import Luenberger as Luenberger
 from .observers import Oracle as Oracle
 from .observers import Printed as Printed
+from .observers.adaptation import EModification as EModification
+from .observers.adaptation import Gradient as Gradient
+from .observers.adaptation import LeastSquares as LeastSquares
+from .observers.adaptation import Normalised as Normalised
+from .observers.adaptation import Sigma as Sigma
 from .online import Online as Online
 from .plant import Plant as Plant
 from .plant import SecondOrder as SecondOrder

@@ -127,13 +127,13 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
         axis=1,
     )
     unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])
-    residual = ca.vertcat(*values, *(value for value, _ in tops)) - goal
-    solve = ca.rootfinder("invert", "newton", {"x": unknown, "p": goal, "g": residual}, {"error_on_fail": False, "abstol": 1e-12})
-    found = np.empty_like(goals)
-    guess = np.concatenate([x_eq, np.zeros(model.m)])
-    for k, row in enumerate(goals):
-        guess = np.asarray(solve(guess, row)).ravel()
-        if not np.isfinite(guess).all() or not solve.stats()["success"]:
-            raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {round(t[k], 6):g} s (Newton's method finds no state and input)")
-        found[k] = guess
-    return Target(exo.value(t), found[:, : model.n], found[:, model.n :])
+    gap = (ca.vertcat(*values, *(value for value, _ in tops)) - goal) / (1 + np.abs(goals).max(axis=0))
+    solve = ca.rootfinder("invert", "newton", {"x": unknown, "p": goal, "g": gap}, {"error_on_fail": False, "abstol": 1e-12, "max_iter": 25})
+    # Each instant starts from the solution of the one before.
+    found = solve.mapaccum(t.size)(np.concatenate([x_eq, np.zeros(model.m)]), goals.T)
+    gaps = np.abs(ca.Function("gap", [unknown, goal], [gap]).map(t.size)(found, goals.T).full()).max(axis=0)
+    if (failed := np.flatnonzero(~(gaps < 1e-9))).size:
+        when = round(float(t[failed[0]]), 6)
+        raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {when:g} s (Newton's method finds no state and input)")
+    solution = found.full().T
+    return Target(exo.value(t), solution[:, : model.n], solution[:, model.n :])

@@ -79,6 +79,13 @@ def cut(belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float) -
     return Gaussian(mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))), used
 
 
+def mix(first: Gaussian, second: Gaussian, share: Any) -> Gaussian:
+    """Mean and covariance of the mixture: `first` with probability `share`, else `second`."""
+    gap = first.mean - second.mean
+    spread = share * first.cov + (1 - share) * second.cov + share * (1 - share) * gap @ gap.T
+    return Gaussian(share * first.mean + (1 - share) * second.mean, _from_upper(spread))
+
+
 def hazard(alpha: Any) -> Any:
     """phi(alpha) / Phi(alpha) of the standard normal distribution; its asymptotic series below -5 (1e-4 accurate there)."""
     near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)

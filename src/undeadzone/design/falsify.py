@@ -145,7 +145,7 @@ def _library(given: Dynamics, rng: np.random.Generator, count: int) -> list[Mode
     """Modes of every side pattern at every vertex, then random ones with mixed vertices and shares, from short to long."""
     p, vertices = given.C.shape[0], len(given.A)
     fast = max(float(np.abs(np.linalg.eigvals(A - given.L @ given.C)).max()) for A in given.A) + float(np.abs(given.gamma).max())
-    slow = max(min(-growth(A, given.Ts) for A in given.A), 1e-3 * fast)
+    slow = max(min(abs(growth(A, given.Ts)) for A in given.A), 1e-3 * fast)
     times = 10 ** rng.uniform(np.log10(1e-2 / fast), np.log10(3 / slow), count)
     if given.Ts is not None:
         times = given.Ts * np.clip(np.round(times / given.Ts), 1, 1000)

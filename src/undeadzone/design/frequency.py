@@ -54,13 +54,14 @@ def worst(G: Response) -> Worst:
     """Minimum over w in [0, inf] of the least eigenvalue of Herm G(jw); A must be stable.
 
     At a level m every frequency where an eigenvalue of Herm G crosses m is the imaginary part of an eigenvalue of the
-    pencil below; the least value at those and halfway between them is the next level, until it falls no further
+    pencil below; the least value at those and halfway between (both means) is the next level, until it falls no further
     (Boyd and Balakrishnan 1990, Bruinsma and Steinbuch 1990).
     """
     A, C, L, D, _ = G
     n, p = A.shape[0], D.shape[0]
     poles = np.linalg.eigvals(A)
-    best = _least(G, np.concatenate([[0.0, np.inf], np.abs(poles), np.abs(poles.imag)]))
+    around = np.outer(2.0 ** np.arange(-3, 4), np.abs(poles)).ravel()
+    best = _least(G, np.concatenate([[0.0, np.inf], around, np.abs(poles.imag)]))
     size = max(float(np.linalg.norm(D)), 1.0)
     zero = np.zeros((n, n))
     while True:
@@ -68,7 +69,8 @@ def worst(G: Response) -> Worst:
         R = D + D.T - 2 * level * np.eye(p)
         pencil = np.block([[A, zero, L], [zero, -A.T, -C.T], [C, L.T, R]])
         crossings = np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag))
-        found = _least(G, np.concatenate([crossings, (crossings[1:] + crossings[:-1]) / 2]))
+        a, b = crossings[:-1], crossings[1:]
+        found = _least(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
         if not found.value < level:
             return best
         best = found

@@ -50,7 +50,8 @@ class Schedule(NamedTuple):
 def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float) -> Schedule:
     """The schedule of a reference that is followed exactly, over its period, or over `horizon` [s] if it has none.
 
-    In continuous time the sides change at roots of the exact signal; sampled, the sides are those at the samples.
+    In continuous time the sides change at roots of the exact signal; sampled, the sides are those at the samples. Spans
+    end at corners of the reference too.
     Raises TrackingError where the reference cannot be followed, InputError for a nonlinear model with untracked outputs.
     """
     rows = output_map(model, reference, tracked)
@@ -58,7 +59,9 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     if model.Ts is not None:
         samples, periodic = _samples(reference.period, model.Ts, horizon)
         z = reference.state(np.arange(samples) * model.Ts) @ rows.T
-        return _from_samples(zone(z, *levels.T), z, levels, model.Ts, model.Ts, periodic)
+        repeats = np.arange(0 if reference.period is None else samples * model.Ts / reference.period)
+        corners = reference.corners if reference.period is None else np.add.outer(repeats * reference.period, reference.corners).ravel()
+        return _from_samples(zone(z, *levels.T), z, levels, model.Ts, model.Ts, periodic, corners)
     end = horizon if reference.period is None else reference.period
     ends = np.unique(np.concatenate([[0.0], reference.corners[(reference.corners > 0) & (reference.corners < end)], [end]]))
     changes = [roots(reference, row, level, ends) for row, pair in zip(rows, levels, strict=True) for level in (pair[0], -pair[1])]
@@ -76,7 +79,7 @@ def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None, side: Float
     In continuous time (Ts None) a side is taken to change half way between two samples.
     """
     levels = reading_levels(sensor)
-    return _from_samples(zone(z, *levels.T) if side is None else side, z, levels, step, Ts, False)
+    return _from_samples(zone(z, *levels.T) if side is None else side, z, levels, step, Ts, False, np.empty(0))
 
 
 def reading_levels(sensor: Zone) -> Floats:
@@ -173,8 +176,12 @@ def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool
     return max(1, round(horizon / Ts)), False
 
 
-def _from_samples(side: Floats, z: Floats, levels: Floats, step: float, Ts: float | None, periodic: bool) -> Schedule:
-    first = np.flatnonzero(np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)]))
+def _from_samples(side: Floats, z: Floats, levels: Floats, step: float, Ts: float | None, periodic: bool, corners: Floats) -> Schedule:
+    """The schedule of sides at samples; sampled ones start a span at the first sample from each corner on, too."""
+    starts = np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)])
+    after = np.ceil(corners / step - ROUNDING * len(side)).astype(int)
+    starts[after[(after > 0) & (after < len(side))]] = True
+    first = np.flatnonzero(starts)
     if Ts is None:
         changes = np.concatenate([[0.0], (first[1:] - 0.5) * step, [(side.shape[0] - 1) * step]])
         spans = np.diff(changes)

@@ -38,12 +38,14 @@ class Extension(NamedTuple):
     """The model's motion with E further unknowns beside [x; d], of mean 0 and covariance cov (E x E) at first.
 
     move(q, x, extra, u): (x+, extra+); noise(q, x, u): covariances (n x n, E x E) that a step adds to them; q: Params.
+    read(q, belief): the belief that is shown in place of the filter's own.
     """
 
     params: Any
     cov: Floats
     move: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
+    read: Callable[[Any, Gaussian], Gaussian] = lambda q, belief: belief
 
 
 class Params(NamedTuple):
@@ -166,14 +168,14 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
         wait = s.wait
         if silence:
             belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
-        mean, cov = belief
-        noise_x, noise_extra = extension.noise(q, mean[:n], u)
+        noise_x, noise_extra = extension.noise(q, belief.mean[:n], u)
 
         def move(X: Any) -> Any:
             x, extra = extension.move(q, X[:n], X[known:], u)
             return ca.vertcat(x, X[n:known], extra)
 
         after = predict(belief, move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra), lasting)
+        mean, cov = extension.read(q, belief)
         x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
         variance = ca.diag(cov)
         both = variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])

@@ -1,0 +1,112 @@
+"""What a scenario's own gains are worth and what its readings can tell, with the reasons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from undeadzone.controllers import StateFeedback
+from undeadzone.design.floquet import rates
+from undeadzone.design.identifiability import DIRECTIONS, cures, invisible, unknown_bias, verdicts
+from undeadzone.design.information import deviations
+from undeadzone.design.passivity import certify
+from undeadzone.design.schedule import Schedule, planned, recorded
+from undeadzone.problem import Problem, constant_gains, resolve_scenario
+from undeadzone.run import finite
+from undeadzone.scenario import Scenario
+from undeadzone.signals import Random
+
+
+class Known(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What one output's readings can tell: verdicts, reasons for each 'no', cures, expected standard deviations [z]."""
+
+    right: bool
+    left: bool
+    width: bool
+    centre: bool
+    reasons: list[str]
+    cures: list[str]
+    std: dict[str, float]
+
+
+def check(scenario: Scenario) -> dict[str, Any]:
+    """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
+
+    certified (null where the method has no constant gains), margin, frequency [rad/s]; rate [1/s], time_constant [s],
+    never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same [z];
+    reasons for every 'no', cures.
+    """
+    problem = resolve_scenario(scenario)
+    schedule = plan(problem)
+    known = knowledge(problem, schedule)
+    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "rate", "time_constant"))
+    summary = {"title": scenario.title, **absent, "never": [], "states": determined(problem, schedule)}
+    reasons = []
+    gains = constant_gains(problem.observer, problem.model)
+    if gains is None or problem.model.nonlinear:
+        what = "the model is nonlinear" if problem.model.nonlinear else "the observer has no constant gains L, gamma"
+        reasons.append(f"no certificate and no rate: {what}")
+    else:
+        proof = certify(problem.model.linear, *gains, problem.model.Ts)
+        speed = rates(problem.model.linear, *gains, schedule, problem.sensor.kind == "jump")
+        summary |= {
+            "certified": proof.certified,
+            "margin": proof.margin,
+            "frequency": proof.frequency,
+            "rate": speed.rate,
+            "time_constant": speed.time_constant,
+            "never": list(speed.never),
+        }
+        reasons += [f"not certified: {proof.reason}"] * (not proof.certified) + ["the error grows along the reference"] * (speed.rate < 0)
+    several = len(known) > 1
+    identifiable = [{name: getattr(k, name) for name in DIRECTIONS} for k in known]
+    std = [{name: finite(value) for name, value in k.std.items()} for k in known]
+    reasons += [f"output {i}: {reason}" if several else reason for i, k in enumerate(known) for reason in k.reasons]
+    return {key: finite(value) for key, value in summary.items()} | {
+        "identifiable": identifiable if several else identifiable[0],
+        "std": std if several else std[0],
+        "reasons": reasons,
+        "cures": [cure for k in known for cure in k.cures],
+    }
+
+
+def plan(problem: Problem) -> Schedule:
+    """The sides along the reference where the controller makes z follow it, else along a simulated run."""
+    if isinstance(problem.scenario.controller, StateFeedback):
+        return planned(problem.model, problem.reference, problem.tracked, problem.sensor, problem.scenario.simulation.duration)
+    from undeadzone.simulation import simulate
+
+    run = simulate(problem.scenario, check_step=False)
+    return recorded(run.z, problem.sensor, run.info.step, problem.model.Ts)
+
+
+def knowledge(problem: Problem, schedule: Schedule) -> list[Known]:
+    """What can be known of each output, and how well after the scenario's duration with its sensor noise.
+
+    A step, or the offset of sines, as disturbance counts as an unknown bias; a random one as white process noise of its
+    low-frequency density, 2 rms^2 times its correlation time.
+    """
+    model, sensor, scenario = problem.model, problem.sensor, problem.scenario
+    linear, jump = model.linear, sensor.kind == "jump"
+    bias, process = unknown_bias(scenario.disturbance, linear.B), None
+    if isinstance(scenario.disturbance, Random):
+        density = 2 * np.asarray(scenario.disturbance.rms, float) ** 2 * scenario.disturbance.correlation_time
+        process = linear.B * np.broadcast_to(density, model.m) @ linear.B.T / (1.0 if model.Ts is None else model.Ts)
+    noise = np.hypot(sensor.noise_before, sensor.noise / sensor.slope)
+    found = verdicts(linear, schedule, bias, jump)
+    help_ = cures(linear, schedule, bias, jump)
+    std = [{} for _ in found] if jump else deviations(linear, schedule, noise, scenario.simulation.step, scenario.simulation.duration, bias, process).widths
+    return [
+        Known(**verdict._asdict() | {"reasons": list(verdict.reasons)}, cures=[cure.text for cure in help_ if cure.output == i], std=std[i])
+        for i, verdict in enumerate(found)
+    ]
+
+
+def determined(problem: Problem, schedule: Schedule) -> list[bool]:
+    """Which states the readings along a schedule determine."""
+    linear = problem.model.linear
+    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    hidden = invisible(linear, schedule.visited(problem.model.n), schedule.Ts, bias, problem.sensor.kind == "jump")
+    return [hidden.state(i) for i in range(problem.model.n)]

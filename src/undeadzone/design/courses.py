@@ -1,0 +1,125 @@
+"""V along chosen trajectories of the error: random switching, adversaries, a schedule of sides, an attack."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.design.errordynamics import Dynamics, Storage, pattern
+from undeadzone.design.falsify import Cycle, Mode, generator
+from undeadzone.design.floquet import exponential, power
+from undeadzone.design.schedule import Schedule, merged
+
+SWITCHES, PIECES = 120, 10  # of a course; pieces between two switches, unless that is less than a sample
+RANDOM = 12  # random courses
+WINDOW = 8  # switches: in every so many a fair adversary takes each full side pattern at least once
+
+
+class Course(NamedTuple):
+    """V (N) along one trajectory, relative to V(0), at t (N) [s], and what switches it."""
+
+    kind: str
+    t: Floats
+    V: Floats
+
+
+def courses(given: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0) -> list[Course]:
+    """V from one random error, for about `seconds`: random ones, an adversary, a fair one, and the schedule.
+
+    An adversary switches to what leaves V largest. The fair one must also read every output on both of its sides, each
+    combination once in every window of time: that is what convergence needs (docs/certificate.md).
+    """
+    rng = np.random.default_rng(seed)
+    p = given.C.shape[0]
+    step = seconds / SWITCHES / PIECES
+    if given.Ts is not None:
+        step = given.Ts * max(1, round(step / given.Ts))
+    count = max(1, round(seconds / SWITCHES / step))
+    sides = np.array(list(itertools.product((1, -1, 0), repeat=p)))
+    full = np.flatnonzero(sides.all(axis=1))
+    modes = [_mode(given, row, step) for row in sides]
+    pieces = _maps(given, modes)
+    held = power(pieces, np.full(len(modes), count))
+    window = max(WINDOW, 2 * len(full))
+    start = _start(V, rng)
+
+    def adversary(fair: bool) -> list[int]:
+        error, chosen, owed = start, list[int](), list[int]()
+        for k in range(SWITCHES):
+            if fair and k % window == 0:
+                owed = [*full]
+            allowed = np.array(owed) if len(owed) == window - k % window else np.arange(len(modes))
+            taken = int(allowed[np.argmax(_value(V, held[allowed] @ error))])
+            owed = [mode for mode in owed if mode != taken]
+            error = held[taken] @ error
+            chosen.append(taken)
+        return chosen
+
+    def random() -> Floats:
+        return np.repeat(rng.integers(len(modes), size=SWITCHES), rng.integers(1, window + 1, SWITCHES))[:SWITCHES]
+
+    def course(kind: str, chosen: Any) -> Course:
+        return _course(kind, V, start, pieces[np.repeat(chosen, count)], np.full(SWITCHES * count, step))
+
+    found = [course("random", random()) for _ in range(RANDOM)]
+    found += [course("adversary", adversary(False)), course("fair adversary", adversary(True))]
+    return [*found, along("reference", given, V, start, _passes(given, schedule, seconds), step)]
+
+
+def along(kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float) -> Course:
+    """V from an error [x~; d~] along modes, seen every `step` [s] or so, and at every switch."""
+    counts = [max(1, round(mode.seconds / (step if given.Ts is None else given.Ts))) for mode in modes]
+    pieces = [mode._replace(seconds=mode.seconds / count) for mode, count in zip(modes, counts, strict=True)]
+    return _course(kind, V, start, np.repeat(_maps(given, pieces), counts, axis=0), np.repeat([piece.seconds for piece in pieces], counts))
+
+
+def growing(given: Dynamics, cycle: Cycle) -> Floats:
+    """The error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
+    product = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *_maps(given, [*cycle.modes])[::-1]])
+    values, vectors = np.linalg.eig(product)
+    return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
+
+
+def _mode(given: Dynamics, sides: Floats, seconds: float) -> Mode:
+    """A mode at the mean of the vertices with the whole innovation."""
+    vertices = len(given.A)
+    return Mode(np.full(vertices, 1 / vertices), pattern(tuple(sides.astype(int))), np.ones(given.C.shape[0]), seconds)
+
+
+def _passes(given: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
+    """The modes of whole passes of a schedule, for at least that time."""
+    once = [_mode(given, sides, span * (given.Ts or 1.0)) for sides, span in zip(*merged(schedule)[:2], strict=True)]
+    return once * max(1, int(np.ceil(seconds / schedule.duration)))
+
+
+def _maps(given: Dynamics, modes: list[Mode]) -> Floats:
+    """What each mode does to [x~; d~] in its time, exactly."""
+    F, seconds = np.stack([generator(given, mode) for mode in modes]), np.array([mode.seconds for mode in modes])
+    if given.Ts is None:
+        return exponential(F * seconds[:, None, None])
+    return power(np.eye(F.shape[-1]) + given.Ts * F, np.round(seconds / given.Ts).astype(int))
+
+
+def _start(V: Storage, rng: np.random.Generator) -> Floats:
+    """A random error of V = 1, every direction alike where V is the squared length; what V does not see is 0."""
+    n, seen = len(V.P), np.diag(V.R) > 0
+    x, d = np.split(rng.normal(size=n + seen.sum()), [n])
+    error = np.zeros(n + seen.size)
+    error[:n] = np.linalg.solve(np.linalg.cholesky(V.P).T, x)
+    error[n:][seen] = np.linalg.solve(np.linalg.cholesky(V.R[np.ix_(seen, seen)]).T, d)
+    return error / np.sqrt(_value(V, error[None]))
+
+
+def _value(V: Storage, errors: Floats) -> Floats:
+    return V.value(*np.split(errors, [len(V.P)], axis=1))
+
+
+def _course(kind: str, V: Storage, start: Floats, maps: Floats, seconds: Floats) -> Course:
+    errors = [start]
+    for M in maps:
+        errors.append(M @ errors[-1])
+    along = _value(V, np.array(errors))
+    return Course(kind, np.concatenate([[0.0], np.cumsum(seconds)]), along / along[0])

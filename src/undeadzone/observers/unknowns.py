@@ -1,0 +1,145 @@
+"""What may be wrong besides the widths, as states of a filter: input disturbance, bias, tolerance of the model (docs/filters.md)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import block_diag, expm, expm_frechet, solve_discrete_lyapunov
+
+from undeadzone.arrays import Floats, scalar
+from undeadzone.errors import InputError
+from undeadzone.gaussian import Gaussian, mix, update
+from undeadzone.observers.filtering import Extension, Params
+from undeadzone.plant import Matrices, System
+
+SMALL = 0.1  # bias of a calibrated input, relative to that of another
+
+
+class BandPass(NamedTuple):
+    """p+ = F p + noise of covariance Q (2 x 2); p_1 - p_2 has unit rms and no constant part; cov: stationary."""
+
+    F: Floats
+    Q: Floats
+    cov: Floats
+
+
+class Numbers(NamedTuple):
+    """Run-time numbers.
+
+    F, Q, variance: of the disturbances; slopes: `Tolerance.slopes`; rest: the state under each unit bias (n x biases);
+    bias: their rms; odds: that they are `SMALL`.
+    """
+
+    F: Floats
+    Q: Floats
+    variance: Floats
+    slopes: Floats
+    rest: Floats
+    bias: Floats
+    odds: Any
+
+
+def band_pass(correlation: float, washout: float, Ts: float) -> BandPass:
+    """p_1' = -p_1 / correlation + white noise, p_2' = (p_1 - p_2) / washout, sampled exactly, scaled to unit rms of p_1 - p_2."""
+    F = np.array([[-1 / correlation, 0.0], [1 / washout, -1 / washout]])
+    intensity = 2 * (1 / correlation + 1 / washout)  # makes E (p_1 - p_2)^2 = 1
+    # van Loan (1978): exp [[-F, W], [0, F']] Ts = [[., Fd^-1 Q], [0, Fd']]
+    both = expm(np.block([[-F, np.diag([intensity, 0.0])], [np.zeros((2, 2)), F.T]]) * Ts)
+    Fd = both[2:, 2:].T
+    Q = Fd @ both[:2, 2:]
+    return BandPass(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q))
+
+
+def time_scale(flow: Matrices) -> float:
+    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators. Raises InputError if all are."""
+    rates = np.abs(np.linalg.eigvals(flow.A))
+    moving = rates[rates > 1e-6 * np.linalg.norm(flow.A, 2)]
+    if not moving.size:
+        raise InputError("observer.correlation_time: missing; a chain of integrators has no time scale of its own, give one in seconds")
+    return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
+
+
+class Tolerance(NamedTuple):
+    """Relative standard deviations (K) of what is uncertain, and d[Ad, Bd] per relative change of each (Kn x (n + m)).
+
+    For a nonlinear plant these are its parameters, and there is no matrix.
+    """
+
+    std: Floats
+    slopes: Floats
+
+
+def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
+    """The uncertain entries of the plant's A and B, or its parameters. Raises InputError."""
+    assert model.Ts is not None
+    assert model.flow is not None
+    n, m = model.n, model.m
+    if model.nonlinear:
+        if isinstance(given, dict):
+            raise InputError("observer.tolerance: a nonlinear plant takes one number, for all of its parameters")
+        std = scalar("observer.tolerance", given, least=0.0)
+        return Tolerance(np.full(np.size(model.params) if std else 0, std), np.zeros((0, n + m)))
+    AB = np.hstack(model.flow[:2])
+    names = {f"{name}[{i},{j}]": (i, j + (n if name == "B" else 0)) for name, columns in (("A", n), ("B", m)) for i in range(n) for j in range(columns)}
+    if not isinstance(given, dict):
+        free = np.flatnonzero(~((np.count_nonzero(AB, axis=1) == 1) & (AB.max(axis=1) == 1.0)))
+        given = {name: given for name, (i, j) in names.items() if i in free and AB[i, j] != 0.0}
+    found = []
+    for name, value in given.items():
+        std = scalar(f"observer.tolerance.{name}", value, least=0.0)
+        if name not in names or AB[names[name]] == 0.0:
+            uncertain = ", ".join(name for name, at in names.items() if AB[at] != 0.0)
+            raise InputError(f"observer.tolerance.{name}: expected an entry of A or B that is not 0: {uncertain}")
+        if std:
+            found.append((std, names[name]))
+    square = np.vstack([AB, np.zeros((m, n + m))]) * model.Ts
+    slopes = [expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n] for _, at in found]
+    return Tolerance(np.array([std for std, _ in found]), np.concatenate([np.zeros((0, n + m)), *slopes]))
+
+
+def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
+    found = np.zeros(shape)
+    found[at] = 1.0
+    return found
+
+
+def unknowns(model: System, band: BandPass, rms: Floats, bias: Floats, calibrated: float, tolerance: Tolerance) -> Extension:
+    """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p_1; p_2; theta]."""
+    n, count = model.n, tolerance.std.size
+    biased, shaken = (np.eye(model.m)[:, size > 0] for size in (bias, rms))
+    ends = np.cumsum([0, biased.shape[1], 2 * shaken.shape[1], count]).tolist()
+    difference = np.kron([1.0, -1.0], np.eye(shaken.shape[1]))
+    variance = rms[rms > 0] ** 2
+    # The tolerance acts on x less the rest that a bias leads to: else estimates of theta would seem to tell bias from centre.
+    rest = np.linalg.lstsq(np.eye(n) - model.linear.A, model.linear.B @ biased, rcond=None)[0]
+
+    def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        constant, low_pass, theta = ca.vertsplit(extra, ends)
+        moving = u + shaken @ difference @ low_pass
+        total = moving + biased @ constant
+        if model.nonlinear:
+            after = model.move(q.model * (1 + theta) if count else q.model, x, total)
+        else:
+            regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
+            after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
+        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ low_pass, theta)
+
+    def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+        static = [ca.SX(size, size) for size in (biased.shape[1], count)]
+        return ca.SX(n, n), ca.diagcat(static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1])
+
+    def read(q: Params, belief: Gaussian) -> Gaussian:
+        """The mixture of beliefs under both claims about the bias: from the smaller one by a reading of it as 0 (docs/filters.md)."""
+        odds, small = q.extension.odds, belief
+        for i in range(ends[1]):
+            at, R = n + 2 * model.p + i, q.extension.bias[i] ** 2 / (1 / SMALL**2 - 1)
+            e = -small.mean[at]
+            small, S = update(small, ca.SX.eye(small.mean.shape[0])[at, :], e, R, 1.0)
+            odds = odds * ca.sqrt(R / S) * ca.exp(-(e**2) / S / 2) / SMALL
+        return mix(small, belief, odds / (1 + odds))
+
+    numbers = Numbers(band.F, band.Q, variance, tolerance.slopes, rest, bias[bias > 0], np.float64(calibrated / (1 - calibrated)))
+    cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(band.cov, np.diag(variance)), np.diag(tolerance.std**2))
+    return Extension(numbers, cov, move, noise, read) if calibrated else Extension(numbers, cov, move, noise)

@@ -1,0 +1,201 @@
+"""Figures of a certificate: root locus of the modes, positive realness over frequency, V along the worst trajectories."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.design.account import Account, Gains, Trial
+from undeadzone.design.errordynamics import Dynamics, pattern
+from undeadzone.design.falsify import Mode, generator
+from undeadzone.design.floquet import rates
+from undeadzone.design.passivity import margin
+from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, REFERENCE, TRUTH, finish, sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains: how far a root locus goes, and where rates are shown
+EVERY: Final = 30
+FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive real
+NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
+
+
+def root_locus(of: Account, found: Gains) -> Figure:
+    """Eigenvalues of the error while outputs are read, as gamma or L is scaled, and the Floquet rate along the reference.
+
+    Sampled, eigenvalues z are drawn as (z - 1) / Ts, which tends to s as Ts -> 0; the unit circle is drawn so too.
+    """
+    given = found.dynamics
+    p, Ts = given.C.shape[0], given.Ts
+    sides = {"": (1,)} if p == 1 else {", every output read": (1,) * p} | {f", only output {i} read": tuple(np.eye(p, dtype=int)[i]) for i in range(p)}
+    scaled = ["gamma", "L"] if given.gamma.any() else ["L"]
+    figure, panels = sheet([[*(f"{what}{words}" for what in scaled), "rate"] for words in sides], "Root locus of the active mode, and the rate", height=3.6)
+    dots: Any = None
+    for words, read in sides.items():
+        for what in scaled:
+            axes = panels[what + words]
+            poles = np.stack([_poles(given, _scaled(given, what, factor), read) for factor in FACTORS])
+            dots = axes.scatter(poles.real, poles.imag, c=np.repeat(FACTORS, poles.shape[1]), s=3, cmap="viridis", linewidths=0)
+            free, chosen = poles[0], poles[np.argmin(np.abs(FACTORS - 1))]
+            silent = np.linalg.eigvals(given.A[0])
+            axes.plot(silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent")
+            axes.plot(free.real, free.imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[what]} = 0")
+            axes.plot(chosen.real, chosen.imag, "o", color=PRINTED, markersize=6, label="chosen")
+            _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
+            names = ("Re s [1/s]", "Im s [rad/s]") if Ts is None else ("Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]")
+            finish(axes, f"{NAMES[what]} scaled{words}", names[1], names[0], legend=3)
+    _rates(panels["rate"], of, found, scaled)
+    figure.colorbar(dots, ax=[*panels.values()], label="times the gain", shrink=0.6, aspect=30, pad=0.01)
+    return figure
+
+
+def _scaled(given: Dynamics, what: str, factor: float) -> Dynamics:
+    return given._replace(**{what: factor * getattr(given, what)})
+
+
+def _poles(given: Dynamics, at: Dynamics, read: tuple[int, ...]) -> np.ndarray:
+    """Eigenvalues of x~ and of the widths read and adapted under the gains given, with the gains at."""
+    S = pattern(read)
+    F = generator(at, Mode(np.ones(1), S, np.ones(len(read)), 0.0))
+    kept = np.concatenate([np.ones(len(given.A[0]), bool), S.any(axis=0) & (np.diag(given.gamma) > 0)])
+    return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
+
+
+def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
+    """Limits that hold all poles and some of the unstable region, which is shaded."""
+    size = max(np.ptp(poles.real), np.ptp(poles.imag), 1e-3 * np.abs(poles).max(), 1e-300)
+    left, right = poles.real.min() - 0.08 * size, max(poles.real.max(), 0.0) + 0.12 * size
+    top = np.abs(poles.imag).max() + 0.15 * size
+    x, y = np.meshgrid(np.linspace(left, right, 400), np.linspace(-top, 1.6 * top, 400))
+    growth = x if Ts is None else (np.abs(1 + Ts * (x + 1j * y)) - 1) / Ts
+    axes.contourf(x, y, growth, levels=[0.0, np.inf], colors=[FORBIDDEN], zorder=0)
+    axes.contour(x, y, growth, levels=[0.0], colors=[PRINTED], linewidths=1.0, zorder=1)
+    axes.set_xlim(left, right)
+    axes.set_ylim(-top, top)
+
+
+def _rates(axes: Axes, of: Account, found: Gains, scaled: list[str]) -> None:
+    """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
+    linear, jump, proof = of.problem.model.linear, of.problem.sensor.kind == "jump", found.certificate
+    factors = FACTORS[::EVERY]
+    for what, colour in zip(scaled, (ESTIMATE, READING), strict=False):
+        gains = [(found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma) for k in factors]
+        rate = np.array([rates(linear, *pair, of.schedule, jump).rate for pair in gains])
+        proved = np.array([proof.margin > -np.inf and margin(_scaled(proof.dynamics, what, k), proof.W)[0] > 0 for k in factors])
+        axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
+        axes.plot(factors, np.where(proved, rate, np.nan), color=colour, linewidth=2.0, label=f"{NAMES[what]} alone")
+    axes.plot([1.0], [found.rates.rate], "o", color=PRINTED, markersize=6, label="chosen")
+    axes.axhline(0.0, color=TRUTH, linewidth=0.8)
+    finish(axes, "Rate along the reference (dotted: not certified)", "rate [1/s]", "times the gain", legend=3)
+
+
+def nyquist(found: Gains) -> Figure:
+    """1 + G(jw) and its real part; for several outputs the eigenvalues of its Hermitian part under the weights W.
+
+    Sampled, 1 + G - Ts gamma / 2 on the unit circle. The model must be stable.
+    """
+    given, proof = found.certificate.dynamics, found.certificate
+    w, H = _response(given, proof.W, proof.frequency)
+    p = H.shape[1]
+    what = "1 + G" if given.Ts is None else "1 + G − Ts γ/2"
+    worst = _response(given, proof.W, proof.frequency, only=True)[1][0]
+    at = "for ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else f"at {proof.frequency:.4g} rad/s"
+    figure, panels = sheet([["curve", "real"]] if p == 1 else [["real"]], f"Positive realness: least real part {proof.margin:.4g} {at}", height=4.0)
+    if p == 1:
+        curve = H[:, 0, 0]
+        _curve(panels["curve"], curve, worst[0, 0])
+        finish(panels["curve"], f"Nyquist curve of {what}", "Im", "Re", legend=0)
+        if np.abs(curve).max() > 15 * abs(proof.margin):
+            _zoom(panels["curve"], curve, worst[0, 0], abs(proof.margin))
+    values = np.linalg.eigvalsh((H + H.conj().transpose(0, 2, 1)) / 2)
+    axes = panels["real"]
+    top = max(1.5, min(float(values.max()), 5 * abs(proof.margin), 10.0)) * 1.1
+    bottom = min(0.0, proof.margin)
+    axes.set_xscale("log")
+    axes.axhspan(bottom - 0.25 * (top - bottom), 0.0, color=FORBIDDEN, linewidth=0)
+    for k in range(p):
+        axes.plot(w, values[:, k], color=ESTIMATE, alpha=1.0 if k == 0 else 0.35, label="least eigenvalue" if k == 0 and p > 1 else None)
+    if proof.frequency is not None and np.isfinite(proof.frequency) and proof.frequency > 0:
+        axes.plot([proof.frequency], [proof.margin], "o", color=PRINTED)
+    else:
+        axes.axhline(proof.margin, color=PRINTED, linestyle=":")
+    axes.set_ylim(bottom - 0.12 * (top - bottom), top)
+    words = f"Re ({what})" if p == 1 else f"eigenvalues of the Hermitian part of W^(1/2) ({what}) W^(-1/2)"
+    finish(axes, f"{words} over frequency", "", "ω [rad/s]", legend=0)
+    return figure
+
+
+def _response(given: Dynamics, W: Floats, frequency: float | None, only: bool = False) -> tuple[Floats, np.ndarray]:
+    """(w [rad/s], W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2)) around the poles, or at one frequency only."""
+    A, Ts, root = given.A[0], given.Ts, np.sqrt(W)
+    poles = np.abs(np.linalg.eigvals(A))
+    w = np.geomspace(1e-2 * poles.min(), 1e2 * poles.max(), 2000)
+    w = np.array([np.inf if frequency is None else frequency]) if only else w
+    w = w if Ts is None else np.minimum(w, np.pi / Ts)
+    s = 1j * w if Ts is None else np.expm1(1j * w * Ts) / Ts
+    D = np.eye(root.size) - given.steps[0] / 2
+    with np.errstate(all="ignore"):
+        G = np.where(np.isinf(w)[:, None, None], 0.0, (given.C * root[:, None]) @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, (given.L / root)[None]))
+    return w, D + G
+
+
+def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
+    size = max(np.ptp(curve.real), 1e-9)
+    left = min(0.0, curve.real.min()) - 0.15 * size
+    axes.axvspan(left, 0.0, color=FORBIDDEN, linewidth=0)
+    axes.axvline(0.0, color=PRINTED, linewidth=1.0)
+    axes.plot(curve.real, -curve.imag, color=ESTIMATE, alpha=0.3)
+    axes.plot(curve.real, curve.imag, color=ESTIMATE)
+    axes.plot([worst.real], [worst.imag], "o", color=PRINTED, zorder=5)
+    axes.set_xlim(left, curve.real.max() + 0.1 * size)
+
+
+def _zoom(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
+    inset = axes.inset_axes((0.5, 0.55, 0.48, 0.42))
+    _curve(inset, curve, worst)
+    near = curve[np.abs(curve.real - worst.real) < 4 * size]
+    tall = max(np.abs(near.imag - worst.imag).max(initial=0.0), size)
+    inset.set_xlim(worst.real - 3 * size, worst.real + 6 * size)
+    inset.set_ylim(worst.imag - tall, worst.imag + tall)
+    inset.tick_params(labelsize=7)
+    axes.indicate_inset_zoom(inset, edgecolor=TRUTH)
+
+
+STYLES: Final[dict[str, dict[str, Any]]] = {
+    "random": {"color": "#b9bec6", "linewidth": 0.8},
+    "adversary": {"color": PRINTED, "linewidth": 1.8},
+    "fair adversary": {"color": READING, "linewidth": 1.8},
+    "reference": {"color": ESTIMATE, "linewidth": 1.8},
+}
+
+
+def courses(found: Gains, tried: Trial) -> Figure:
+    """V along random, adversarial and planned switching; where V can be made to rise, the attack, and a growing cycle if found."""
+    extra = [course for course in tried.courses if course.kind not in STYLES]
+    verdict = "never rises" if not tried.attack.broken else "can be made to rise"
+    figure, panels = sheet([["V", "V", *(course.kind for course in extra)]], f"V {verdict}: {tried.attack.trajectories} trajectories tried", height=4.0)
+    axes = panels["V"]
+    axes.set_yscale("log")
+    drawn = set[str]()
+    for course in tried.courses:
+        if course.kind in STYLES:
+            axes.plot(course.t, np.maximum(course.V, FLOOR), label=None if course.kind in drawn else course.kind, **STYLES[course.kind])
+            drawn.add(course.kind)
+    t = tried.courses[0].t
+    axes.plot(t, np.exp(-2 * found.rates.rate * t), color=TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
+    finish(axes, "V / V(0) from one error", "", legend=5)
+    for course in extra:
+        axes = panels[course.kind]
+        axes.axhline(1.0, color=TRUTH, linewidth=0.8)
+        axes.plot(course.t, course.V, color=PRINTED, linewidth=1.8)
+        if course.kind == "cycle":
+            axes.set_yscale("log")
+        finish(axes, TITLES[course.kind], "V / V(0)", legend=0)
+    return figure
+
+
+TITLES: Final = {"attack": "The attack: one side held", "cycle": "Sides along which the error grows for ever"}
