@@ -255,7 +255,7 @@ def row(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def table(count: int = 400, rivals: int = 15, seed: int = 0) -> str:
+def table(count: int = 600, rivals: int = 25, seed: int = 0) -> str:
     """The table, from `count` problems of each order for ours and `rivals` for filterpy's."""
     heads = ("world", "z reaches", "filter", "d_r", "d_l", "width", "centre", "z", "NEES", "NIS", "median error, std of width")
     lines = ["## Coverage of claimed 95 % intervals\n", row(*heads), row(*["---"] * len(heads))]
@@ -272,7 +272,8 @@ def table(count: int = 400, rivals: int = 15, seed: int = 0) -> str:
                 whole = pooled(parts)
                 shares = [f"{share:.3f}" for share in whole.covered()]
                 error, std = np.median(np.abs(whole.errors[:, 2])), np.median(whole.stds[:, 2])
-                lines.append(row(name, reach, label, *shares, f"{whole.nees():.3g}", f"{whole.nis:.3g}", f"{error:.2g}, {std:.2g}"))
+                nis = "-" if np.isnan(whole.nis) else f"{whole.nis:.3g}"
+                lines.append(row(name, reach, label, *shares, f"{whole.nees():.3g}", nis, f"{error:.2g}, {std:.2g}"))
     note = f"{count * len(ORDERS)} problems of orders {ORDERS} a row for ours, {rivals * len(ORDERS)} for filterpy's; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, ""])
 

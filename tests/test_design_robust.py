@@ -207,10 +207,29 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
     assert falsify(outside, V, 5000, seed=1).broken
 
 
-def test_known_nonlinear_plant() -> None:
-    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: no linear part alone is stable, yet one V falls; [-0.1, 1] has none."""
+@pytest.mark.parametrize("Ts", [None, 0.05])
+def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
+    """A + E Delta F_A, B + E Delta F_B with |Delta| just below the certified radius: V of (x - x_ref, x~, d~) falls."""
+    model = PAPER if Ts is None else zoh(PAPER, Ts)
+    K, E, F_A, F_B = np.array([[1.0, 1.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 2.0]]), np.array([[1.0]])
+    nominal = closed_loop(model, [model], L, K, np.array([5.0]), Ts)
+    F = np.hstack([F_A - F_B @ K, F_B @ K])
+    radius = certified_radius(nominal, np.vstack([E, E]), F)
+    assert 0.1 < radius < 1
+    step = 1.0 if Ts is None else Ts
+    plants = [Matrices(model.A + step * share * E @ F_A, model.B + step * share * E @ F_B, C) for share in (-0.999 * radius, 0.999 * radius)]
+    V = l2_gain(nominal, np.vstack([E, E]), output=F).V
+    assert not falsify(closed_loop(model, plants, L, K, np.array([5.0]), Ts), V, 5000).broken
+
+
+@pytest.mark.parametrize("Ts", [None, 0.05])
+def test_known_nonlinear_plant(Ts: float | None) -> None:
+    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: no linear part alone is stable, yet one V falls; [-0.1, 1] has none.
+
+    Sampled: the plant x+ = x + Ts (...), given as such.
+    """
     linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
-    given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)
+    given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
     found = sector(given, -B, C, np.array([0.2]), np.array([1.0]))
     assert found.certified
     ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))

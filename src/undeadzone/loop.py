@@ -154,7 +154,10 @@ class _Wires(NamedTuple):
 
 
 def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: tuple[ca.SX, ...], h: ca.SX) -> ca.SX:
-    """RK4 with the change of side located inside the step (`switching.located_step`)."""
+    """RK4 with the change of side located inside the step (`switching.located_step`).
+
+    A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
+    """
     first, middle, last = columns
     right, left, slope, threshold = wires.p.sensor
     noise: Exogenous = tree.unpack(instant, first)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
+import tomli_w
 import numpy as np
 
-from undeadzone import toml
 from undeadzone.arrays import Floats, matrix, vector
 from undeadzone.controllers import StateFeedback
 from undeadzone.design.check import Known, determined, knowledge
@@ -102,7 +102,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Write it as TOML, every number exactly. Raises FileError."""
         path = Path(path)
         with replacing(path) as temporary:
-            temporary.write_text(toml.dumps(msgspec.to_builtins(self)), encoding="utf-8")
+            temporary.write_text(tomli_w.dumps(_given(msgspec.to_builtins(self))), encoding="utf-8")
         return path
 
     @classmethod
@@ -190,3 +190,10 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
 def _point(candidate: Candidate) -> Point:
     numbers = candidate._asdict()
     return Point(**numbers | {"L": candidate.L.tolist(), "gamma": candidate.gamma.tolist()})
+
+
+def _given(value: Any) -> Any:
+    """Without the keys whose value is None, which TOML lacks."""
+    if isinstance(value, dict):
+        return {key: _given(child) for key, child in value.items() if child is not None}
+    return [_given(child) for child in value] if isinstance(value, list) else value

@@ -1,7 +1,8 @@
 """The certificate under disturbance, noise, leakage, an uncertain plant and known nonlinearities; proofs in docs/certificate.md.
 
 Every function takes error dynamics (`errordynamics.dynamics`, or `closed_loop` with a controller) and returns a value
-with its storage V and the check of its own LMI by eigenvalues. Sampled, the plant itself must be given in sampled form.
+with its storage V and the check of its own LMI by eigenvalues. Sampled, the plant itself must be given in sampled form,
+and what enters x~' (E, G) in delta form like A: the matrix of one step divided by Ts.
 """
 
 from __future__ import annotations
@@ -77,8 +78,9 @@ def l2_gain(given: Dynamics, E: Floats | None = None, noise: Floats | None = Non
 def certified_radius(given: Dynamics, E: Floats, F: Floats) -> float:
     """The largest r such that V falls for x~' = (A + E Delta F) x~ - L e with any Delta(t), |Delta| < r; 0 if not certified.
 
-    By the same token the largest Lipschitz constant of phi in a known plant A x + B u + E phi(F x). Small gain: 1 / the
-    least disturbance gain from E to F x~ is the exact edge of the LMI.
+    By the same token the largest Lipschitz constant of phi in a known plant A x + B u + E phi(F x), and in `closed_loop`
+    with its model alone, E twice and F = [F_A - F_B K, F_B K], the largest |Delta| of a plant A + E Delta F_A,
+    B + E Delta F_B. Small gain: 1 / the least disturbance gain from E to F x~ is the exact edge of the LMI.
     """
     gain = l2_gain(given, E, output=F)
     return 1 / gain.disturbance if gain.disturbance > 0 else np.inf

@@ -18,41 +18,19 @@ def evolve(cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: in
 
     From a random point with wide steps, or from `start` with narrow ones.
     """
-    rng = np.random.default_rng(seed)
-    d, span = low.size, high - low
-    parents = size // 2
-    weight = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
-    weight /= weight.sum()
-    mass = 1 / float((weight**2).sum())
-    path_rate, step_rate = (4 + mass / d) / (d + 4 + 2 * mass / d), (mass + 2) / (d + mass + 5)
-    one = 2 / ((d + 1.3) ** 2 + mass)
-    many = min(1 - one, 2 * (mass - 2 + 1 / mass) / ((d + 2) ** 2 + mass))
-    damping = 1 + 2 * max(0.0, np.sqrt((mass - 1) / (d + 1)) - 1) + step_rate
-    normal = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))  # mean length of a standard normal vector
+    from cmaes import CMA
 
-    mean, sigma = (rng.uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, 0.05)
-    covariance, path, step_path = np.eye(d), np.zeros(d), np.zeros(d)
+    d, span = low.size, high - low
+    mean, sigma = (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, 0.05)
+    search = CMA(mean=mean, sigma=sigma, bounds=np.tile([0.0, 1.0], (d, 1)), seed=seed, population_size=size)
     best, least = mean, np.inf
-    for turn in range(1, rounds + 1):
-        values, vectors = np.linalg.eigh(covariance)
-        axes = np.sqrt(np.maximum(values, 1e-20))
-        moves = rng.normal(size=(size, d)) * axes @ vectors.T
-        points = mean + sigma * moves
-        inside = np.clip(points, 0.0, 1.0)
-        found = cost(low + inside * span)
+    for _ in range(rounds):
+        points = np.stack([search.ask() for _ in range(size)])
+        found = cost(low + points * span)
         if found.min() < least:
-            best, least = inside[found.argmin()], float(found.min())
-        ranked = found + (1 + abs(least)) * ((points - inside) ** 2).sum(axis=1)
-        chosen = moves[np.argsort(ranked)[:parents]]
-        move = weight @ chosen
-        mean = mean + sigma * move
-        step_path = (1 - step_rate) * step_path + np.sqrt(step_rate * (2 - step_rate) * mass) * (vectors @ (vectors.T @ move / axes))
-        length = float(np.linalg.norm(step_path))
-        steady = length / np.sqrt(1 - (1 - step_rate) ** (2 * turn)) < (1.4 + 2 / (d + 1)) * normal
-        path = (1 - path_rate) * path + steady * np.sqrt(path_rate * (2 - path_rate) * mass) * move
-        covariance = (1 - one - many) * covariance + one * np.outer(path, path) + many * (chosen.T * weight) @ chosen
-        sigma *= float(np.exp(step_rate / damping * (length / normal - 1)))
-        if sigma * axes.max() < 1e-9:
+            best, least = points[found.argmin()], float(found.min())
+        search.tell(list(zip(points, np.nan_to_num(found, posinf=1e300).tolist(), strict=True)))
+        if search.should_stop():
             break
     return low + best * span, least
 

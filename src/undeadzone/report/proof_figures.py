@@ -81,36 +81,44 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
 def _rates(axes: Axes, of: Account, found: Gains, scaled: list[str]) -> None:
     """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
     linear, jump, proof = of.problem.model.linear, of.problem.sensor.kind == "jump", found.certificate
-    factors = FACTORS[::EVERY]
     for what, colour in zip(scaled, (ESTIMATE, READING), strict=False):
+        factors = FACTORS[EVERY if what == "gamma" else 0 :: EVERY]  # without gamma the widths are no part of the error
         gains = [(found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma) for k in factors]
         rate = np.array([rates(linear, *pair, of.schedule, jump).rate for pair in gains])
         proved = np.array([proof.margin > -np.inf and margin(_scaled(proof.dynamics, what, k), proof.W)[0] > 0 for k in factors])
         axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
         axes.plot(factors, np.where(proved, rate, np.nan), color=colour, linewidth=2.0, label=f"{NAMES[what]} alone")
-    axes.plot([1.0], [found.rates.rate], "o", color=PRINTED, markersize=6, label="chosen")
+    axes.plot([1.0], [found.rates.rate], "o", color=PRINTED, markersize=6)
     axes.axhline(0.0, color=TRUTH, linewidth=0.8)
-    finish(axes, "Rate along the reference (dotted: not certified)", "rate [1/s]", "times the gain", legend=3)
+    finish(axes, "Rate (dotted: not certified)", "rate along the reference [1/s]", "times the gain", legend=2)
 
 
 def nyquist(found: Gains) -> Figure:
     """1 + G(jw) and its real part; for several outputs the eigenvalues of its Hermitian part under the weights W.
 
-    Sampled, 1 + G - Ts gamma / 2 on the unit circle. The model must be stable.
+    Sampled, 1 + G - Ts gamma / 2 on the unit circle. The model must be stable: the margin finite.
     """
     given, proof = found.certificate.dynamics, found.certificate
-    w, H = _response(given, proof.W, proof.frequency)
+    poles = np.abs(np.linalg.eigvals(given.A[0]))
+    w = np.geomspace(1e-2 * poles.min(), min(1e2 * poles.max(), np.inf if given.Ts is None else np.pi / given.Ts), 2000)
+    worst_at = np.inf if proof.frequency is None else proof.frequency
+    H, worst = _response(given, proof.W, w), _response(given, proof.W, np.array([worst_at]))[0]
     p = H.shape[1]
     what = "1 + G" if given.Ts is None else "1 + G − Ts γ/2"
-    worst = _response(given, proof.W, proof.frequency, only=True)[1][0]
-    at = "for ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else f"at {proof.frequency:.4g} rad/s"
-    figure, panels = sheet([["curve", "real"]] if p == 1 else [["real"]], f"Positive realness: least real part {proof.margin:.4g} {at}", height=4.0)
+    at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
+    curve, zoomed = H[:, 0, 0], np.abs(H).max() > 15 * abs(proof.margin)
+    rows = [["curve", *(["zoom"] if zoomed else []), "real"]] if p == 1 else [["real"]]
+    verdict = "certified" if proof.certified else "not certified"
+    figure, panels = sheet(rows, f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}", height=4.0)
     if p == 1:
-        curve = H[:, 0, 0]
         _curve(panels["curve"], curve, worst[0, 0])
         finish(panels["curve"], f"Nyquist curve of {what}", "Im", "Re", legend=0)
-        if np.abs(curve).max() > 15 * abs(proof.margin):
-            _zoom(panels["curve"], curve, worst[0, 0], abs(proof.margin))
+        for k, name in ((0, "ω = 0"), (-1, "ω → ∞" if given.Ts is None else "ω = π/Ts")):
+            panels["curve"].annotate(name, (curve[k].real, curve[k].imag), (4, 4), textcoords="offset points", fontsize=8)
+    if "zoom" in panels:
+        _curve(panels["zoom"], curve, worst[0, 0])
+        _near(panels["zoom"], curve, worst[0, 0], abs(proof.margin))
+        finish(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
     values = np.linalg.eigvalsh((H + H.conj().transpose(0, 2, 1)) / 2)
     axes = panels["real"]
     top = max(1.5, min(float(values.max()), 5 * abs(proof.margin), 10.0)) * 1.1
@@ -119,8 +127,8 @@ def nyquist(found: Gains) -> Figure:
     axes.axhspan(bottom - 0.25 * (top - bottom), 0.0, color=FORBIDDEN, linewidth=0)
     for k in range(p):
         axes.plot(w, values[:, k], color=ESTIMATE, alpha=1.0 if k == 0 else 0.35, label="least eigenvalue" if k == 0 and p > 1 else None)
-    if proof.frequency is not None and np.isfinite(proof.frequency) and proof.frequency > 0:
-        axes.plot([proof.frequency], [proof.margin], "o", color=PRINTED)
+    if w[0] <= worst_at <= w[-1]:
+        axes.plot([worst_at], [proof.margin], "o", color=PRINTED)
     else:
         axes.axhline(proof.margin, color=PRINTED, linestyle=":")
     axes.set_ylim(bottom - 0.12 * (top - bottom), top)
@@ -129,18 +137,14 @@ def nyquist(found: Gains) -> Figure:
     return figure
 
 
-def _response(given: Dynamics, W: Floats, frequency: float | None, only: bool = False) -> tuple[Floats, np.ndarray]:
-    """(w [rad/s], W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2)) around the poles, or at one frequency only."""
+def _response(given: Dynamics, W: Floats, w: Floats) -> np.ndarray:
+    """W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is allowed."""
     A, Ts, root = given.A[0], given.Ts, np.sqrt(W)
-    poles = np.abs(np.linalg.eigvals(A))
-    w = np.geomspace(1e-2 * poles.min(), 1e2 * poles.max(), 2000)
-    w = np.array([np.inf if frequency is None else frequency]) if only else w
-    w = w if Ts is None else np.minimum(w, np.pi / Ts)
-    s = 1j * w if Ts is None else np.expm1(1j * w * Ts) / Ts
-    D = np.eye(root.size) - given.steps[0] / 2
-    with np.errstate(all="ignore"):
-        G = np.where(np.isinf(w)[:, None, None], 0.0, (given.C * root[:, None]) @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, (given.L / root)[None]))
-    return w, D + G
+    H = np.tile((np.eye(root.size) - given.steps[0] / 2).astype(complex), (w.size, 1, 1))
+    finite = np.isfinite(w)
+    s = 1j * w[finite] if Ts is None else np.expm1(1j * w[finite] * Ts) / Ts
+    H[finite] += given.C * root[:, None] @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, (given.L / root)[None].astype(complex))
+    return H
 
 
 def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
@@ -154,15 +158,12 @@ def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
     axes.set_xlim(left, curve.real.max() + 0.1 * size)
 
 
-def _zoom(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
-    inset = axes.inset_axes((0.5, 0.55, 0.48, 0.42))
-    _curve(inset, curve, worst)
+def _near(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
+    """Limits around the worst point, some times `size` wide."""
     near = curve[np.abs(curve.real - worst.real) < 4 * size]
-    tall = max(np.abs(near.imag - worst.imag).max(initial=0.0), size)
-    inset.set_xlim(worst.real - 3 * size, worst.real + 6 * size)
-    inset.set_ylim(worst.imag - tall, worst.imag + tall)
-    inset.tick_params(labelsize=7)
-    axes.indicate_inset_zoom(inset, edgecolor=TRUTH)
+    tall = max(float(np.abs(near.imag - worst.imag).max(initial=0.0)), size)
+    axes.set_xlim(worst.real - 3 * size, worst.real + 6 * size)
+    axes.set_ylim(worst.imag - tall, worst.imag + tall)
 
 
 STYLES: Final[dict[str, dict[str, Any]]] = {
@@ -177,7 +178,7 @@ def courses(found: Gains, tried: Trial) -> Figure:
     """V along random, adversarial and planned switching; where V can be made to rise, the attack, and a growing cycle if found."""
     extra = [course for course in tried.courses if course.kind not in STYLES]
     verdict = "never rises" if not tried.attack.broken else "can be made to rise"
-    figure, panels = sheet([["V", "V", *(course.kind for course in extra)]], f"V {verdict}: {tried.attack.trajectories} trajectories tried", height=4.0)
+    figure, panels = sheet([["V", "V", *(course.kind for course in extra)]], f"V {verdict}: {tried.attack.trajectories:,} random and adversarial trajectories tried", height=4.0)
     axes = panels["V"]
     axes.set_yscale("log")
     drawn = set[str]()
@@ -187,14 +188,13 @@ def courses(found: Gains, tried: Trial) -> Figure:
             drawn.add(course.kind)
     t = tried.courses[0].t
     axes.plot(t, np.exp(-2 * found.rates.rate * t), color=TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
-    finish(axes, "V / V(0) from one error", "", legend=5)
+    finish(axes, "V / V(0) from one random error", "", legend=5)
     for course in extra:
-        axes = panels[course.kind]
-        axes.axhline(1.0, color=TRUTH, linewidth=0.8)
-        axes.plot(course.t, course.V, color=PRINTED, linewidth=1.8)
-        if course.kind == "cycle":
-            axes.set_yscale("log")
-        finish(axes, TITLES[course.kind], "V / V(0)", legend=0)
+        axes, large = panels[course.kind], course.V.max() > 10
+        axes.axhline(1.0 if large else 0.0, color=TRUTH, linewidth=0.8)
+        axes.plot(course.t, course.V if large else 100 * (course.V - 1), color=PRINTED, linewidth=1.8)
+        axes.set_yscale("log" if large else "linear")
+        finish(axes, TITLES[course.kind], "V / V(0)" if large else "rise of V [%]", legend=0)
     return figure
 
 
