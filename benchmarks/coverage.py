@@ -8,18 +8,18 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone import noise as noises
 from undeadzone import tree
 from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
 from undeadzone.observers import Censored, Kalman, Reading
-from undeadzone.observers.unknowns import BandPass, band_pass
 from undeadzone.plant import Matrices, Plant, sampled, system, zoh
 from undeadzone.sensor import Sensor, deadzone, resolve, side
 
 STEP, DURATION, RAMP = 0.01, 10.0, 2.0  # [s]
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly
 ORDERS = (1, 2, 3)
-CORRELATION, WASHOUT = 0.2, 0.3  # [s] of the disturbance
+CORRELATION = 0.2  # [s] of the disturbance
 ROUNDING = 1e-12  # of z: without a disturbance the state's variance decays below it
 REACHES = ("both edges", "grazing", "right edge only", "no edge")
 
@@ -85,7 +85,7 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
     u = np.stack([_drive(rng, model, t, a, c) for model, a, c in zip(models, amplitude, offset, strict=True)], axis=1)
     static = np.array([_response(model, 0.0).real for model in models])
     w_rms, bias_rms = world.disturbance * np.abs(u).max(axis=0), np.abs(world.bias / static)
-    w = w_rms * _shaped(rng, band_pass(CORRELATION, WASHOUT, STEP), t.size, count)
+    w = noises.coloured(seed, t.size, w_rms, CORRELATION, STEP)
     x_std = 1.0 if reach in ("both edges", "grazing") else 0.1
     x, bias = rng.normal(size=(count, order)) * x_std, rng.normal(size=count) * bias_rms
     A, B, C = (np.stack(part) for part in zip(*(zoh(_wrong(rng, model, world.tolerance), STEP) for model in models), strict=True))
@@ -127,16 +127,6 @@ def _drive(rng: np.random.Generator, model: Matrices, t: Floats, amplitude: floa
     return u * rise**2 * (3 - 2 * rise)
 
 
-def _shaped(rng: np.random.Generator, band: BandPass, steps: int, count: int) -> Floats:
-    """Unit-rms disturbances (steps x count) of that spectrum."""
-    state, kick = np.linalg.cholesky(band.cov) @ rng.normal(size=(2, count)), np.linalg.cholesky(band.Q)
-    found = np.empty((steps, count))
-    for k in range(steps):
-        found[k] = state[0] - state[1]
-        state = band.F @ state + kick @ rng.normal(size=(2, count))
-    return found
-
-
 def kalman(given: Problems, k: int) -> Kalman:
     """`Kalman` told the truth about problem k, a coloured disturbance taken for white."""
     return Kalman(right=RANGE, x_std=given.x_std, disturbance=given.disturbance[k])
@@ -145,7 +135,7 @@ def kalman(given: Problems, k: int) -> Kalman:
 def censored(given: Problems, k: int) -> Censored:
     """`Censored` told the truth about problem k."""
     return Censored(
-        right=RANGE, x_std=given.x_std, disturbance=given.disturbance[k], correlation_time=CORRELATION, washout_time=WASHOUT, bias=given.bias[k],
+        right=RANGE, x_std=given.x_std, disturbance=given.disturbance[k], correlation_time=CORRELATION, bias=given.bias[k],
         tolerance=given.world.tolerance,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from undeadzone import sensor
 from undeadzone.arrays import Floats
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Kalman
-from undeadzone.observers.unknowns import band_pass, time_scale, tolerances
+from undeadzone.observers.unknowns import coloured, time_scale, tolerances
 from undeadzone.plant import Matrices, Plant, System, sampled, system, zoh
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation import simulate
@@ -84,13 +84,19 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 # --- Its models
 
 
+@given(st.floats(0.01, 10), st.floats(0.001, 0.3))
+def test_the_disturbance_is_first_order_noise_of_unit_rms(correlation: float, relative_step: float) -> None:
+    found = coloured(correlation, None, relative_step * correlation)
+    assert np.concatenate([*found.F, *found.Q, *found.cov, found.C]) == pytest.approx([np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0])
+
+
 @given(st.floats(0.01, 10), st.floats(0.1, 10), st.floats(0.001, 0.3))
-def test_the_disturbance_has_unit_rms_its_correlation_and_no_constant_part(correlation: float, ratio: float, relative_step: float) -> None:
+def test_with_a_washout_it_has_no_constant_part(correlation: float, ratio: float, relative_step: float) -> None:
     """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0, with integral 0; a = 1 / correlation, b = 1 / washout."""
     Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
-    F, Q, cov = band_pass(correlation, washout, Ts)
+    F, Q, cov, w = coloured(correlation, washout, Ts)
     assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
-    a, b, w = 1 / correlation, 1 / washout, np.array([1.0, -1.0])
+    a, b = 1 / correlation, 1 / washout
     for lag in (0, 1, 5, 20):
         t = lag * Ts
         expected = (a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b)
@@ -244,7 +250,7 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
             sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
             reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
             disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
-            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2, "washout_time": 50.0},
+            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2},
             controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
             simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
         )

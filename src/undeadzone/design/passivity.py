@@ -130,8 +130,8 @@ def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:
         found = _deepest(given, shift)
         if found is None:
             break
-        trial, t = found
-        reached, at = margin(given, trial) if exact else (shift + t / (trial.max() if t > 0 else trial.min()), None)
+        P, trial = found
+        reached, at = margin(given, trial) if exact else (_reached(given, P, trial), None)
         gain = reached - best
         if gain > 0:
             W, best, w = trial, reached, at
@@ -141,8 +141,8 @@ def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:
     return W, best, w
 
 
-def _deepest(given: Dynamics, shift: float) -> tuple[Floats, float] | None:
-    """(W, t) of largest t such that M + 2 diag(0, shift W + t I) <= 0 for some P; None if there is none."""
+def _deepest(given: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
+    """(P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0; None if there is none."""
     groups, none = given.groups, np.zeros((given.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
@@ -154,7 +154,22 @@ def _deepest(given: Dynamics, shift: float) -> tuple[Floats, float] | None:
 
     start = np.append(np.ones(groups.shape[1] - 1), 0.0)
     found = optimise(family, -np.eye(start.size)[-1], start, lambda P, q: [weights(q) - LEAST], passes=1)
-    return None if found is None else (np.maximum(weights(found.q), LEAST), float(found.q[-1]))
+    return None if found is None else (found.P, np.maximum(weights(found.q), LEAST))
+
+
+def _reached(given: Dynamics, P: Floats, W: Floats) -> float:
+    """The largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is none."""
+    n, p = given.L.shape
+    least = np.inf
+    for M in given.inequality(W).matrices(P):
+        e = np.arange(n, n + p)
+        rest = np.delete(np.arange(len(M)), e)
+        if not np.linalg.eigvalsh(M[np.ix_(rest, rest)])[-1] < 0:
+            return -np.inf
+        cross = M[np.ix_(rest, e)]
+        corner = M[np.ix_(e, e)] - cross.T @ np.linalg.solve(M[np.ix_(rest, rest)], cross)
+        least = min(least, float(np.linalg.eigvalsh(-corner / np.sqrt(np.outer(W, W)) / 2)[0]))
+    return least
 
 
 def _unstable(given: Dynamics) -> str:

@@ -22,14 +22,16 @@ def evolve(cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: in
 
     d, span = low.size, high - low
     mean, sigma = (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, 0.05)
-    search = CMA(mean=mean, sigma=sigma, bounds=np.tile([0.0, 1.0], (d, 1)), seed=seed, population_size=size)
+    search = CMA(mean=mean, sigma=sigma, seed=seed, population_size=size)
     best, least = mean, np.inf
     for _ in range(rounds):
         points = np.stack([search.ask() for _ in range(size)])
-        found = cost(low + points * span)
+        inside = np.clip(points, 0.0, 1.0)
+        found = np.nan_to_num(cost(low + inside * span), posinf=1e300)
         if found.min() < least:
-            best, least = points[found.argmin()], float(found.min())
-        search.tell(list(zip(points, np.nan_to_num(found, posinf=1e300).tolist(), strict=True)))
+            best, least = inside[found.argmin()], float(found.min())
+        outside = (1 + abs(least)) * ((points - inside) ** 2).sum(axis=1)
+        search.tell(list(zip(points, (found + outside).tolist(), strict=True)))
         if search.should_stop():
             break
     return low + best * span, least

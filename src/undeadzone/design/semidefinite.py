@@ -28,8 +28,9 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
     problem = (sparse.csc_matrix((size, size)), cost, sparse.csc_matrix(np.stack(columns, axis=1)), right, cones, settings)
     solution = clarabel.DefaultSolver(*problem).solve()
     x = np.asarray(solution.x)
-    hopeless = "Infeasible" in str(solution.status) or x.size != size or not np.isfinite(x).all()
-    return None if hopeless else x
+    if "Infeasible" in str(solution.status) or x.size != size or not max(solution.r_prim, solution.r_dual) < 1e-3:
+        return None
+    return x
 
 
 def symmetric(entries: Floats, n: int) -> Floats:

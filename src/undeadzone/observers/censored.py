@@ -8,7 +8,7 @@ from undeadzone.arrays import Array, nonnegative, scalar
 from undeadzone.errors import InputError
 from undeadzone.observers.filtering import measured_filter, prior
 from undeadzone.observers.interface import Observer
-from undeadzone.observers.unknowns import band_pass, time_scale, tolerances, unknowns
+from undeadzone.observers.unknowns import coloured, time_scale, tolerances, unknowns
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
@@ -17,8 +17,8 @@ class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong; sampled time.
 
     right, left, noise, x_std, drift: as for `Kalman`. disturbance: rms of a coloured input disturbance [u], one or one
-    per input, that keeps its sign for correlation_time [s] (default: a quarter period of the plant) and has no constant part
-    beyond washout_time [s] (default: 1.5 correlation_time). bias: rms of an unknown constant at the input [u], one or one
+    per input: first-order noise of that correlation_time [s] (default: a quarter period of the plant), or with a
+    washout_time [s] one without constant part. bias: rms of an unknown constant at the input [u], one or one
     per input; calibrated: probability that it is only a tenth of that. tolerance: relative rms error of the model: of every
     entry of A and B but in rows that only say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a
     nonlinear plant. silence: false ignores the silent samples.
@@ -43,13 +43,13 @@ class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         assert model.Ts is not None
         assert model.flow is not None
         correlation = time_scale(model.flow) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
-        washout = 1.5 * correlation if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
+        washout = None if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
         for key, value in (("correlation_time", correlation), ("washout_time", washout)):
-            if not 0.1 * model.Ts <= value <= 1e6 * model.Ts:
+            if value is not None and not 0.1 * model.Ts <= value <= 1e6 * model.Ts:
                 raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {model.Ts:g} s, found {value:.4g} s")
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
         rms, bias = (nonnegative(f"observer.{key}", getattr(self, key), model.m, "one per input") for key in ("disturbance", "bias"))
         if calibrated >= 1 or (calibrated and not bias.any()):
             raise InputError(f"observer.calibrated: must be a probability below 1, and bias must be given, found {calibrated:g} with bias {bias.tolist()}")
-        extension = unknowns(model, band_pass(correlation, washout, model.Ts), rms, bias, calibrated, tolerances(model, self.tolerance))
+        extension = unknowns(model, coloured(correlation, washout, model.Ts), rms, bias, calibrated, tolerances(model, self.tolerance))
         return measured_filter(model, sensor, believed, extension, max(1.0, correlation / model.Ts), self.silence)

@@ -17,12 +17,13 @@ from undeadzone.plant import Matrices, System
 SMALL = 0.1  # bias of a calibrated input, relative to that of another
 
 
-class BandPass(NamedTuple):
-    """p+ = F p + noise of covariance Q (2 x 2); p_1 - p_2 has unit rms and no constant part; cov: stationary."""
+class Colour(NamedTuple):
+    """A disturbance of unit rms, C p with p+ = F p + noise of covariance Q; cov: that of p at all times (k x k, C: k)."""
 
     F: Floats
     Q: Floats
     cov: Floats
+    C: Floats
 
 
 class Numbers(NamedTuple):
@@ -41,15 +42,21 @@ class Numbers(NamedTuple):
     odds: Any
 
 
-def band_pass(correlation: float, washout: float, Ts: float) -> BandPass:
-    """p_1' = -p_1 / correlation + white noise, p_2' = (p_1 - p_2) / washout, sampled exactly, scaled to unit rms of p_1 - p_2."""
-    F = np.array([[-1 / correlation, 0.0], [1 / washout, -1 / washout]])
-    intensity = 2 * (1 / correlation + 1 / washout)  # makes E (p_1 - p_2)^2 = 1
+def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
+    """First-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
+
+    With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
+    """
+    a, b = 1 / correlation, 0.0 if washout is None else 1 / washout
+    F, W, C = np.array([[-a, 0.0], [b, -b]]), np.diag([2 * (a + b), 0.0]), np.array([1.0, -1.0])  # 2 (a + b): unit rms
+    if washout is None:
+        F, W, C = F[:1, :1], W[:1, :1], C[:1]
     # van Loan (1978): exp [[-F, W], [0, F']] Ts = [[., Fd^-1 Q], [0, Fd']]
-    both = expm(np.block([[-F, np.diag([intensity, 0.0])], [np.zeros((2, 2)), F.T]]) * Ts)
-    Fd = both[2:, 2:].T
-    Q = Fd @ both[:2, 2:]
-    return BandPass(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q))
+    k = C.size
+    both = expm(np.block([[-F, W], [np.zeros((k, k)), F.T]]) * Ts)
+    Fd = both[k:, k:].T
+    Q = Fd @ both[:k, k:]
+    return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 
 def time_scale(flow: Matrices) -> float:
@@ -105,26 +112,26 @@ def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
     return found
 
 
-def unknowns(model: System, band: BandPass, rms: Floats, bias: Floats, calibrated: float, tolerance: Tolerance) -> Extension:
-    """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p_1; p_2; theta]."""
+def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrated: float, tolerance: Tolerance) -> Extension:
+    """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p; theta]."""
     n, count = model.n, tolerance.std.size
     biased, shaken = (np.eye(model.m)[:, size > 0] for size in (bias, rms))
-    ends = np.cumsum([0, biased.shape[1], 2 * shaken.shape[1], count]).tolist()
-    difference = np.kron([1.0, -1.0], np.eye(shaken.shape[1]))
+    ends = np.cumsum([0, biased.shape[1], colour.C.size * shaken.shape[1], count]).tolist()
+    disturbing = shaken @ np.kron(colour.C, np.eye(shaken.shape[1]))
     variance = rms[rms > 0] ** 2
     # The tolerance acts on x less the rest that a bias leads to: else estimates of theta would seem to tell bias from centre.
     rest = np.linalg.lstsq(np.eye(n) - model.linear.A, model.linear.B @ biased, rcond=None)[0]
 
     def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        constant, low_pass, theta = ca.vertsplit(extra, ends)
-        moving = u + shaken @ difference @ low_pass
+        constant, shaped, theta = ca.vertsplit(extra, ends)
+        moving = u + disturbing @ shaped
         total = moving + biased @ constant
         if model.nonlinear:
             after = model.move(q.model * (1 + theta) if count else q.model, x, total)
         else:
             regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
             after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
-        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ low_pass, theta)
+        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta)
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         static = [ca.SX(size, size) for size in (biased.shape[1], count)]
@@ -140,6 +147,6 @@ def unknowns(model: System, band: BandPass, rms: Floats, bias: Floats, calibrate
             odds = odds * ca.sqrt(R / S) * ca.exp(-(e**2) / S / 2) / SMALL
         return mix(small, belief, odds / (1 + odds))
 
-    numbers = Numbers(band.F, band.Q, variance, tolerance.slopes, rest, bias[bias > 0], np.float64(calibrated / (1 - calibrated)))
-    cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(band.cov, np.diag(variance)), np.diag(tolerance.std**2))
+    numbers = Numbers(colour.F, colour.Q, variance, tolerance.slopes, rest, bias[bias > 0], np.float64(calibrated / (1 - calibrated)))
+    cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(colour.cov, np.diag(variance)), np.diag(tolerance.std**2))
     return Extension(numbers, cov, move, noise, read) if calibrated else Extension(numbers, cov, move, noise)
