@@ -253,7 +253,6 @@ def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(monkeypat
     assert ours.covered()[:2].min() > 0.92
     assert ours.nis == pytest.approx(1.0, abs=0.03)
     assert naive.covered()[:2].min() < 0.85
-    assert naive.nis > 1.2
 
 
 # --- Claims against the truth

@@ -131,8 +131,8 @@ def test_callables_equal_formulas_also_in_the_loop() -> None:
 
 def test_linearisation_is_that_of_the_pendulum() -> None:
     at_rest, upright = system(Plant(**PENDULUM)), system(Plant(**PENDULUM, x_eq=[np.pi, 0.0]))
-    np.testing.assert_allclose(at_rest.linear.A, [[0, 1], [-9.81 / 0.5, -0.8]])
-    np.testing.assert_allclose(upright.linear.A, [[0, 1], [9.81 / 0.5, -0.8]], rtol=1e-6)
+    np.testing.assert_allclose(at_rest.linear.A, np.array([[0, 1], [-9.81 / 0.5, -0.8]]))
+    np.testing.assert_allclose(upright.linear.A, np.array([[0, 1], [9.81 / 0.5, -0.8]]), rtol=1e-6)
     assert (at_rest.n, at_rest.m, at_rest.p, at_rest.nonlinear) == (2, 1, 1, True)
 
 

@@ -184,4 +184,3 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 def test_random_is_a_disturbance_only() -> None:
     assert not isinstance(Random(rms=1.0, correlation_time=1.0), signals.Signal)
     assert isinstance(Sine(amplitude=1.0, frequency=1.0), signals.Signal)
-

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.arrays import Floats
-from undeadzone.design.courses import Course, along, courses, growing
+from undeadzone.design.courses import Course, along, courses, growing, settling
 from undeadzone.design.check import Known, knowledge, plan
 from undeadzone.design.errordynamics import Dynamics, Storage
 from undeadzone.design.falsify import Attack, Cycle, diverge, falsify
@@ -26,6 +26,7 @@ GROWS = 1 + 1e-6  # factor above which a cycle is one that grows
 class Gains(NamedTuple):
     """Constant gains L (n x p), gamma (p), both [1/s], and what they are worth; nearest: certified ones, if these are not.
 
+    settled [s]: after which every error is at most 1 % of what it was, in size sqrt(V); None where none of that is sure.
     dynamics, V: of the errors that matter; a jump sensor's readings do not hold d, so that its widths are left out.
     """
 
@@ -33,6 +34,7 @@ class Gains(NamedTuple):
     gamma: Floats
     certificate: Certificate
     rates: Rates
+    settled: float | None
     nearest: Nearest | None
     dynamics: Dynamics
     V: Storage
@@ -85,8 +87,10 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
     given, V = certificate.dynamics, certificate.V
     if jump:
         given, V = given._replace(gamma=0 * given.gamma), V._replace(gamma=0 * V.gamma)
-    near = None if certificate.certified else _nearest(problem, L, gamma)
-    return Gains(L, gamma, certificate, rates(linear, L, gamma, schedule, jump), near, given, V)
+    speed = rates(linear, L, gamma, schedule, jump)
+    if certificate.certified:
+        return Gains(L, gamma, certificate, speed, settling(given, V, schedule), None, given, V)
+    return Gains(L, gamma, certificate, speed, None, _nearest(problem, L, gamma), given, V)
 
 
 def _nearest(problem: Problem, L: Floats, gamma: Floats) -> Nearest | None:

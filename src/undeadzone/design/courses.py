@@ -1,4 +1,4 @@
-"""V along chosen trajectories of the error: random switching, adversaries, a schedule of sides, an attack."""
+"""V along chosen trajectories of the error: random switching, adversaries, a schedule of sides; how long it takes to fall."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import Dynamics, Storage, pattern
 from undeadzone.design.falsify import Cycle, Mode, generator
-from undeadzone.design.floquet import exponential, power
+from undeadzone.design.floquet import error_matrices, exponential, power, product, transitions
 from undeadzone.design.schedule import Schedule, merged
 
 SWITCHES, PIECES = 120, 10  # of a course; pieces between two switches, unless that is less than a sample
@@ -83,6 +83,32 @@ def growing(given: Dynamics, cycle: Cycle) -> Floats:
     return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
 
 
+def settling(given: Dynamics, V: Storage, schedule: Schedule, share: float = 0.01) -> float | None:
+    """The time [s], in whole passes of the schedule, after which sqrt(V) is at most that share of what it was, whatever the error.
+
+    For V that never rises. None where some errors stay, or fall for more than 2^20 passes.
+    """
+    from scipy.linalg import eigh
+
+    seen, M = _seen(V)
+    F, _ = error_matrices(given.A[0], given.C, given.L, given.gamma, merged(schedule).sides)
+    once, size = product(transitions(F, merged(schedule)))
+    passes = [np.asarray(once * np.exp(size))[np.ix_(seen, seen)]]
+
+    def left(E: Floats) -> float:
+        return float(np.sqrt(max(eigh(E.T @ M @ E, M, eigvals_only=True)[-1], 0.0)))
+
+    while left(passes[-1]) > share:
+        if len(passes) > 20:
+            return None
+        passes.append(passes[-1] @ passes[-1])
+    count, done = 0, np.eye(len(M))
+    for k in range(len(passes) - 2, -1, -1):  # the most passes that do not suffice, by their binary digits
+        if left(passes[k] @ done) > share:
+            count, done = count + 2**k, passes[k] @ done
+    return (count + 1) * schedule.duration
+
+
 def _mode(given: Dynamics, sides: Floats, seconds: float) -> Mode:
     """A mode at the mean of the vertices with the whole innovation."""
     vertices = len(given.A)
@@ -105,12 +131,19 @@ def _maps(given: Dynamics, modes: list[Mode]) -> Floats:
 
 def _start(V: Storage, rng: np.random.Generator) -> Floats:
     """A random error of V = 1, every direction alike where V is the squared length; what V does not see is 0."""
-    n, seen = len(V.P), np.diag(V.R) > 0
-    x, d = np.split(rng.normal(size=n + seen.sum()), [n])
-    error = np.zeros(n + seen.size)
-    error[:n] = np.linalg.solve(np.linalg.cholesky(V.P).T, x)
-    error[n:][seen] = np.linalg.solve(np.linalg.cholesky(V.R[np.ix_(seen, seen)]).T, d)
-    return error / np.sqrt(_value(V, error[None]))
+    seen, M = _seen(V)
+    direction = rng.normal(size=len(M))
+    error = np.zeros(seen.size)
+    error[seen] = np.linalg.solve(np.linalg.cholesky(M).T, direction / np.linalg.norm(direction))
+    return error
+
+
+def _seen(V: Storage) -> tuple[np.ndarray, Floats]:
+    """(which of [x~; d~] V sees, M with V = e'M e on these)."""
+    n, d = len(V.P), np.diag(V.R) > 0
+    M = np.zeros((n + d.sum(), n + d.sum()))
+    M[:n, :n], M[n:, n:] = V.P, V.R[np.ix_(d, d)]
+    return np.concatenate([np.ones(n, bool), d]), M
 
 
 def _value(V: Storage, errors: Floats) -> Floats:

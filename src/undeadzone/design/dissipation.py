@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,41 +94,51 @@ def optimise(
     """P, q that minimise cost'q, or lie deepest inside, with family(q) (affine) satisfied and extra(P, q) >= 0; None if there is none.
 
     Each pass works in coordinates where the last P was the identity and the last matrices had a unit diagonal, until
-    `done`; a stiff plant needs that. start: q that sets the scale of the first pass. What comes back is the solver's word.
+    `done`; a stiff plant needs that. The first P is of Lyapunov's equation, or else the identity. start: q that sets the
+    scale of the first pass. What comes back is the solver's word.
     """
-    first = family(start)
-    A, Ts = first.A[0], first.Ts
-    n, part = A.shape[0], first.supply[0].shape[0]
-    entries = n * (n + 1) // 2
-    P, q, best = _lyapunov(A, Ts), start, None
-    for _ in range(passes):
-        values, vectors = np.linalg.eigh(P)
-        if not values[-1] > 0:
-            break
-        root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-        T, inverse = vectors / root, (vectors * root).T
-        at = _affine([family(q).transformed(T, inverse) for q in (np.zeros(cost.size), *np.eye(cost.size))])
-        scales = [np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(n))]
+    A, Ts = family(start).A[0], family(start).Ts
+    for first in (_lyapunov(A, Ts), np.eye(len(A))):
+        best, at = None, Found(first, start)
+        for _ in range(passes):
+            found = _pass(family, cost, extra, deep, at)
+            if found is None:
+                break
+            best = at = found
+            if done(found):
+                break
+        if best is not None:
+            return best
+    return None
 
-        def blocks(x: Floats, at: Callable[[Floats], Inequality] = at, inverse: Floats = inverse, scales: list[Any] = scales) -> list[Floats]:
-            local, q = symmetric(x[:entries], n), x[entries : entries + cost.size]
-            found = []
-            for M, scale in zip(at(q).matrices(local), scales, strict=True):
-                block = -M * np.outer(scale, scale)
-                if deep:
-                    block[np.arange(part), np.arange(part)] -= x[-1]
-                found.append(block)
-            return [*found, local - LEAST * np.eye(n), *extra(inverse.T @ local @ inverse, q)]
 
-        x = minimise(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
-        if x is None:
-            break
-        P = inverse.T @ symmetric(x[:entries], n) @ inverse
-        q = x[entries : entries + cost.size]
-        best = Found((P + P.T) / 2, q)
-        if done(best):
-            break
-    return best
+def _pass(family: Callable[[Floats], Inequality], cost: Floats, extra: Callable[[Floats, Floats], list[Floats]], deep: bool, near: Found) -> Found | None:
+    """One solution in coordinates where the P of `near` is the identity and its matrices have a unit diagonal."""
+    P, q = near
+    values, vectors = np.linalg.eigh(P)
+    if not values[-1] > 0:
+        return None
+    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    T, inverse = vectors / root, (vectors * root).T
+    at = _affine([family(unit).transformed(T, inverse) for unit in (np.zeros(cost.size), *np.eye(cost.size))])
+    scales = [np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(len(P)))]
+    entries, part = len(P) * (len(P) + 1) // 2, at(q).supply[0].shape[0]
+
+    def blocks(x: Floats) -> list[Floats]:
+        local, q = symmetric(x[:entries], len(P)), x[entries : entries + cost.size]
+        found = []
+        for M, scale in zip(at(q).matrices(local), scales, strict=True):
+            block = -M * np.outer(scale, scale)
+            if deep:
+                block[np.arange(part), np.arange(part)] -= x[-1]
+            found.append(block)
+        return [*found, local - LEAST * np.eye(len(P)), *extra(inverse.T @ local @ inverse, q)]
+
+    x = minimise(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
+    if x is None:
+        return None
+    P = inverse.T @ symmetric(x[:entries], len(P)) @ inverse
+    return Found((P + P.T) / 2, x[entries : entries + cost.size])
 
 
 def _affine(points: list[Inequality]) -> Callable[[Floats], Inequality]:

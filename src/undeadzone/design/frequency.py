@@ -68,8 +68,8 @@ def worst(G: Response) -> Worst:
         level = best.value - TOLERANCE * size
         R = D + D.T - 2 * level * np.eye(p)
         pencil = np.block([[A, zero, L], [zero, -A.T, -C.T], [C, L.T, R]])
-        crossings = np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag))
-        a, b = crossings[:-1], crossings[1:]
+        crossings = np.append(np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag)), np.inf)
+        a, b = crossings[:-2], crossings[1:-1]
         found = _least(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
         if not found.value < level:
             return best

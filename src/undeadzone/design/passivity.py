@@ -135,7 +135,7 @@ def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:
         gain = reached - best
         if gain > 0:
             W, best, w = trial, reached, at
-        if gain < 1e-6 * max(1.0, abs(best)):
+        if not gain >= 1e-6 * max(1.0, abs(best)):
             break
         shift = best
     return W, best, w

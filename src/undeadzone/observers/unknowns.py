@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag, expm, expm_frechet, solve_discrete_lyapunov
 
 from undeadzone.arrays import Floats, scalar
 from undeadzone.errors import InputError
@@ -47,6 +46,8 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
     """
+    from scipy.linalg import expm, solve_discrete_lyapunov
+
     a, b = 1 / correlation, 0.0 if washout is None else 1 / washout
     F, W, C = np.array([[-a, 0.0], [b, -b]]), np.diag([2 * (a + b), 0.0]), np.array([1.0, -1.0])  # 2 (a + b): unit rms
     if washout is None:
@@ -101,6 +102,8 @@ def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
             raise InputError(f"observer.tolerance.{name}: expected an entry of A or B that is not 0: {uncertain}")
         if std:
             found.append((std, names[name]))
+    from scipy.linalg import expm_frechet
+
     square = np.vstack([AB, np.zeros((m, n + m))]) * model.Ts
     slopes = [expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n] for _, at in found]
     return Tolerance(np.array([std for std, _ in found]), np.concatenate([np.zeros((0, n + m)), *slopes]))
@@ -114,6 +117,8 @@ def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
 
 def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrated: float, tolerance: Tolerance) -> Extension:
     """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p; theta]."""
+    from scipy.linalg import block_diag
+
     n, count = model.n, tolerance.std.size
     biased, shaken = (np.eye(model.m)[:, size > 0] for size in (bias, rms))
     ends = np.cumsum([0, biased.shape[1], colour.C.size * shaken.shape[1], count]).tolist()

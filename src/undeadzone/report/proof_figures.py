@@ -12,55 +12,74 @@ from undeadzone.design.errordynamics import Dynamics, pattern
 from undeadzone.design.falsify import Mode, generator
 from undeadzone.design.floquet import rates
 from undeadzone.design.passivity import margin
-from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, REFERENCE, TRUTH, finish, sheet
+from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, TRUTH, ZONE, finish, sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains: how far a root locus goes, and where rates are shown
-EVERY: Final = 30
+FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
+CHOSEN: Final = 500  # where the factor is 1
+EVERY: Final = 25  # of the factors: where rates are shown
 FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive real
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
 
 
 def root_locus(of: Account, found: Gains) -> Figure:
-    """Eigenvalues of the error while outputs are read, as gamma or L is scaled, and the Floquet rate along the reference.
+    """Eigenvalues of the error while every output is read, as gamma or L is scaled, and the rate along the reference.
 
     Sampled, eigenvalues z are drawn as (z - 1) / Ts, which tends to s as Ts -> 0; the unit circle is drawn so too.
     """
     given = found.dynamics
-    p, Ts = given.C.shape[0], given.Ts
-    sides = {"": (1,)} if p == 1 else {", every output read": (1,) * p} | {f", only output {i} read": tuple(np.eye(p, dtype=int)[i]) for i in range(p)}
     scaled = ["gamma", "L"] if given.gamma.any() else ["L"]
-    figure, panels = sheet([[*(f"{what}{words}" for what in scaled), "rate"] for words in sides], "Root locus of the active mode, and the rate", height=3.6)
+    names = ("Re s [1/s]", "Im s [rad/s]") if given.Ts is None else ("Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]")
+    figure, panels = sheet([[*scaled, "rate"]], "Poles of the error while every output is read, and the rate", height=4.0)
     dots: Any = None
-    for words, read in sides.items():
-        for what in scaled:
-            axes = panels[what + words]
-            poles = np.stack([_poles(given, _scaled(given, what, factor), read) for factor in FACTORS])
-            dots = axes.scatter(poles.real, poles.imag, c=np.repeat(FACTORS, poles.shape[1]), s=3, cmap="viridis", linewidths=0)
-            free, chosen = poles[0], poles[np.argmin(np.abs(FACTORS - 1))]
-            silent = np.linalg.eigvals(given.A[0])
-            axes.plot(silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent")
-            axes.plot(free.real, free.imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[what]} = 0")
-            axes.plot(chosen.real, chosen.imag, "o", color=PRINTED, markersize=6, label="chosen")
-            _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
-            names = ("Re s [1/s]", "Im s [rad/s]") if Ts is None else ("Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]")
-            finish(axes, f"{NAMES[what]} scaled{words}", names[1], names[0], legend=3)
+    for what in scaled:
+        poles = np.stack([_poles(given, _scaled(given, what, factor)) for factor in FACTORS])
+        silent = np.linalg.eigvals(given.A[0])
+        axes = panels[what]
+        dots = _locus(axes, poles, silent, what)
+        _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), given.Ts)
+        slow = 1.5 * max(np.abs(silent).max(), np.abs(poles[CHOSEN].real).min())
+        if slow > 0 and np.ptp(poles.real) > 8 * slow:
+            _slow(axes, poles, silent, what, given.Ts, slow)
+        finish(axes, f"{NAMES[what]} scaled", names[1], names[0], legend=3)
     _rates(panels["rate"], of, found, scaled)
-    figure.colorbar(dots, ax=[*panels.values()], label="times the gain", shrink=0.6, aspect=30, pad=0.01)
+    figure.colorbar(dots, ax=[*panels.values()], label="times the gain", shrink=0.7, aspect=30, pad=0.01)
     return figure
+
+
+def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, what: str) -> Any:
+    dots = axes.scatter(poles.real, poles.imag, c=np.repeat(FACTORS, poles.shape[1]), s=3, cmap="viridis", linewidths=0)
+    axes.plot(silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent")
+    axes.plot(poles[0].real, poles[0].imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[what]} = 0")
+    axes.plot(poles[CHOSEN].real, poles[CHOSEN].imag, "o", color=PRINTED, markersize=6, label="chosen")
+    return dots
+
+
+def _slow(axes: Axes, poles: np.ndarray, silent: np.ndarray, what: str, Ts: float | None, size: float) -> None:
+    """The slow poles enlarged, below the real axis."""
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(1.6 * bottom, top)
+    inset = axes.inset_axes((0.14, 0.06, 0.64, 0.3))
+    _locus(inset, poles, silent, what)
+    near = np.concatenate([poles[poles.real > -2 * size], silent])
+    _forbid_unstable(inset, np.append(near, -2 * size), Ts)
+    inset.set_xlim(-2 * size, 0.3 * size)
+    inset.tick_params(labelsize=6.5, pad=1)
+    axes.indicate_inset_zoom(inset, edgecolor=ZONE)
 
 
 def _scaled(given: Dynamics, what: str, factor: float) -> Dynamics:
     return given._replace(**{what: factor * getattr(given, what)})
 
 
-def _poles(given: Dynamics, at: Dynamics, read: tuple[int, ...]) -> np.ndarray:
-    """Eigenvalues of x~ and of the widths read and adapted under the gains given, with the gains at."""
-    S = pattern(read)
-    F = generator(at, Mode(np.ones(1), S, np.ones(len(read)), 0.0))
+def _poles(given: Dynamics, at: Dynamics) -> np.ndarray:
+    """Eigenvalues of x~ and of the widths that `given` adapts, with every output read, under the gains `at`."""
+    outputs = given.C.shape[0]
+    S = pattern((1,) * outputs)
+    F = generator(at, Mode(np.ones(1), S, np.ones(outputs), 0.0))
     kept = np.concatenate([np.ones(len(given.A[0]), bool), S.any(axis=0) & (np.diag(given.gamma) > 0)])
     return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
 
@@ -70,7 +89,7 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
     size = max(np.ptp(poles.real), np.ptp(poles.imag), 1e-3 * np.abs(poles).max(), 1e-300)
     left, right = poles.real.min() - 0.08 * size, max(poles.real.max(), 0.0) + 0.12 * size
     top = np.abs(poles.imag).max() + 0.15 * size
-    x, y = np.meshgrid(np.linspace(left, right, 400), np.linspace(-top, 1.6 * top, 400))
+    x, y = np.meshgrid(np.linspace(left, right, 400), np.linspace(-2 * top, 2 * top, 400))
     growth = x if Ts is None else (np.abs(1 + Ts * (x + 1j * y)) - 1) / Ts
     axes.contourf(x, y, growth, levels=[0.0, np.inf], colors=[FORBIDDEN], zorder=0)
     axes.contour(x, y, growth, levels=[0.0], colors=[PRINTED], linewidths=1.0, zorder=1)
@@ -114,7 +133,8 @@ def nyquist(found: Gains) -> Figure:
         _curve(panels["curve"], curve, worst[0, 0])
         finish(panels["curve"], f"Nyquist curve of {what}", "Im", "Re", legend=0)
         for k, name in ((0, "ω = 0"), (-1, "ω → ∞" if given.Ts is None else "ω = π/Ts")):
-            panels["curve"].annotate(name, (curve[k].real, curve[k].imag), (4, 4), textcoords="offset points", fontsize=8)
+            if abs(curve[0] - curve[-1]) > 0.2 * np.abs(curve).max():
+                panels["curve"].annotate(name, (curve[k].real, curve[k].imag), (4, 4), textcoords="offset points", fontsize=8)
     if "zoom" in panels:
         _curve(panels["zoom"], curve, worst[0, 0])
         _near(panels["zoom"], curve, worst[0, 0], abs(proof.margin))
@@ -128,11 +148,11 @@ def nyquist(found: Gains) -> Figure:
     for k in range(p):
         axes.plot(w, values[:, k], color=ESTIMATE, alpha=1.0 if k == 0 else 0.35, label="least eigenvalue" if k == 0 and p > 1 else None)
     if w[0] <= worst_at <= w[-1]:
-        axes.plot([worst_at], [proof.margin], "o", color=PRINTED)
+        axes.plot([worst_at], [proof.margin], "o", color=PRINTED, clip_on=False, zorder=5)
     else:
         axes.axhline(proof.margin, color=PRINTED, linestyle=":")
     axes.set_ylim(bottom - 0.12 * (top - bottom), top)
-    words = f"Re ({what})" if p == 1 else f"eigenvalues of the Hermitian part of W^(1/2) ({what}) W^(-1/2)"
+    words = f"Re ({what})" if p == 1 else f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
     finish(axes, f"{words} over frequency", "", "ω [rad/s]", legend=0)
     return figure
 
@@ -148,14 +168,16 @@ def _response(given: Dynamics, W: Floats, w: Floats) -> np.ndarray:
 
 
 def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
-    size = max(np.ptp(curve.real), 1e-9)
+    size = max(np.ptp(curve.real), np.abs(curve).max(), 1e-9)
     left = min(0.0, curve.real.min()) - 0.15 * size
     axes.axvspan(left, 0.0, color=FORBIDDEN, linewidth=0)
     axes.axvline(0.0, color=PRINTED, linewidth=1.0)
     axes.plot(curve.real, -curve.imag, color=ESTIMATE, alpha=0.3)
     axes.plot(curve.real, curve.imag, color=ESTIMATE)
     axes.plot([worst.real], [worst.imag], "o", color=PRINTED, zorder=5)
-    axes.set_xlim(left, curve.real.max() + 0.1 * size)
+    axes.set_xlim(left, curve.real.max() + 0.12 * size)
+    top = max(1.1 * float(np.abs(curve.imag).max()), 0.3 * size)
+    axes.set_ylim(-top, top)
 
 
 def _near(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
@@ -176,26 +198,33 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 
 def courses(found: Gains, tried: Trial) -> Figure:
     """V along random, adversarial and planned switching; where V can be made to rise, the attack, and a growing cycle if found."""
-    extra = [course for course in tried.courses if course.kind not in STYLES]
+    extra = {course.kind: course for course in tried.courses if course.kind not in STYLES}
     verdict = "never rises" if not tried.attack.broken else "can be made to rise"
-    figure, panels = sheet([["V", "V", *(course.kind for course in extra)]], f"V {verdict}: {tried.attack.trajectories:,} random and adversarial trajectories tried", height=4.0)
-    axes = panels["V"]
+    rows = [["V"] * max(1, len(extra)), [*extra]] if extra else [["V"]]
+    figure, panels = sheet(rows, f"V {verdict}: {tried.attack.trajectories:,} random and adversarial trajectories tried", height=3.6)
+    titles = {"attack": f"The attack: {_words(tried.attack.mode)}", "cycle": "A cycle of sides along which the error grows for ever"}
+    axes, drawn = panels["V"], set[str]()
     axes.set_yscale("log")
-    drawn = set[str]()
     for course in tried.courses:
         if course.kind in STYLES:
-            axes.plot(course.t, np.maximum(course.V, FLOOR), label=None if course.kind in drawn else course.kind, **STYLES[course.kind])
+            value = np.where(course.V > FLOOR, course.V, np.nan)
+            axes.plot(course.t, value, label=None if course.kind in drawn else course.kind, **STYLES[course.kind])
             drawn.add(course.kind)
     t = tried.courses[0].t
     axes.plot(t, np.exp(-2 * found.rates.rate * t), color=TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
+    axes.set_xlim(0.0, t[-1])
     finish(axes, "V / V(0) from one random error", "", legend=5)
-    for course in extra:
-        axes, large = panels[course.kind], course.V.max() > 10
+    for kind, course in extra.items():
+        axes, large = panels[kind], course.V.max() > 10
         axes.axhline(1.0 if large else 0.0, color=TRUTH, linewidth=0.8)
         axes.plot(course.t, course.V if large else 100 * (course.V - 1), color=PRINTED, linewidth=1.8)
         axes.set_yscale("log" if large else "linear")
-        finish(axes, TITLES[course.kind], "V / V(0)" if large else "rise of V [%]", legend=0)
+        finish(axes, titles[kind], "V / V(0)" if large else "rise of V [%]", legend=0)
     return figure
 
 
-TITLES: Final = {"attack": "The attack: one side held", "cycle": "Sides along which the error grows for ever"}
+def _words(mode: Mode) -> str:
+    """The sides that a mode reads, in words, and for how long."""
+    sides = [{1: "right", 0: "silent", -1: "left"}[int(row.sum())] for row in mode.S]
+    outputs = sides[0] if len(sides) == 1 else ", ".join(f"output {i} {side}" for i, side in enumerate(sides))
+    return f"{outputs} for {mode.seconds:.3g} s"
