@@ -8,6 +8,8 @@ import sys
 import click
 
 import undeadzone
+from undeadzone.cli.check import check
+from undeadzone.cli.design import design
 from undeadzone.cli.init import init
 from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
@@ -26,13 +28,15 @@ def group() -> None:
     undeadzone paper                  run the paper's example, check its claims, draw its figures
     undeadzone init mine.toml         write a commented scenario to start from
     undeadzone run mine.toml          simulate your plant, sensor, observer and controller
+    undeadzone check mine.toml        judge the observer's gains: proof, rate, what can be known
+    undeadzone design mine.toml       find gains with a proof, and the trade between rate and noise
     undeadzone watch mine.toml < log  estimate from samples as they come
 
-    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not identifiable); 2 bad input.
+    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable); 2 bad input.
     """
 
 
-for command in (paper, run, init, watch):
+for command in (paper, run, check, design, init, watch):
     group.add_command(command)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -28,8 +28,13 @@ def common(command: Command) -> Command:
 
 
 def print_json(value: Any) -> None:
-    """One JSON object on stdout; numbers that are not finite become null."""
-    click.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
+    """One JSON object on stdout."""
+    click.echo(json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """A value as JSON; numbers that are not finite become null."""
+    return json.dumps(_plain(value), indent=2, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
@@ -43,10 +48,16 @@ def _plain(value: Any) -> Any:
 
 
 def print_pairs(pairs: dict[str, Any]) -> None:
-    """Aligned `name  value` lines."""
+    """Aligned `name  value` lines; a list takes a line for each of its entries."""
     width = max(map(len, pairs))
     for name, value in pairs.items():
-        click.echo(f"{name:<{width}}  {f'{value:.6g}' if isinstance(value, float) else value}")
+        for k, entry in enumerate(value if isinstance(value, list) else [value]):
+            click.echo(f"{'' if k else name:<{width}}  {f'{entry:.6g}' if isinstance(entry, float) else entry}")
+
+
+def yes_no(verdict: Mapping[str, bool]) -> str:
+    """What can be known of one output: right yes, left NO, ..."""
+    return ", ".join(f"{name} {'yes' if verdict[name] else 'NO'}" for name in ("right", "left", "width", "centre"))
 
 
 @contextmanager

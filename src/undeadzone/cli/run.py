@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, print_json, print_pairs, progress
+from undeadzone.cli.common import common, print_json, print_pairs, progress, yes_no
 
 if TYPE_CHECKING:
     from undeadzone.run import Run
@@ -74,8 +74,7 @@ def _print(result: Run, written: list[Path]) -> None:
         shown["integration"] = f"error {summary['integration_error']:.2g} (against half the step)"
     for output, verdict in enumerate(result.info.identifiable):
         where = f" of output {output}" if len(result.info.identifiable) > 1 else ""
-        known = ", ".join(f"{name} {'yes' if verdict[name] else 'NO'}" for name in ("right", "left", "width", "centre"))
-        shown[f"identifiable{where}"] = "; ".join([known, *verdict["reasons"]])
+        shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
     if result.diverged_at is not None:
         shown["DIVERGED"] = f"at {result.diverged_at:g} s"
     if written:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.arrays import Floats
-from undeadzone.design.courses import Course, along, courses, growing, settling
 from undeadzone.design.check import Known, knowledge, plan
+from undeadzone.design.courses import Course, along, courses, growing, settling
 from undeadzone.design.errordynamics import Dynamics, Storage
 from undeadzone.design.falsify import Attack, Cycle, diverge, falsify
 from undeadzone.design.floquet import Rates, rates
-from undeadzone.design.limits import Nearest, nearest
+from undeadzone.design.limits import nearest
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import Schedule
 from undeadzone.errors import StructureError
@@ -35,7 +35,7 @@ class Gains(NamedTuple):
     certificate: Certificate
     rates: Rates
     settled: float | None
-    nearest: Nearest | None
+    nearest: Gains | None
     dynamics: Dynamics
     V: Storage
 
@@ -90,11 +90,12 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
     speed = rates(linear, L, gamma, schedule, jump)
     if certificate.certified:
         return Gains(L, gamma, certificate, speed, settling(given, V, schedule), None, given, V)
-    return Gains(L, gamma, certificate, speed, None, _nearest(problem, L, gamma), given, V)
+    return Gains(L, gamma, certificate, speed, None, _nearest(problem, schedule, L, gamma), given, V)
 
 
-def _nearest(problem: Problem, L: Floats, gamma: Floats) -> Nearest | None:
+def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
     try:
-        return nearest(problem.model.linear, L, gamma, problem.model.Ts)
+        found = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
     except StructureError:
         return None
+    return _gains(problem, schedule, found.dynamics.L, np.diag(found.dynamics.gamma)[::2]) if found.certified else None

@@ -58,7 +58,7 @@ def courses(given: Dynamics, V: Storage, schedule: Schedule, seconds: float, see
             chosen.append(taken)
         return chosen
 
-    def random() -> Floats:
+    def random() -> Any:
         return np.repeat(rng.integers(len(modes), size=SWITCHES), rng.integers(1, window + 1, SWITCHES))[:SWITCHES]
 
     def course(kind: str, chosen: Any) -> Course:

@@ -102,8 +102,8 @@ def _rates(axes: Axes, of: Account, found: Gains, scaled: list[str]) -> None:
     linear, jump, proof = of.problem.model.linear, of.problem.sensor.kind == "jump", found.certificate
     for what, colour in zip(scaled, (ESTIMATE, READING), strict=False):
         factors = FACTORS[EVERY if what == "gamma" else 0 :: EVERY]  # without gamma the widths are no part of the error
-        gains = [(found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma) for k in factors]
-        rate = np.array([rates(linear, *pair, of.schedule, jump).rate for pair in gains])
+        gains: list[tuple[Floats, Floats]] = [(found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma) for k in factors]
+        rate = np.array([rates(linear, L, gamma, of.schedule, jump).rate for L, gamma in gains])
         proved = np.array([proof.margin > -np.inf and margin(_scaled(proof.dynamics, what, k), proof.W)[0] > 0 for k in factors])
         axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
         axes.plot(factors, np.where(proved, rate, np.nan), color=colour, linewidth=2.0, label=f"{NAMES[what]} alone")

@@ -27,7 +27,9 @@ LABELS: Final = {"noise": "error per rms noise at every sample", "disturbance": 
 
 def front(design: Design) -> Figure:
     """Rate against noise gain and against disturbance gain, each coloured by the other; the gains chosen and the scenario's own."""
-    figure, panels = sheet([[price for price, _ in PRICES]], f"The trade: {len(design.front)} certified gains, none better than another in everything", height=4.2)
+    figure, panels = sheet(
+        [[price for price, _ in PRICES]], f"The trade: {len(design.front)} certified gains, none better than another in everything", height=4.2
+    )
     for price, other in PRICES:
         axes = panels[price]
         x, rate, colour = (np.array([getattr(point, name) for point in design.front]) for name in (price, "rate", other))

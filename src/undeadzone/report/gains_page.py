@@ -1,0 +1,217 @@
+"""The page of gains, given or designed: what was asked, what is guaranteed, how fast, what can be known, the trade."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from undeadzone.arrays import Floats, listed
+from undeadzone.design.account import Account, Gains, Trial
+from undeadzone.design.check import Known
+from undeadzone.design.design import Design
+from undeadzone.design.identifiability import DIRECTIONS
+from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag, write_page
+from undeadzone.report.proof_figures import courses, nyquist, root_locus
+from undeadzone.report.style import write
+from undeadzone.report.trade_figures import ellipses, front
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CAPTIONS: Final = {
+    "root_locus": "Poles of the error while every output is read, as one of the gains is scaled from 0 to 3 times its value; squares: while the sensor "
+    "is silent. Right: the rate along the reference, which is what counts.",
+    "nyquist": "The certificate in the frequency domain: V exists where the curve stays out of the shaded half plane.",
+    "lyapunov": "V from one random error. An adversary switches to what leaves V largest: it may keep the sensor silent, and then nothing is learnt, but V "
+    "never rises under certified gains. A fair adversary must read every output on both sides again and again. What cannot be known stays.",
+    "ellipse": "Where 95 % of the estimates of an optimal estimator lie at the end of the scenario; a strip where a direction cannot be known.",
+    "front": "Gains none of which is better than another one in everything; all are certified.",
+}
+SCORES: Final = {
+    "rate": "rate along the reference [1/s]",
+    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
+    "mismatch": "rms error per relative error in the entries of A and B",
+    "noise": "rms error per rms noise on z at every sample",
+}
+
+
+def figures(of: Account, tried: Trial | None, design: Design | None = None) -> dict[str, Figure]:
+    """The figures that apply, by name."""
+    found, drawn = of.gains, dict[str, "Figure"]()
+    if design is not None and len(design.front) > 1:
+        drawn["front"] = front(design)
+    if found is not None:
+        if np.isfinite(found.certificate.margin):
+            drawn["nyquist"] = nyquist(found)
+        drawn["root_locus"] = root_locus(of, found)
+        if tried is not None:
+            drawn["lyapunov"] = courses(found, tried)
+    if of.problem.sensor.kind == "deadzone":
+        drawn["ellipse"] = ellipses(of)
+    return drawn
+
+
+def write_gains(of: Account, tried: Trial | None, folder: Path, design: Design | None = None) -> list[Path]:
+    """Write the figures as PNG and report.html to a folder. Raises FileError."""
+    written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(of, tried, design).items()}
+    text = gains_page(of, tried, {name: path.read_bytes() for name, path in written.items()}, design)
+    return [*written.values(), write_page(text, folder / "report.html")]
+
+
+def gains_page(of: Account, tried: Trial | None, images: Mapping[str, bytes], design: Design | None = None) -> str:
+    """The page of an account; images: PNGs by the names of `figures`."""
+    title = of.problem.scenario.title
+    shown = {name: picture(images[name], caption) for name, caption in CAPTIONS.items() if name in images}
+    sections = [section("What was asked", _asked(of, design))]
+    if of.gains is None:
+        sections.append(section("No certificate, no rate", paragraph("The model is nonlinear, or the observer has no constant gains L, gamma.")))
+    else:
+        sections.append(section("The gains", *_gains(of.gains, design)))
+        sections.append(section("What is guaranteed", *_guarantee(of.gains, tried), *_pick(shown, "nyquist", "lyapunov")))
+        sections.append(section("How fast", *_speed(of.gains), *_pick(shown, "root_locus")))
+    sections.append(section("What can be known", *_knowledge(of), *_pick(shown, "ellipse")))
+    if design is not None:
+        sections.append(section("The trade", *_trade(design), *_pick(shown, "front")))
+    return page(f"{'Design' if design else 'Check'}: {title}", _verdict(of), *sections)
+
+
+def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
+    return [shown[name] for name in names if name in shown]
+
+
+def _verdict(of: Account) -> Html:
+    known = all(k.right and k.left for k in of.known)
+    parts = [_yes(known, "both widths can be known" if known else "not every width can be known")]
+    if of.gains is not None:
+        proved = of.gains.certificate.certified
+        parts.insert(0, _yes(proved, f"certified, margin {of.gains.certificate.margin:.4g}" if proved else "not certified"))
+        parts.insert(1, tag("span", f"rate {of.gains.rates.rate:.4g} 1/s"))
+    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
+
+
+def _yes(good: bool, words: str) -> Html:
+    return tag("span", words, "yes" if good else "no")
+
+
+def _asked(of: Account, design: Design | None) -> Html:
+    problem, scenario = of.problem, of.problem.scenario
+    model, sensor, unit = problem.model, problem.sensor, problem.scenario.units.output
+    poles = np.linalg.eigvals(problem.flow.linear.A)
+    reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(of.schedule.low, of.schedule.high, strict=True))
+    rows: list[tuple[str, Any]] = [
+        ("plant", f"{model.n} states, {model.m} inputs, {model.p} outputs; poles {listed(poles.tolist())} 1/s"),
+        ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
+        (f"sensor [{unit}]", f"{sensor.kind}: d_r = {_numbers(sensor.right)}, d_l = {_numbers(sensor.left)}, silent below |y| = {_numbers(sensor.threshold)}"),
+        ("noise, rms", f"{_numbers(sensor.noise)} after the zone, {_numbers(sensor.noise_before)} before it"),
+        ("reference", f"{type(scenario.reference).__name__.lower()}: the outputs move over {reach} [{unit}]"),
+        ("side schedule", f"{len(of.schedule.spans)} spans in {of.schedule.duration:.4g} s{', then the same again' if of.schedule.periodic else ''}"),
+        ("duration", f"{scenario.simulation.duration:g} s, a sample every {scenario.simulation.step:g} s"),
+    ]
+    if design is not None:
+        rows.append(("wanted", f"{design.chosen}, among gains certified with the margin asked for; seed {design.seed}"))
+    return table(("", ""), rows)
+
+
+def _gains(found: Gains, design: Design | None) -> list[Html]:
+    parts = [_matrix("L [1/s]", found.L, "x", "output"), _matrix("γ [1/s]", found.gamma[None], "", "output")]
+    if found.nearest is not None:
+        near = found.nearest
+        parts += [
+            paragraph(f"The nearest certified gains, with margin {near.certificate.margin:.4g} and rate {near.rates.rate:.4g} 1/s:"),
+            _matrix("L [1/s]", near.L, "x", "output"),
+            _matrix("γ [1/s]", near.gamma[None], "", "output"),
+        ]
+    if design is not None:
+        parts.append(paragraph('In a scenario: [observer] method = "certified", design = "design.toml". The proof is checked again when it is read.', "note"))
+    return parts
+
+
+def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
+    proof, given = found.certificate, found.certificate.dynamics
+    if not proof.certified:
+        parts = [
+            paragraph(f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}. That alone does not make the observer unstable.")
+        ]
+        if tried is not None and tried.cycle is not None and "cycle" in {course.kind for course in tried.courses}:
+            growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
+            parts.append(paragraph(f"A periodic sequence of sides was found along which the error grows by {growth}: these gains can diverge."))
+        return parts
+    W = np.array2string(proof.W, precision=5)
+    attempts = "" if tried is None else f" {tried.attack.trajectories:,} random and adversarial trajectories did not make V rise."
+    values = np.concatenate([np.linalg.eigvalsh(M) for M in given.inequality(proof.W).matrices(proof.P)])
+    checked = (
+        ("eigenvalues of P, all positive", _numbers(np.linalg.eigvalsh(proof.P))),
+        ("eigenvalues of the inequality, all negative", _numbers(np.sort(values))),
+        ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
+        ("bound on the rounding of the scaled ones", proof.check.rounding),
+        ("margin: least eigenvalue of the Hermitian part of 1 + G" + ("" if given.Ts is None else " − Ts γ/2"), proof.margin),
+        ("where [rad/s]", "ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else proof.frequency),
+    )
+    return [
+        paragraph(
+            "V = x~'P x~ + the sum of w |d~|² / γ over the outputs never rises, whatever the sides do and in whatever order, with projection and silence "
+            f"innovation too; x~ → 0, and each width error whose side is read for ever → 0.{attempts}"
+        ),
+        _matrix("P", proof.P, "x", "x"),
+        paragraph(f"W = {W}. Checked by eigenvalues alone, without the solver that found P:"),
+        table(("", ""), checked),
+    ]
+
+
+def _speed(found: Gains) -> list[Html]:
+    speed = found.rates
+    rows: list[tuple[str, Any]] = [
+        ("rate along the reference [1/s]", speed.rate),
+        ("time constant [s]", speed.time_constant if np.isfinite(speed.time_constant) else None),
+        ("every error at 1 % of itself, in size √V, after [s] at the latest", found.settled),
+        ("one pass of the schedule [s]", speed.period),
+        ("largest factor of one pass on an error, in balanced units", speed.gain),
+    ]
+    parts = [table(("", ""), rows)]
+    if speed.rate <= 0:
+        parts.append(paragraph("The error does not die along this reference.", "no"))
+    if speed.never:
+        parts.append(paragraph(f"These errors stay along this reference, whatever the gains: {', '.join(speed.never)}."))
+    return parts
+
+
+def _knowledge(of: Account) -> list[Html]:
+    def cell(known: Known, name: str) -> Any:
+        if not getattr(known, name):
+            return tag("span", "no", "no")
+        return tag("span", f"± {known.std[name]:.2g}" if name in known.std else "yes", "yes")
+
+    unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
+    rows = [(i, *(cell(known, name) for name in DIRECTIONS)) for i, known in enumerate(of.known)]
+    parts = [
+        paragraph(f"Whether an optimal estimator can know it, and its standard deviation [{unit}] after {duration:g} s at the scenario's noise:"),
+        table(("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l"), rows),
+    ]
+    for i, known in enumerate(of.known):
+        where = f"Output {i}: " if len(of.known) > 1 else ""
+        parts += [paragraph(f"{where}{reason}.") for reason in known.reasons]
+        parts += [paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+    return parts
+
+
+def _trade(design: Design) -> list[Html]:
+    points = {"chosen": design.best} | ({"yours": design.present} if design.present else {}) | ({"fastest": design.front[0]} if len(design.front) > 1 else {})
+    rows = [(words, *(getattr(point, name) for point in points.values())) for name, words in SCORES.items()]
+    parts = [table(("", *points), rows), *(paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks)]
+    if len(design.front) > 1:
+        head = ("L", "γ", *SCORES)
+        numbers = [(_numbers(np.ravel(p.L)), _numbers(p.gamma), *(getattr(p, name) for name in SCORES)) for p in design.front]
+        parts.append(folded(f"The {len(design.front)} gains of the front", table(head, numbers)))
+    return parts
+
+
+def _matrix(name: str, M: Floats, row: str, column: str) -> Html:
+    rows = [(f"{row}[{i}]" if row else "", *map(float, line)) for i, line in enumerate(np.atleast_2d(M))]
+    return table((name, *(f"{column}[{j}]" for j in range(np.atleast_2d(M).shape[1]))), rows)
+
+
+def _numbers(values: Any) -> str:
+    return ", ".join(f"{value:.5g}" for value in np.atleast_1d(values))
