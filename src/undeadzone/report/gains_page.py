@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.arrays import Floats, listed
+from undeadzone.arrays import listed
 from undeadzone.design.account import Account, Gains, Trial
 from undeadzone.design.check import Known
 from undeadzone.design.design import Design
 from undeadzone.design.identifiability import DIRECTIONS
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag, write_page
 from undeadzone.report.proof_figures import courses, nyquist, root_locus
-from undeadzone.report.style import write
+from undeadzone.report.style import label, write
 from undeadzone.report.trade_figures import ellipses, front
 
 if TYPE_CHECKING:
@@ -99,34 +99,39 @@ def _yes(good: bool, words: str) -> Html:
 def _asked(of: Account, design: Design | None) -> Html:
     problem, scenario = of.problem, of.problem.scenario
     model, sensor, unit = problem.model, problem.sensor, problem.scenario.units.output
-    poles = np.linalg.eigvals(problem.flow.linear.A)
+    poles = np.linalg.eigvals(problem.flow.linear.A) + 0.0
     reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(of.schedule.low, of.schedule.high, strict=True))
     rows: list[tuple[str, Any]] = [
-        ("plant", f"{model.n} states, {model.m} inputs, {model.p} outputs; poles {listed(poles.tolist())} 1/s"),
+        ("plant", f"{_count(model.n, 'state')}, {_count(model.m, 'input')}, {_count(model.p, 'output')}; poles {listed(poles.tolist())} 1/s"),
         ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
-        (f"sensor [{unit}]", f"{sensor.kind}: d_r = {_numbers(sensor.right)}, d_l = {_numbers(sensor.left)}, silent below |y| = {_numbers(sensor.threshold)}"),
+        (
+            label("sensor", unit),
+            f"{sensor.kind}: d_r = {_numbers(sensor.right)}, d_l = {_numbers(sensor.left)}, silent below |y| = {_numbers(sensor.threshold)}",
+        ),
         ("noise, rms", f"{_numbers(sensor.noise)} after the zone, {_numbers(sensor.noise_before)} before it"),
-        ("reference", f"{type(scenario.reference).__name__.lower()}: the outputs move over {reach} [{unit}]"),
-        ("side schedule", f"{len(of.schedule.spans)} spans in {of.schedule.duration:.4g} s{', then the same again' if of.schedule.periodic else ''}"),
+        ("reference", label(f"{type(scenario.reference).__name__.lower()}; the outputs move over {reach}", unit)),
+        ("side schedule", f"{_count(len(of.schedule.spans), 'span')} in {of.schedule.duration:.4g} s{', then the same again' if of.schedule.periodic else ''}"),
         ("duration", f"{scenario.simulation.duration:g} s, a sample every {scenario.simulation.step:g} s"),
     ]
     if design is not None:
-        rows.append(("wanted", f"{design.chosen}, among gains certified with the margin asked for; seed {design.seed}"))
-    return table(("", ""), rows)
+        rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
+    return table(("what", "value"), rows)
 
 
 def _gains(found: Gains, design: Design | None) -> list[Html]:
-    parts = [_matrix("L [1/s]", found.L, "x", "output"), _matrix("γ [1/s]", found.gamma[None], "", "output")]
+    parts = [_gain_table(found)]
     if found.nearest is not None:
         near = found.nearest
-        parts += [
-            paragraph(f"The nearest certified gains, with margin {near.certificate.margin:.4g} and rate {near.rates.rate:.4g} 1/s:"),
-            _matrix("L [1/s]", near.L, "x", "output"),
-            _matrix("γ [1/s]", near.gamma[None], "", "output"),
-        ]
+        parts.append(paragraph(f"The nearest certified gains, with margin {near.certificate.margin:.4g} and rate {near.rates.rate:.4g} 1/s:"))
+        parts.append(_gain_table(near))
     if design is not None:
         parts.append(paragraph('In a scenario: [observer] method = "certified", design = "design.toml". The proof is checked again when it is read.', "note"))
     return parts
+
+
+def _gain_table(found: Gains) -> Html:
+    rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(found.L)]
+    return table(("[1/s]", *(f"output {j}" for j in range(found.gamma.size))), [*rows, ("γ", *map(float, found.gamma))])
 
 
 def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
@@ -139,7 +144,6 @@ def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
             growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
             parts.append(paragraph(f"A periodic sequence of sides was found along which the error grows by {growth}: these gains can diverge."))
         return parts
-    W = np.array2string(proof.W, precision=5)
     attempts = "" if tried is None else f" {tried.attack.trajectories:,} random and adversarial trajectories did not make V rise."
     values = np.concatenate([np.linalg.eigvalsh(M) for M in given.inequality(proof.W).matrices(proof.P)])
     checked = (
@@ -150,27 +154,29 @@ def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
         ("margin: least eigenvalue of the Hermitian part of 1 + G" + ("" if given.Ts is None else " − Ts γ/2"), proof.margin),
         ("where [rad/s]", "ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else proof.frequency),
     )
+    widths = " + the sum of w |d~|² / γ over the outputs" if found.dynamics.gamma.any() else ""
     return [
         paragraph(
-            "V = x~'P x~ + the sum of w |d~|² / γ over the outputs never rises, whatever the sides do and in whatever order, with projection and silence "
-            f"innovation too; x~ → 0, and each width error whose side is read for ever → 0.{attempts}"
+            f"For an exact model without noise and disturbance, V = x~'P x~{widths} never rises, whatever the sides do and in whatever order, with projection "
+            f"and silence innovation too; x~ → 0, and each width error whose side is read again and again → 0.{attempts}"
         ),
-        _matrix("P", proof.P, "x", "x"),
-        paragraph(f"W = {W}. Checked by eigenvalues alone, without the solver that found P:"),
-        table(("", ""), checked),
+        table(("P", *(f"x[{j}]" for j in range(len(proof.P)))), [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]),
+        paragraph(f"W = {_numbers(proof.W)}. Checked by eigenvalues alone, without the solver that found P:"),
+        table(("what", "value"), checked),
     ]
 
 
 def _speed(found: Gains) -> list[Html]:
     speed = found.rates
     rows: list[tuple[str, Any]] = [
-        ("rate along the reference [1/s]", speed.rate),
+        ("rate along the reference, in the long run [1/s]", speed.rate),
         ("time constant [s]", speed.time_constant if np.isfinite(speed.time_constant) else None),
         ("every error at 1 % of itself, in size √V, after [s] at the latest", found.settled),
         ("one pass of the schedule [s]", speed.period),
         ("largest factor of one pass on an error, in balanced units", speed.gain),
     ]
-    parts = [table(("", ""), rows)]
+    note = "Where several errors die equally slowly, as where a rate is largest, it takes long before this rate is seen; the time to 1 % tells."
+    parts = [table(("what", "value"), rows), paragraph(note, "note")]
     if speed.rate <= 0:
         parts.append(paragraph("The error does not die along this reference.", "no"))
     if speed.never:
@@ -208,9 +214,8 @@ def _trade(design: Design) -> list[Html]:
     return parts
 
 
-def _matrix(name: str, M: Floats, row: str, column: str) -> Html:
-    rows = [(f"{row}[{i}]" if row else "", *map(float, line)) for i, line in enumerate(np.atleast_2d(M))]
-    return table((name, *(f"{column}[{j}]" for j in range(np.atleast_2d(M).shape[1]))), rows)
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _numbers(values: Any) -> str:
