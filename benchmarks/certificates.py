@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.designs import random_design
 from undeadzone.design.falsify import falsify
 from undeadzone.design.passivity import certify
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from designs import random_design
 
 ORDERS = range(1, 9)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
 
-from designs import random_design, random_matrices
 from scenes import PAPER_PLANT, random_plant, scene
 from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import dynamics, pattern

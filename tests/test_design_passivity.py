@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.designs import random_design, random_matrices
 
-from designs import random_design, random_matrices
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.arrays import Floats
 from undeadzone.design import frequency

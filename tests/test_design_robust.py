@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
 
-from designs import random_design, random_matrices
 from scenes import PAPER_PLANT, scene
 from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import Dynamics, dynamics, pattern
