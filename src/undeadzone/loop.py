@@ -158,21 +158,29 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
     """
-    first, middle, last = columns
     right, left, slope, threshold = wires.p.sensor
-    noise: Exogenous = tree.unpack(instant, first)
+    noise: Exogenous = tree.unpack(instant, columns[0])
+    drawn = 2 * wires.plant.p  # entries at the end, noise, which is held
 
-    def at(column: ca.SX, c: Any) -> tuple[State, Exogenous]:
-        quadratic = first + c * (4 * middle - 3 * first - last + c * (2 * (first + last) - 4 * middle))
-        return tree.unpack(like, column), tree.unpack(instant, quadratic)
+    def at(c: Any) -> ca.SX:
+        """The exogenous inputs at a fraction c of the step: quadratic between the three instants, noise held."""
+        if isinstance(c, float):
+            return columns[round(2 * c)]
+        first, middle, last = (column[:-drawn] for column in columns)
+        return ca.vertcat(first + c * (4 * middle - 3 * first - last + c * (2 * (first + last) - 4 * middle)), columns[0][-drawn:])
+
+    w = ca.SX.sym("w", columns[0].shape[0])
+    branch_taken = _Mode(*(ca.SX.sym(name, wires.plant.p) for name in _Mode._fields))
+    derivative = tree.stack(wires.move(tree.unpack(like, start), tree.unpack(instant, w), branch_taken)[0])
+    evaluate = ca.Function("rate", [start, w, *branch_taken], [derivative], {"allow_free": True})
 
     def rate(column: ca.SX, c: Any, mode: _Mode) -> ca.SX:
-        return tree.stack(wires.move(*at(column, c), mode)[0])
+        return evaluate(column, at(c), *mode)
 
     def output(column: ca.SX) -> ca.SX:
         return wires.plant.output(wires.p.plant, tree.unpack(like, column).plant)
 
-    before = wires.mode(*at(start, 0.0))
+    before = wires.mode(tree.unpack(like, start), noise)
     above, below = edges(right, left, slope, wires.kind, threshold, noise.after)
 
     def after(crossing: Crossing) -> _Mode:
