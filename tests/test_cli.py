@@ -168,6 +168,13 @@ def test_watch_answers_each_sample(scenario: Path) -> None:
     assert all(np.isfinite([float(cell) for cell in line.split(",")]).all() for line in lines[1:])
 
 
+def test_watch_reads_the_log_of_the_examples() -> None:
+    done = undeadzone("watch", EXAMPLES / "asymmetric_noise.toml", stdin=(EXAMPLES / "samples.csv").read_text())
+    assert done.returncode == 0
+    assert "400 samples, 4 missing" in done.stderr
+    assert len(done.stdout.splitlines()) == 401
+
+
 def test_watch_flushes_every_line(scenario: Path) -> None:
     with subprocess.Popen([*COMMAND, "watch", str(scenario), "--json"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None

@@ -11,7 +11,8 @@ from undeadzone.controllers import StateFeedback
 from undeadzone.design.floquet import rates
 from undeadzone.design.identifiability import DIRECTIONS, cures, invisible, unknown_bias, verdicts
 from undeadzone.design.information import deviations
-from undeadzone.design.passivity import certify
+from undeadzone.design.passivity import Certificate, certify
+from undeadzone.design.robust import l2_gain
 from undeadzone.design.schedule import Schedule, planned, recorded
 from undeadzone.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.run import finite
@@ -34,14 +35,15 @@ class Known(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def check(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
 
-    certified (null where the method has no constant gains), margin, frequency [rad/s]; rate [1/s], time_constant [s],
-    never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same [z];
+    certified (null where the method has no constant gains), margin, frequency [rad/s]; l2_gain {disturbance, noise}: BIBO
+    in numbers, int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the
+    input and v on y (each the least with the other absent; null if not certified); rate [1/s], time_constant [s], never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same [z];
     reasons for every 'no', cures.
     """
     problem = resolve_scenario(scenario)
     schedule = plan(problem)
     known = knowledge(problem, schedule)
-    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "rate", "time_constant"))
+    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "l2_gain", "rate", "time_constant"))
     summary = {"title": scenario.title, **absent, "never": [], "states": determined(problem, schedule)}
     reasons = []
     gains = constant_gains(problem.observer, problem.model)
@@ -55,6 +57,7 @@ def check(scenario: Scenario) -> dict[str, Any]:
             "certified": proof.certified,
             "margin": proof.margin,
             "frequency": proof.frequency,
+            "l2_gain": _bounded(proof, problem) if proof.certified else None,
             "rate": speed.rate,
             "time_constant": speed.time_constant,
             "never": list(speed.never),
@@ -70,6 +73,14 @@ def check(scenario: Scenario) -> dict[str, Any]:
         "reasons": reasons,
         "cures": [cure for k in known for cure in k.cures],
     }
+
+
+def _bounded(proof: Certificate, problem: Problem) -> dict[str, float | None]:
+    """The least L2 gains from the input's disturbance and from noise on the reading to z - z^, each alone."""
+    model = problem.model
+    push = l2_gain(proof.dynamics, E=model.linear.B / (model.Ts or 1.0))
+    noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
+    return {"disturbance": finite(push.disturbance), "noise": finite(noisy.noise)}
 
 
 def plan(problem: Problem) -> Schedule:
