@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -267,6 +269,22 @@ def test_no_design_where_there_is_no_method(example: str, words: str) -> None:
     done = run("design", EXAMPLES / f"{example}.toml", *QUIET)
     assert done.code == 2
     assert words in done.error
+
+
+@pytest.mark.parametrize("command", ["check", "design"])
+def test_help_teaches_by_an_example(command: str) -> None:
+    shown = run(command, "--help").out
+    assert f"Example: undeadzone {command} examples/" in shown
+    assert "Exit code 1" in " ".join(shown.split())
+
+
+def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None:
+    code = (
+        "import sys\nfrom undeadzone.cli import group\n"
+        f"group.main(['check', {str(paper())!r}, '--no-figures', '--json'], standalone_mode=False)\n"
+        "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr == "[]\n"
 
 
 def test_a_wrong_scenario_is_no_answer(paper: Callable[..., Path]) -> None:

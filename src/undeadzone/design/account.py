@@ -73,7 +73,7 @@ def trial(of: Account, seed: int = 0) -> Trial | None:
     attack = falsify(given, V, seed=seed)
     cycle = None if found.certificate.certified else diverge(given, seed, TRIES)
     longest = max(of.problem.scenario.simulation.duration, of.schedule.duration)
-    drawn = courses(given, V, of.schedule, min(CONSTANTS * found.rates.time_constant, longest), seed)
+    drawn = courses(given, V, of.schedule, min(CONSTANTS / max(abs(found.rates.rate), 1e-300), longest), seed)
     if attack.broken:
         drawn.append(along("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100))
     if cycle is not None and cycle.factor > GROWS:

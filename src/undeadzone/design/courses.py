@@ -78,8 +78,8 @@ def along(kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mod
 
 def growing(given: Dynamics, cycle: Cycle) -> Floats:
     """The error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
-    product = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *_maps(given, [*cycle.modes])[::-1]])
-    values, vectors = np.linalg.eig(product)
+    period = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *_maps(given, [*cycle.modes])[::-1]])
+    values, vectors = np.linalg.eig(period)
     return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
 
 
@@ -116,9 +116,15 @@ def _mode(given: Dynamics, sides: Floats, seconds: float) -> Mode:
 
 
 def _passes(given: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
-    """The modes of whole passes of a schedule, for at least that time."""
+    """The modes of a schedule, passed again and again, for that time or up to a sample more."""
     once = [_mode(given, sides, span * (given.Ts or 1.0)) for sides, span in zip(*merged(schedule)[:2], strict=True)]
-    return once * max(1, int(np.ceil(seconds / schedule.duration)))
+    found, left = list[Mode](), seconds
+    while left > 0:
+        mode = once[len(found) % len(once)]
+        rest = left if given.Ts is None else given.Ts * np.ceil(left / given.Ts)
+        found.append(mode._replace(seconds=min(mode.seconds, rest)))
+        left -= mode.seconds
+    return found
 
 
 def _maps(given: Dynamics, modes: list[Mode]) -> Floats:

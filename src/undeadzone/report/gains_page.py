@@ -84,7 +84,7 @@ def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
 
 def _verdict(of: Account) -> Html:
     known = all(k.right and k.left for k in of.known)
-    parts = [_yes(known, "both widths can be known" if known else "not every width can be known")]
+    parts = [_yes(known, "every width can be known" if known else "not every width can be known")]
     if of.gains is not None:
         proved = of.gains.certificate.certified
         parts.insert(0, _yes(proved, f"certified, margin {of.gains.certificate.margin:.4g}" if proved else "not certified"))

@@ -139,22 +139,26 @@ def nyquist(found: Gains) -> Figure:
         _curve(panels["zoom"], curve, worst[0, 0])
         _near(panels["zoom"], curve, worst[0, 0], abs(proof.margin))
         finish(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
-    values = np.linalg.eigvalsh((H + H.conj().transpose(0, 2, 1)) / 2)
-    axes = panels["real"]
-    top = max(1.5, min(float(values.max()), 5 * abs(proof.margin), 10.0)) * 1.1
-    bottom = min(0.0, proof.margin)
-    axes.set_xscale("log")
-    axes.axhspan(bottom - 0.25 * (top - bottom), 0.0, color=FORBIDDEN, linewidth=0)
-    for k in range(p):
-        axes.plot(w, values[:, k], color=ESTIMATE, alpha=1.0 if k == 0 else 0.35, label="least eigenvalue" if k == 0 and p > 1 else None)
-    if w[0] <= worst_at <= w[-1]:
-        axes.plot([worst_at], [proof.margin], "o", color=PRINTED, clip_on=False, zorder=5)
-    else:
-        axes.axhline(proof.margin, color=PRINTED, linestyle=":")
-    axes.set_ylim(bottom - 0.12 * (top - bottom), top)
+    _eigenvalues(panels["real"], w, H, proof.margin, worst_at)
     words = f"Re ({what})" if p == 1 else f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
-    finish(axes, f"{words} over frequency", "", "ω [rad/s]", legend=0)
+    finish(panels["real"], f"{words} over frequency", "", "ω [rad/s]", legend=0)
     return figure
+
+
+def _eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: float) -> None:
+    """Eigenvalues of Herm H over frequency; the least of them, which stands out, must stay above the shaded part."""
+    values = np.linalg.eigvalsh((H + H.conj().transpose(0, 2, 1)) / 2)
+    top, bottom = max(1.5, min(float(values.max()), 5 * abs(least), 10.0)) * 1.1, min(0.0, least)
+    low = bottom - 0.12 * (top - bottom)
+    axes.set_xscale("log")
+    axes.axhspan(low, 0.0, color=FORBIDDEN, linewidth=0)
+    axes.plot(w, values[:, 1:], color=ESTIMATE, alpha=0.35)
+    axes.plot(w, values[:, 0], color=ESTIMATE)
+    if w[0] <= worst_at <= w[-1]:
+        axes.plot([worst_at], [least], "o", color=PRINTED, clip_on=False, zorder=5)
+    else:
+        axes.axhline(least, color=PRINTED, linestyle=":")
+    axes.set_ylim(low, top)
 
 
 def _response(given: Dynamics, W: Floats, w: Floats) -> np.ndarray:
