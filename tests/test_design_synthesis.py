@@ -165,6 +165,19 @@ def test_the_knee_beats_the_present_gains_in_everything(knee: Design) -> None:
     assert knee.margin >= 0.01 * (1 - 1e-6)
 
 
+def test_gains_near_the_present_ones_that_beat_them_are_found() -> None:
+    """Third order, default L: what is better in everything lies in a narrow valley that the front's search passes by."""
+    third = scene(
+        plant={"companion": [6.0, 11.0, 6.0]}, observer={"method": "certified", "gamma": 5.0}, reference={"kind": "sine", "amplitude": 2.0, "frequency": 0.4}
+    )
+    found = design(third)
+    assert found.present is not None
+    assert found.remarks == []
+    assert found.best.rate > found.present.rate
+    assert found.best.disturbance < found.present.disturbance
+    assert found.best.noise < found.present.noise
+
+
 def test_every_point_of_the_front_is_certified_and_undominated(knee: Design) -> None:
     costs = np.array([[-point.rate, point.disturbance, point.noise] for point in knee.front])
     assert len(costs) > 20

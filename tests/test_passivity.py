@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scenes import PAPER_PLANT, linear, random_plant, response
 from undeadzone.design.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
-from undeadzone.plant import Plant, matrices, zoh
+from undeadzone.plant import Plant, companion, matrices, zoh
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA = np.array([10.0])
@@ -76,3 +76,11 @@ def test_unstable_plants_have_none_whatever_the_gain(Ts: float | None) -> None:
     plant = linear([[0.0, 1.0], [1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]).linear
     plant = plant if Ts is None else zoh(plant, Ts)
     assert not certify(plant, np.array([[5.0], [6.0]]), np.array([1.0]), Ts).certified
+
+
+@pytest.mark.parametrize("Ts", [1e-4, 5e-3, 1e-2, 0.1, 1.0])
+def test_the_default_gain_is_certified_at_every_sample_time(Ts: float) -> None:
+    """With every gamma up to 1 / Ts, also for poles far apart, where P^-1 C' of the continuous theory is not."""
+    stiff = zoh(companion(np.poly([-1.0, -10.0, -1000.0])[:0:-1], [1000.0]), Ts)
+    for gamma in (1e-3 / Ts, 1 / Ts):
+        assert certify(stiff, passive_gain(stiff, Ts), np.array([gamma]), Ts).certified

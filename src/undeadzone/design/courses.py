@@ -9,8 +9,8 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.design.errordynamics import Dynamics, Storage, pattern
-from undeadzone.design.falsify import Cycle, Mode, generator
-from undeadzone.design.floquet import error_matrices, exponential, power, product, transitions
+from undeadzone.design.falsify import Cycle, Mode, passages
+from undeadzone.design.floquet import error_matrices, power, product, transitions
 from undeadzone.design.schedule import Schedule, merged
 
 SWITCHES, PIECES = 120, 10  # of a course; pieces between two switches, unless that is less than a sample
@@ -41,7 +41,7 @@ def courses(given: Dynamics, V: Storage, schedule: Schedule, seconds: float, see
     sides = np.array(list(itertools.product((1, -1, 0), repeat=p)))
     full = np.flatnonzero(sides.all(axis=1))
     modes = [_mode(given, row, step) for row in sides]
-    pieces = _maps(given, modes)
+    pieces = passages(given, modes)
     held = power(pieces, np.full(len(modes), count))
     window = max(WINDOW, 2 * len(full))
     start = _start(V, rng)
@@ -73,12 +73,12 @@ def along(kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mod
     """V from an error [x~; d~] along modes, seen every `step` [s] or so, and at every switch."""
     counts = [max(1, round(mode.seconds / (step if given.Ts is None else given.Ts))) for mode in modes]
     pieces = [mode._replace(seconds=mode.seconds / count) for mode, count in zip(modes, counts, strict=True)]
-    return _course(kind, V, start, np.repeat(_maps(given, pieces), counts, axis=0), np.repeat([piece.seconds for piece in pieces], counts))
+    return _course(kind, V, start, np.repeat(passages(given, pieces), counts, axis=0), np.repeat([piece.seconds for piece in pieces], counts))
 
 
 def growing(given: Dynamics, cycle: Cycle) -> Floats:
     """The error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
-    period = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *_maps(given, [*cycle.modes])[::-1]])
+    period = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *passages(given, [*cycle.modes])[::-1]])
     values, vectors = np.linalg.eig(period)
     return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
 
@@ -125,14 +125,6 @@ def _passes(given: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
         found.append(mode._replace(seconds=min(mode.seconds, rest)))
         left -= mode.seconds
     return found
-
-
-def _maps(given: Dynamics, modes: list[Mode]) -> Floats:
-    """What each mode does to [x~; d~] in its time, exactly."""
-    F, seconds = np.stack([generator(given, mode) for mode in modes]), np.array([mode.seconds for mode in modes])
-    if given.Ts is None:
-        return exponential(F * seconds[:, None, None])
-    return power(np.eye(F.shape[-1]) + given.Ts * F, np.round(seconds / given.Ts).astype(int))
 
 
 def _start(V: Storage, rng: np.random.Generator) -> Floats:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-import tomli_w
 import numpy as np
+import tomli_w
 
 from undeadzone.arrays import Floats, matrix, vector
 from undeadzone.controllers import StateFeedback

@@ -61,7 +61,7 @@ def falsify(given: Dynamics, V: Storage, trajectories: int = 100_000, switches: 
     rng = np.random.default_rng(seed)
     modes = _library(given, rng, library)
     kept, forward, back = _square_root(V)
-    maps = _transitions(given, modes, lambda F: forward @ F[np.ix_(kept, kept)] @ back)
+    maps = passages(given, modes, lambda F: forward @ F[np.ix_(kept, kept)] @ back)
     groups = 200
     size = -(-trajectories // groups)
     states = rng.normal(size=(groups, size, len(forward))) * 10 ** rng.uniform(-1, 1, (groups, size, len(forward)))
@@ -96,7 +96,7 @@ def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
     rng = np.random.default_rng(seed)
     modes = _library(given, rng, 120)
-    maps = _transitions(given, modes)
+    maps = passages(given, modes)
     times = np.array([mode.seconds for mode in modes])
 
     def rate(maps: Floats, times: Floats) -> float:
@@ -112,7 +112,7 @@ def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
     def growth_rate(logs: Floats) -> float:
         cycle = timed(logs)
-        return rate(_transitions(given, cycle), np.array([mode.seconds for mode in cycle]))
+        return rate(passages(given, cycle), np.array([mode.seconds for mode in cycle]))
 
     logs = np.log(times[chosen])
     if given.Ts is None:
@@ -132,7 +132,7 @@ def generator(given: Dynamics, mode: Mode) -> Floats:
     return np.asarray(free + np.vstack([-given.L, given.gamma @ mode.S.T]) @ innovation)
 
 
-def _transitions(given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = lambda F: F) -> Floats:
+def passages(given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = lambda F: F) -> Floats:
     """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled), in coordinates where F is moved(F)."""
     F = np.stack([moved(generator(given, mode)) for mode in modes])
     seconds = np.array([mode.seconds for mode in modes])

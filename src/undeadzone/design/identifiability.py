@@ -163,6 +163,7 @@ def _unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
 def _reach(schedule: Schedule, i: int) -> Cure:
     right, left = schedule.levels[i] * (1 + MARGIN)
     low, mean, high = schedule.low[i], schedule.mean[i], schedule.high[i]
+    mean = 0.0 if abs(mean) <= 1e-9 * (high - low) else mean
     up, down = max(right - high, 0.0), max(low + left, 0.0)
     if high - low <= 1e-9 * max(abs(high), abs(low), right, left):
         return Cure(i, None, None, f"let output {i} move: a swing of {max(right - mean, mean + left):.4g} about {mean:.4g} reaches both edges")

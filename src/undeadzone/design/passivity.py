@@ -100,19 +100,23 @@ def margin(given: Dynamics, W: Floats) -> tuple[float, float]:
 
 
 def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
-    """L = P^-1 C' [1/s] with A'P + PA = -2 w I (delta form), w the size of A: certified for every stable model.
+    """L = P^-1 C' [1/s] with A'P + PA = -2 w I, w the size of A: certified for every stable model.
 
-    Raises StructureError if the model is not stable.
+    Sampled, in delta form, P is enlarged until L is certified with every gamma up to 1 / Ts. Raises StructureError if
+    the model is not stable.
     """
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    A = delta(linear, Ts)
-    n = A.shape[0]
+    A, C = delta(linear, Ts), linear.C
     if growth(A, Ts) >= 0:
         raise StructureError("observer.L: missing; there is a default only for a stable model, give L")
-    Q = 2 * np.linalg.norm(A, 2) * np.eye(n)
-    P = solve_continuous_lyapunov(A.T, -Q) if Ts is None else Ts * solve_discrete_lyapunov(linear.A.T, Q)
-    return np.asarray(np.linalg.solve(P, linear.C.T))
+    q = 2 * float(np.linalg.norm(A, 2))
+    if Ts is None:
+        return np.asarray(np.linalg.solve(solve_continuous_lyapunov(A.T, -q * np.eye(A.shape[0])), C.T))
+    L = np.linalg.solve(Ts * solve_discrete_lyapunov(linear.A.T, q * np.eye(A.shape[0])), C.T)
+    # What is left of the LMI after PL = C' and a Schur complement; it must stay below 1, half of it is taken.
+    rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
+    return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
 
 
 def _weights(given: Dynamics) -> tuple[Floats, float, float | None]:

@@ -13,15 +13,17 @@ NEIGHBOURS = 12  # weights that share their solutions
 TILT = 0.05  # part of the sum in the scalar cost, so that no objective is neglected where another one binds
 
 
-def evolve(cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None) -> tuple[Floats, float]:
+def evolve(
+    cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None, spread: float = 0.05
+) -> tuple[Floats, float]:
     """(x, cost) of the least cost found in the box by CMA-ES, Hansen and Ostermeier (2001); cost takes (size, d) and gives (size).
 
-    From a random point with wide steps, or from `start` with narrow ones.
+    From a random point with wide steps, or from `start` with steps of `spread` of the box.
     """
     from cmaes import CMA
 
     d, span = low.size, high - low
-    mean, sigma = (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, 0.05)
+    mean, sigma = (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, spread)
     search = CMA(mean=mean, sigma=sigma, seed=seed, population_size=size)
     best, least = mean, np.inf
     for _ in range(rounds):

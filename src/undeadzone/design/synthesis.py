@@ -21,6 +21,7 @@ REACH = 5.0  # times the plant's fastest pole: the largest gains in L that are t
 SPEED = (0.01, 100.0)  # gamma between these times the plant's slowest and fastest pole
 WEIGHT = 3.0  # largest logarithm of the ratio of two storage weights
 STARTS = 10  # short searches for the fastest; the best of them is continued
+NEAR = 0.003  # of the box: first steps of the search around present gains
 SHORT, LONG = 60, 250  # rounds of the short searches and of the long one
 ROUNDS = 200  # of the search for the front
 BETTER = np.log(1.05)  # by which the knee should beat present gains
@@ -70,9 +71,9 @@ def fastest(task: Task, linear: Matrices, weights: Weights = RATE, seed: int = 0
 def balanced(task: Task, linear: Matrices, present: Candidate | None = None, seed: int = 0, tick: Tick | None = None) -> Synthesis:
     """The front of rate, disturbance and noise, and its knee: the point whose largest normalised loss is smallest.
 
-    A loss is a logarithm between the least (0) and greatest (1) on the front. Where points of the front beat `present`
-    gains in all three, by 5 % if possible, the knee is chosen among these; where none does, a remark says in what the
-    knee is worse. tick(1) is called STARTS + ROUNDS times.
+    A loss is a logarithm between the least (0) and greatest (1) on the front. Where points of the front, or of a search
+    of its own around the `present` gains, beat these in all three, by 5 % if possible, the knee is chosen among them;
+    where none does, a remark says in what the knee is worse. tick(1) is called STARTS + ROUNDS times.
     """
     quickest = _search(task, RATE, seed, tick)
     limit = float(score(task, *_gains(task, quickest[None]), mismatch=False, gains=False).rate[0]) * FLOOR
@@ -85,11 +86,15 @@ def balanced(task: Task, linear: Matrices, present: Candidate | None = None, see
         return np.where(admitted[:, None], logs, np.inf)
 
     points, found = pareto(lambda x: costs(task, x), *_box(task), seed, quickest[None], rounds=ROUNDS, tick=lambda: tick(1) if tick else None)
-    frame = found.min(axis=0), found.max(axis=0)
     bars = [np.full(3, np.inf)]
     if present is not None:
         level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
         bars = [level - BETTER, level, *bars]
+        near = evolve(lambda x: (costs(task, x) - level).max(axis=1), *_box(task), seed, _population(task), LONG, _point(task, present), NEAR)[0]
+        points, found = np.vstack([points, near]), np.vstack([found, costs(task, near[None])])
+        admitted = np.isfinite(found).all(axis=1)
+        points, found = points[admitted], found[admitted]
+    frame = found.min(axis=0), found.max(axis=0)
     bar = next(bar for bar in bars if (found < bar).all(axis=1).any())
 
     def loss(task: Task) -> Callable[[Floats], Floats]:
@@ -131,7 +136,7 @@ def assess(task: Task, L: Floats, gamma: Floats) -> Candidate:
 def _search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> Floats:
     """The best of several seeded searches, before it is polished."""
     low, high = _box(task)
-    cost, size = _cost(task, weights), 32 if low.size < 8 else 64
+    cost, size = _cost(task, weights), _population(task)
     found = []
     for start in range(STARTS):
         found.append(evolve(cost, low, high, seed * STARTS + start, size, SHORT))
@@ -186,6 +191,16 @@ def _gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
     gamma = np.exp(points[:, n * p : n * p + p])
     W = np.exp(np.hstack([np.zeros((len(points), 1)), points[:, n * p + p :]]))
     return certified(task, L, gamma, W), gamma
+
+
+def _point(task: Task, gains: Candidate) -> Floats:
+    """The point whose `_gains` these are, as near as the box allows."""
+    L, gamma = gains.L / task.units[:, None], np.maximum(gains.gamma, 1e-300)
+    return np.clip(np.concatenate([np.arcsinh(L / task.poles.min()).ravel(), np.log(gamma), np.zeros(task.p - 1)]), *_box(task))
+
+
+def _population(task: Task) -> int:
+    return 32 if _box(task)[0].size < 8 else 64
 
 
 def _box(task: Task) -> tuple[Floats, Floats]:
