@@ -65,6 +65,8 @@ def in_words(summary: dict[str, Any], problem: Scenario) -> dict[str, Any]:
     if near := summary.get("nearest"):
         shown["nearest certified"] = f"L = {plain(near['L'])}, gamma = {plain(near['gamma'])}: margin {near['margin']:.3g}, rate {near['rate']:.4g} 1/s"
         shown["faster ones"] = "undeadzone design finds certified gains by their rate and what they trade for it"
+    if bounds := summary.get("l2_gain"):
+        shown["bounded"] = f"L2 gain to z - z^ {bounds['disturbance']:.4g} from the input's disturbance, {bounds['noise']:.4g} from noise on y"
     if summary["rate"] is not None:
         after = "the error does not die" if summary["time_constant"] is None else f"time constant {summary['time_constant']:.4g} s"
         shown["rate"] = f"{summary['rate']:.4g} 1/s along the reference, {after}"

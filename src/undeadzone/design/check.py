@@ -35,10 +35,11 @@ class Known(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def check(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
 
-    certified (null where the method has no constant gains), margin, frequency [rad/s]; l2_gain {disturbance, noise}: BIBO
-    in numbers, int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the
-    input and v on y (each the least with the other absent; null if not certified); rate [1/s], time_constant [s], never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same [z];
-    reasons for every 'no', cures.
+    certified (null where the method has no constant gains), margin, frequency [rad/s]; l2_gain {disturbance, noise}:
+    BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w
+    at the input and v on y (each the least with the other absent; null if not certified); rate [1/s], time_constant [s],
+    never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same
+    [z]; reasons for every 'no', cures.
     """
     problem = resolve_scenario(scenario)
     schedule = plan(problem)
