@@ -1,4 +1,4 @@
-"""Observers on numbers: literal formulas, the error dynamics of docs/theory.md, where methods must coincide, missing samples."""
+"""Observers on numbers: literal formulas, the error dynamics of docs/observer.md, where methods must coincide, missing samples."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
     for _ in range(60):
         z = model.linear.C @ x
         errors = np.array([where.right - state.right, where.left - state.left]).ravel()
-        values.append(proof.value((x - state.x)[None], errors[None])[0])
+        values.append(proof.V.value((x - state.x)[None], errors[None])[0])
         u = 5 * rng.normal(size=1)
         y = sensor.deadzone(z, where.right, where.left)
         state, _ = step(state, u, y, sensor.side(y))
@@ -164,7 +164,7 @@ def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
 
 def test_estimates_are_projected_into_their_bounds() -> None:
     observer = {"method": "certified", "L": L.tolist(), "gamma": 50.0, "widths0": 0.6, "width_max": 0.7}
-    run = simulate(scene(sensor={"right": 0.1, "left": 1.0}, observer=observer), check_step=False)
+    run = simulate(scene(sensor={"right": 0.1, "left": 0.7}, observer=observer), check_step=False)
     assert run.d_hat.min() == 0.0
     assert run.d_hat.max() == 0.7
 
@@ -190,6 +190,7 @@ def test_default_gain_is_certified_in_either_time() -> None:
         ({"widths0": [0.5, 2.0], "width_max": 1.0}, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
         ({"widths0": [0.5, 2.0, 1.0]}, ShapeError, "observer.widths0: expected "),
         ({"width_max": 0.0}, InputError, "observer.width_max: must be positive"),
+        ({"width_max": 0.1}, InputError, "observer.width_max: the sensor's widths of output 0, .*, lie beyond d_M = 0.1"),
     ],
 )
 def test_wrong_options_of_certified(options: dict[str, Any], error: type[Exception], words: str) -> None:

@@ -18,7 +18,7 @@ GAMMA = np.array([10.0])
 
 @given(st.floats(-3, 20), st.floats(-3, 20))
 def test_the_papers_plant_is_certified_exactly_where_theory_says(l1: float, l2: float) -> None:
-    """2 b1 > (sqrt(b0) - 1)^2 with b1 = 2 + l1, b0 = 1 + 2 l1 + l2 (docs/theory.md, section 3), b0 > 0."""
+    """2 b1 > (sqrt(b0) - 1)^2 with b1 = 2 + l1, b0 = 1 + 2 l1 + l2 (docs/certificate.md), b0 > 0."""
     b1, b0 = 2 + l1, 1 + 2 * l1 + l2
     slack = 2 * b1 - (np.sqrt(max(b0, 0.0)) - 1) ** 2
     if min(abs(slack), abs(b0)) < 0.05 * (1 + abs(b1) + abs(b0)):

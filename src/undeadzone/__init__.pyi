@@ -1,6 +1,9 @@
 from .controllers import PD as PD
 from .controllers import Robust as Robust
 from .controllers import StateFeedback as StateFeedback
+from .design.check import check as check
+from .design.design import Design as Design
+from .design.passivity import certify as certify
 from .errors import FileError as FileError
 from .errors import InputError as InputError
 from .errors import ProofError as ProofError

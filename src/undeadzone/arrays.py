@@ -95,7 +95,7 @@ def listed(numbers: Iterable[complex]) -> str:
 
 
 def scalar(key: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
-    """One finite number within bounds. Raises InputError."""
+    """One finite number within bounds. Raises InputError, ShapeError."""
     found = array(key, value)
     if found.size != 1:
         raise ShapeError(f"{key}: expected one number, found {found.size}")
@@ -113,3 +113,12 @@ def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
     if (found < 0).any():
         raise InputError(f"{key}: must not be negative, found {found.min():g}")
     return found
+
+
+def finite(value: Any) -> Any:
+    """A value for JSON, which has no nan or inf: None in their place, also within dictionaries, lists and tuples."""
+    if isinstance(value, dict):
+        return {key: finite(child) for key, child in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(child) for child in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

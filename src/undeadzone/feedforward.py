@@ -103,10 +103,9 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
     if len(tracked) != model.m:
         many = "s" * (model.m != 1)
         raise TrackingError(f"tracked: a nonlinear plant with {model.m} input{many} needs {model.m} tracked output{many}, found {len(tracked)}")
-    continuous = model.move
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     params = ca.SX(model.params)
-    dx = continuous(params, x, u)
+    dx = model.move(params, x, u)
     values, orders, tops = [], [], []
     for index in tracked:
         value, order = model.output(params, x)[index], 0

@@ -19,15 +19,27 @@ def replacing(path: Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
         os.close(handle)
     except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error}") from None
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None
     try:
         yield Path(name)
         os.chmod(name, 0o666 & ~_umask())
         os.replace(name, path)
     except OSError as error:
-        raise FileError(f"{path}: cannot write: {os.strerror(error.errno) if error.errno else error}") from None
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def write_text(text: str, path: Path) -> Path:
+    """Write a text file; nothing is left half-written. Raises FileError."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def reason(error: Exception) -> str:
+    """Why a file could not be read or written, without its path: in the system's words where there are any."""
+    return os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
 
 
 def _umask() -> int:

@@ -83,7 +83,6 @@ class Loop(NamedTuple):
     state: State
     params: Params
     outputs: Outputs
-    instants: int
 
 
 class _Mode(NamedTuple):
@@ -104,19 +103,17 @@ def close(plant: System, sensor: Zone, observer: Observer, controller: Controlle
     s_column, s = tree.symbols(state, "s")
     wires = _Wires(plant, sensor.kind, observer, controller, p)
     if plant.Ts is not None:
-        instants = 1
         w_column, w = tree.symbols(instant, "w")
         rate, outputs = wires.move(s, w, wires.mode(s, w))
         following = tree.stack(rate)
     else:
-        instants = 3
         columns, parts = zip(*(tree.symbols(instant, f"w{i}") for i in range(3)), strict=True)
         w_column = ca.vertcat(*columns)
         _, outputs = wires.move(s, parts[0], wires.mode(s, parts[0]))
         following = _located_step(wires, state, instant, s_column, columns, p.h)
     function = ca.Function("step", [s_column, w_column, p_column], [following, tree.stack(outputs)], ["s", "w", "p"], ["next", "out"], {"cse": True})
     shapes = Outputs(*(np.zeros(value.shape[0]) for value in outputs))
-    return Loop(function, state, params, shapes, instants)
+    return Loop(function, state, params, shapes)
 
 
 class _Wires(NamedTuple):

@@ -14,7 +14,7 @@ from undeadzone.design.structure import require_structure
 from undeadzone.engine.interpret import Stepper
 from undeadzone.observers import Observer, ObserverOptions, Reading
 from undeadzone.plant import Plant, System
-from undeadzone.problem import require_observable_step
+from undeadzone.problem import require_bounded_error
 from undeadzone.sensor import Sensor, present, resolve, side
 
 
@@ -39,8 +39,9 @@ class Online:
     """An observer fed one sample at a time: `Online(Certified(L=..., gamma=...), plant, sensor, step).update(y, u)`.
 
     plant: what the observer believes; sensor: kind, slope, noise and threshold (its widths are used by the oracle only);
-    step: sample time [s]. A reading that is NaN or infinite is missing: nothing is corrected, and `missing` counts it;
-    an input that is not finite is taken to be the last one. Raises InputError and its kinds as a scenario would.
+    step: sample time [s]; a nonlinear plant moves by ten Runge-Kutta steps in it. A reading that is NaN or infinite is
+    missing: nothing is corrected, and `missing` counts it; an input that is not finite is taken to be the last one.
+    Raises InputError and its kinds as a scenario would.
     """
 
     def __init__(self, observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float) -> None:
@@ -50,7 +51,7 @@ class Online:
         self.model = plants.sampled(system, Ts)
         zone = resolve(sensor, self.model.p, Ts)
         built = observer.build(self.model, zone)
-        require_observable_step(self.model, built, Ts)
+        require_bounded_error(self.model, built, Ts)
         graph, state, params, sizes = _graph(self.model, built, zone.threshold)
         self.samples = 0
         self.missing = 0

@@ -270,3 +270,13 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     block[:n, :n], block[:n, n:] = linear.A, linear.B
     both = expm(block * Ts)
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
+
+
+def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
+    """(e^{A Ts}, the covariance that white noise of density W (n x n) per second adds to x' = A x + w over Ts [s]), van Loan (1978)."""
+    from scipy.linalg import expm
+
+    n = A.shape[0]
+    both = expm(np.block([[-A, W], [np.zeros((n, n)), A.T]]) * Ts)
+    Ad = both[n:, n:].T
+    return Ad, Ad @ both[:n, n:]

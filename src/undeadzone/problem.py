@@ -58,14 +58,14 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         plant, model = (_sampled(key, system, step, substeps) for key, system in (("plant", true), ("model", flow)))
     observer = scenario.observer.build(model, sensor)
     controller = scenario.controller.build(model)
-    require_observable_step(model, observer, step)
+    require_bounded_error(model, observer, step)
     if model.Ts is None:
         _require_fine_step(plant, model, observer, controller, step)
     return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps)
 
 
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:
-    """(the plant, the model, x(0)) in continuous time, checked against each other."""
+    """(the plant, the model, x(0)) in continuous time, checked against each other. Raises InputError and its kinds."""
     plant = plants.system(scenario.plant)
     require_structure(plant.linear, "plant")
     model = plant
@@ -154,7 +154,7 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
     return (params.L / step, params.gamma / step) if constant else None
 
 
-def require_observable_step(model: System, observer: Observer, step: float) -> None:
+def require_bounded_error(model: System, observer: Observer, step: float) -> None:
     """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
     gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)
     if model.Ts is not None and gamma >= 2:

@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Floats
+from undeadzone.arrays import Floats, finite
 from undeadzone.errors import FileError, InputError
-from undeadzone.files import replacing
+from undeadzone.files import reason, replacing
 from undeadzone.scenario import Units
 
 LAST = 2.0  # [s] over which errors are measured
@@ -115,30 +115,31 @@ class Run:
 
     @property
     def adapts(self) -> bool:
-        """Whether the observer changed its width estimates at all."""
-        return bool((self.d_hat != self.d_hat[0]).any())
+        """Whether the observer estimates the widths: all do but `luenberger` and `oracle`."""
+        return self.info.method not in ("luenberger", "oracle")
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
         right, left = (column.tolist() if len(column) > 1 else float(column[0]) for column in self.widths.T)
         verdicts = self.info.identifiable
-        return {
+        found: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
             "time": self.info.time,
             "step": self.info.step,
-            "rms_tracking": finite(self.rms_tracking),
-            "rms_estimation": finite(self.rms_estimation),
-            "d_right": finite(right),
-            "d_left": finite(left),
+            "rms_tracking": self.rms_tracking,
+            "rms_estimation": self.rms_estimation,
+            "d_right": right,
+            "d_left": left,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
-            "largest_rise_of_V": finite(self.largest_rise_of_V),
-            "integration_error": finite(self.info.integration_error),
+            "largest_rise_of_V": self.largest_rise_of_V,
+            "integration_error": self.info.integration_error,
             "identifiable": verdicts[0] if len(verdicts) == 1 else verdicts,
             "diverged_at": self.diverged_at,
             "seconds": self.info.seconds,
         }
+        return finite(found)
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
@@ -190,7 +191,7 @@ class Run:
                 info = msgspec.json.decode(file["info"].tobytes(), type=Info)
             return cls(**{"V": None, **arrays}, info=info)
         except OSError as error:
-            raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
+            raise FileError(f"{path}: cannot read: {reason(error)}") from None
         except (ValueError, KeyError, TypeError, StopIteration, EOFError, msgspec.DecodeError, zipfile.BadZipFile, zlib.error) as error:
             raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
@@ -203,7 +204,8 @@ class Run:
 
     def plot(self, path: str | os.PathLike[str]) -> Path:
         """Write a figure of the run (PNG, PDF or SVG by suffix): output, error, widths, V. Raises FileError."""
-        from undeadzone.report.figures import overview, write
+        from undeadzone.report.figures import overview
+        from undeadzone.report.style import write
 
         return write(overview(self), Path(path))
 
@@ -233,10 +235,3 @@ def _read_csv(path: Path) -> dict[str, Any]:
 def _rms(values: Floats) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
-
-
-def finite(value: Any) -> Any:
-    """The value, or None where it is not a finite number (JSON has none)."""
-    if isinstance(value, list):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -14,6 +14,7 @@ from undeadzone.arrays import Array, decode
 from undeadzone.controllers import ControllerOptions
 from undeadzone.errors import FileError, InputError
 from undeadzone.explain import explain
+from undeadzone.files import reason
 from undeadzone.observers import ObserverOptions
 from undeadzone.plant import Plant
 from undeadzone.sensor import Sensor
@@ -73,12 +74,10 @@ def read(path: str | os.PathLike[str]) -> Scenario:
     """The scenario in a TOML file. Raises FileError, InputError with the key, what was found and what to do."""
     try:
         text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text") from None
-    except ValueError as error:
-        raise FileError(f"{path}: cannot read: {error}") from None
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
     return parse(text, Path(path).parent)
 
 

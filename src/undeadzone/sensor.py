@@ -1,4 +1,4 @@
-"""The output deadzone, equations (1)-(13) as corrected in docs/theory.md: d_r, d_l > 0 and y = m (z - Sat z).
+"""The output deadzone, equations (1)-(13) as corrected in docs/model.md: d_r, d_l > 0 and y = m (z - Sat z).
 
 Every function takes NumPy arrays or CasADi expressions alike. z is the true output, y the reading,
 right = d_r and left = d_l the widths (unit of z), m the slope (unit of y per unit of z).
@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.arrays import Array, Floats, nonnegative, scalar, vector
 from undeadzone.errors import InputError
 
-RIGHT, SILENT, LEFT = 1.0, 0.0, -1.0
+RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent
 
 
 def _ops(*values: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Callable
 from fractions import Fraction
 from typing import NamedTuple
@@ -14,6 +13,7 @@ import numpy as np
 
 from undeadzone.arrays import Array, Floats, scalar, vector
 from undeadzone.errors import FileError, InputError
+from undeadzone.files import reason
 
 
 class Exosystem(NamedTuple):
@@ -205,8 +205,7 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     except UnicodeDecodeError:
         raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
     except (OSError, ValueError, csv.Error) as error:
-        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
-        raise FileError(f"{key}.path: cannot read {path}: {reason}") from None
+        raise FileError(f"{key}.path: cannot read {path}: {reason(error)}") from None
     if rows and all(_number(cell) is None for cell in rows[0]):
         rows = rows[1:]
     if not rows:

@@ -53,7 +53,7 @@ def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
 
 
 def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Outputs:
-    """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time)."""
+    """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time). Raises InputError for an unknown engine."""
     params = tree.pack(loop.params)
     if engine == "lanes":
         from undeadzone.engine import lanes

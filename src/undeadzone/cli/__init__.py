@@ -16,7 +16,7 @@ from undeadzone.cli.run import run
 from undeadzone.cli.watch import watch
 from undeadzone.errors import UndeadzoneError
 
-DONE, NO, BAD_INPUT = 0, 1, 2
+DONE, BAD_INPUT = 0, 2
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

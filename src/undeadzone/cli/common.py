@@ -34,17 +34,9 @@ def print_json(value: Any) -> None:
 
 def json_text(value: Any) -> str:
     """A value as JSON; numbers that are not finite become null."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
+    from undeadzone.arrays import finite
 
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(child) for key, child in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(child) for child in value]
-    if isinstance(value, float) and not (-1e308 <= value <= 1e308):
-        return None
-    return value
+    return json.dumps(finite(value), indent=2, allow_nan=False)
 
 
 def print_pairs(pairs: dict[str, Any]) -> None:

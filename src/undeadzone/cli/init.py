@@ -18,13 +18,12 @@ def init(file: Path, force: bool, out: Path | None, as_json: bool, no_figures: b
     """Write a commented scenario to FILE (default: scenario.toml), ready to run and to change."""
     from importlib.resources import files
 
-    from undeadzone.files import replacing
+    from undeadzone.files import write_text
 
     path = file if out is None else out / file
     if path.exists() and not force:
         raise FileError(f"{path}: exists already; choose another name or add --force")
-    with replacing(path) as temporary:
-        temporary.write_text(files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    write_text(files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8"), path)
     if as_json:
         print_json({"files": [str(path)]})
     else:

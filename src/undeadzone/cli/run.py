@@ -21,7 +21,7 @@ def run(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> in
     """Simulate a scenario: its plant behind its dead zone, watched by its observer, driven by its controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a certificate
-    holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default: NAME-results beside where you are);
+    holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default: NAME-results);
     with --no-figures and no --out it writes nothing. Exit code 1: it diverged, or its widths cannot be identified.
     """
     from undeadzone.scenario import read
@@ -46,8 +46,8 @@ def write(result: Run, folder: Path, figures: bool) -> list[Path]:
     written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
     if figures:
         from undeadzone.report.figures import overview
-        from undeadzone.report.figures import write as write_figure
         from undeadzone.report.html import run_page, write_page
+        from undeadzone.report.style import write as write_figure
 
         figure = overview(result)
         written.append(write_figure(figure, folder / "figure.png"))

@@ -19,7 +19,7 @@ from undeadzone.plant import System
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The robust term of [16], [17]: -gain * tanh(B'P (x^ - x_ref) / width), against matched disturbances up to gain."""
+    """The robust term of the paper's references [16], [17]: -gain * tanh(B'P (x^ - x_ref) / width), against matched disturbances up to gain."""
 
     gain: float
     width: float = 0.1

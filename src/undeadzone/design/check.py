@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from undeadzone.arrays import finite
 from undeadzone.controllers import StateFeedback
 from undeadzone.design.floquet import rates
 from undeadzone.design.identifiability import DIRECTIONS, cures, invisible, unknown_bias, verdicts
@@ -15,7 +16,6 @@ from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.robust import l2_gain
 from undeadzone.design.schedule import Schedule, planned, recorded
 from undeadzone.problem import Problem, constant_gains, resolve_scenario
-from undeadzone.run import finite
 from undeadzone.scenario import Scenario
 from undeadzone.signals import Random
 
@@ -35,11 +35,11 @@ class Known(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def check(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
 
-    certified (null where the method has no constant gains), margin, frequency [rad/s]; l2_gain {disturbance, noise}:
+    certified (None where the method has no constant gains), margin, frequency [rad/s]; l2_gain {disturbance, noise}:
     BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w
-    at the input and v on y (each the least with the other absent; null if not certified); rate [1/s], time_constant [s],
+    at the input and v on y (each the least with the other absent; None if not proved); rate [1/s], time_constant [s],
     never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same
-    [z]; reasons for every 'no', cures.
+    [z]; reasons for every 'no', cures. Numbers that are not finite are None. Raises InputError and its kinds, as `simulate` does.
     """
     problem = resolve_scenario(scenario)
     schedule = plan(problem)
@@ -66,22 +66,23 @@ def check(scenario: Scenario) -> dict[str, Any]:
         reasons += [f"not certified: {proof.reason}"] * (not proof.certified) + ["the error grows along the reference"] * (speed.rate < 0)
     several = len(known) > 1
     identifiable = [{name: getattr(k, name) for name in DIRECTIONS} for k in known]
-    std = [{name: finite(value) for name, value in k.std.items()} for k in known]
+    std = [k.std for k in known]
     reasons += [f"output {i}: {reason}" if several else reason for i, k in enumerate(known) for reason in k.reasons]
-    return {key: finite(value) for key, value in summary.items()} | {
+    told = {
         "identifiable": identifiable if several else identifiable[0],
         "std": std if several else std[0],
         "reasons": reasons,
         "cures": [cure for k in known for cure in k.cures],
     }
+    return dict(finite(summary | told))
 
 
-def _bounded(proof: Certificate, problem: Problem) -> dict[str, float | None]:
-    """The least L2 gains from the input's disturbance and from noise on the reading to z - z^, each alone."""
+def _bounded(proof: Certificate, problem: Problem) -> dict[str, float] | None:
+    """The least L2 gains from the input's disturbance and from noise on the reading to z - z^, each alone; None if one has no proof."""
     model = problem.model
     push = l2_gain(proof.dynamics, E=model.linear.B / (model.Ts or 1.0))
     noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
-    return {"disturbance": finite(push.disturbance), "noise": finite(noisy.noise)}
+    return {"disturbance": push.disturbance, "noise": noisy.noise} if push.check.proved and noisy.check.proved else None
 
 
 def plan(problem: Problem) -> Schedule:

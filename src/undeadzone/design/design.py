@@ -21,7 +21,7 @@ from undeadzone.design.passivity import certify, recheck
 from undeadzone.design.synthesis import RATE, ROUNDS, STARTS, Candidate, Weights, assess, balanced, fastest
 from undeadzone.design.task import make_task
 from undeadzone.errors import FileError, InputError, ProofError, StructureError
-from undeadzone.files import replacing
+from undeadzone.files import reason, write_text
 from undeadzone.observers import Certified
 from undeadzone.plant import Matrices
 from undeadzone.problem import Problem, constant_gains, resolve_scenario, systems
@@ -100,10 +100,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it as TOML, every number exactly. Raises FileError."""
-        path = Path(path)
-        with replacing(path) as temporary:
-            temporary.write_text(tomli_w.dumps(_given(msgspec.to_builtins(self))), encoding="utf-8")
-        return path
+        return write_text(tomli_w.dumps(_given(msgspec.to_builtins(self))), Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
@@ -112,7 +109,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             with open(path, "rb") as file:
                 found = msgspec.convert(tomllib.load(file), cls)
         except OSError as error:
-            raise FileError(f"{path}: cannot read: {os.strerror(error.errno) if error.errno else error}") from None
+            raise FileError(f"{path}: cannot read: {reason(error)}") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
             raise FileError(f"{path}: not a design saved by undeadzone ({error})") from None
         found.require_proof(found.model, found.Ts, str(path))
@@ -140,7 +137,7 @@ def design(
         raise InputError("controller.method: a design plans on z = r; use state_feedback")
     if reason := certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason:
         raise StructureError(f"plant: no gains can be certified: {reason}")
-    problem = resolve_scenario(msgspec.structs.replace(scenario, observer=Certified()))
+    problem = resolve_scenario(msgspec.structs.replace(scenario, observer=Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)))
     task = make_task(problem, margin)
     present = _present(scenario, problem)
     before = None if present is None else assess(task, *present)

@@ -166,8 +166,11 @@ def _lyapunov(A: Floats, Ts: float | None) -> Floats:
 
 
 class Check(NamedTuple):
-    """proved: P and the inequality are definite beyond rounding. lmi: greatest eigenvalue of the inequality, scaled to a
-    diagonal of -1; P: least eigenvalue of P, scaled to a unit diagonal; rounding: how far both must stay from 0."""
+    """Whether P and the inequality are definite beyond rounding.
+
+    lmi: greatest eigenvalue of the inequality, scaled to a diagonal of -1; P: least eigenvalue of P, scaled to a unit
+    diagonal; rounding: how far both must stay from 0.
+    """
 
     proved: bool
     lmi: float

@@ -21,10 +21,11 @@ class Rates(NamedTuple):
     """The Floquet multipliers of the error over one pass of a schedule, and what they say.
 
     rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable directions keep on the unit circle
-    are set apart; time_constant: 1 / rate [s], inf where the error does not die (rate -inf: it grows beyond all numbers). logs: logarithms of the multipliers,
-    by falling real part; slow (n + 2p, m): what dies last, in (x~, [d~_r, d~_l] per output), largest entry 1; never: the
-    unidentifiable states and widths, whose errors stay; period: T [s]; periodic: whether the schedule repeats by itself;
-    gain: the largest factor by which one pass can multiply an error, in balanced units.
+    are set apart (-inf: the error grows beyond all numbers); time_constant: 1 / rate [s], inf where the error does not
+    die; logs: logarithms of the multipliers, by falling real part; slow (n + 2p, m): what dies last, in (x~, [d~_r, d~_l]
+    per output), largest entry 1; never: the unidentifiable states and widths, whose errors stay; period: T [s]; periodic:
+    whether the schedule repeats by itself; gain: the largest factor by which one pass can multiply an error, in balanced
+    units.
     """
 
     rate: float

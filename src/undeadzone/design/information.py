@@ -117,14 +117,19 @@ def repeat(once: Stretch, times: int) -> Stretch:
 
 
 def _flow(F: Floats, Q: Floats, H: Floats, span: float) -> Stretch:
-    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: Van Loan, then doubling."""
+    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: Van Loan, then doubling.
+
+    Q and H are brought to one size first, and the parts are short for the filter's modes, about sqrt(|Q| |H|), too.
+    """
     from scipy.linalg import expm
 
-    halvings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(F, 1)) * span, 1.0)))))
+    free, spread, told = (float(np.linalg.norm(part, 1)) for part in (F, Q, H))
+    unit = np.sqrt(told / spread) if told and spread else told or 1.0
+    halvings = max(0, int(np.ceil(np.log2(max(max(free, np.sqrt(spread * told)) * span, 1.0)))))
     N = F.shape[0]
-    E = expm(np.block([[-F, Q], [H, F.T]]) * (span / 2**halvings))
+    E = expm(np.block([[-F, Q * unit], [H / unit, F.T]]) * (span / 2**halvings))
     Phi = np.linalg.inv(E[:N, :N])
-    return repeat(Stretch(Phi, Phi @ E[:N, N:], E[N:, :N] @ Phi), 2**halvings)
+    return repeat(Stretch(Phi, Phi @ E[:N, N:] / unit, E[N:, :N] @ Phi * unit), 2**halvings)
 
 
 def _inverse(information: Floats) -> Floats:

@@ -17,8 +17,11 @@ from undeadzone.plant import Matrices
 
 
 class Nearest(NamedTuple):
-    """The nearest gains' certificate (its dynamics hold L and gamma), and how far they are: the norm of the change of
-    W^(1/2) G W^(-1/2) (energy of its impulse response) over that of itself, a number that no change of coordinates alters."""
+    """The nearest gains' certificate (its dynamics hold L and gamma), and how far they are.
+
+    distance: the norm of the change of W^(1/2) G W^(-1/2) (energy of its impulse response) over that of itself, a number
+    that no change of coordinates alters.
+    """
 
     certificate: Certificate
     distance: float

@@ -45,10 +45,6 @@ class Certificate(NamedTuple):
         """The weights (p) of V."""
         return self.V.W
 
-    def value(self, x_error: Floats, d_error: Floats) -> Floats:
-        """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
-        return self.V.value(x_error, d_error)
-
     def recheck(self) -> Check:
         """Prove it again from P, W and the dynamics, by eigenvalues alone."""
         return recheck(self.dynamics, self.P, self.W)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from undeadzone.arrays import Array, Floats, array, listed, matrix
 from undeadzone.errors import InputError, StructureError
@@ -37,10 +36,12 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is improved by Newton's
     method (Kleinman 1968; Hewer 1971) for as long as the residual falls. Raises StructureError if there is none.
     """
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
     A, B = (np.asarray(M, float) for M in linear[:2])
     Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
     try:
-        P = linalg.solve_continuous_are(A, B, Q, R) if Ts is None else linalg.solve_discrete_are(A, B, Q, R)
+        P = solve_continuous_are(A, B, Q, R) if Ts is None else solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         name = "Riccati equation" if Ts is None else "discrete Riccati equation"
         raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
@@ -110,4 +111,6 @@ def _stable(poles: np.ndarray, Ts: float | None) -> bool:
 
 
 def _lyapunov(A: Floats, Q: Floats, Ts: float | None) -> Floats:
-    return np.asarray(linalg.solve_continuous_lyapunov(A.T, -Q) if Ts is None else linalg.solve_discrete_lyapunov(A.T, Q))
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    return np.asarray(solve_continuous_lyapunov(A.T, -Q) if Ts is None else solve_discrete_lyapunov(A.T, Q))

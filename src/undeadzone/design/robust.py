@@ -90,7 +90,7 @@ def sector(given: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) -> 
     """Whether one V falls for x' = A x + B u + G phi(H x), phi known, each phi_i with slopes in [low_i, high_i] (k numbers).
 
     phi(H x) - phi(H x^) = (centre + w) H x~ componentwise with |w| <= radius; a multiplier for each component, so that it
-    is sharper than `certified_radius` with the largest |slope|, and A alone need not be stable.
+    is sharper than `certified_radius` with the largest |slope|, and A alone need not be stable. Raises InputError, ShapeError.
     """
     n, k = np.shape(G)
     H, low, high = matrix("H", H, k, n), vector("low", low, k), vector("high", high, k)

@@ -51,8 +51,8 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     """The schedule of a reference that is followed exactly, over its period, or over `horizon` [s] if it has none.
 
     In continuous time the sides change at roots of the exact signal; sampled, the sides are those at the samples. Spans
-    end at corners of the reference too.
-    Raises TrackingError where the reference cannot be followed, InputError for a nonlinear model with untracked outputs.
+    end at corners of the reference too. Raises TrackingError where the reference cannot be followed, InputError for a
+    nonlinear model with untracked outputs.
     """
     rows = output_map(model, reference, tracked)
     levels = reading_levels(sensor)
@@ -73,13 +73,13 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     return Schedule(zone(z, *levels.T), np.diff(times), None, reference.period is not None, 0.0, low, mean, high, levels)
 
 
-def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None, side: Floats | None = None) -> Schedule:
-    """The schedule of a record of outputs z (N x p), true or estimated, `step` [s] apart; side: the sides read (default: those of z).
+def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None) -> Schedule:
+    """The schedule of a record of outputs z (N x p), true or estimated, `step` [s] apart.
 
     In continuous time (Ts None) a side is taken to change half way between two samples.
     """
     levels = reading_levels(sensor)
-    return _from_samples(zone(z, *levels.T) if side is None else side, z, levels, step, Ts, False, np.empty(0))
+    return _from_samples(zone(z, *levels.T), z, levels, step, Ts, False, np.empty(0))
 
 
 def reading_levels(sensor: Zone) -> Floats:

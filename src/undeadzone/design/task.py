@@ -14,7 +14,7 @@ from undeadzone.design.identifiability import cures, invisible
 from undeadzone.design.schedule import Schedule, merged, planned
 from undeadzone.errors import InputError
 from undeadzone.feedforward import steady_state
-from undeadzone.plant import Matrices
+from undeadzone.plant import Matrices, sampled_noise, zoh
 from undeadzone.problem import Problem
 from undeadzone.scaling import sizes
 
@@ -89,7 +89,7 @@ def make_task(problem: Problem, margin: float) -> Task:
     if not schedule.sides.any():
         raise InputError(f"reference: it never leaves the dead zone, so that the sensor says nothing; {cures(model.linear, schedule)[0].text}")
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
-    S, push, source = _driven(problem, linear, flow, units)
+    S, push, source = _driven(problem, flow, units)
     hidden = invisible(linear, schedule.visited(), Ts)
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
@@ -147,7 +147,7 @@ def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
     return np.maximum(own, np.where(np.abs(kept) < NEUTRAL, -np.inf, kept).max(axis=-1))
 
 
-def _driven(problem: Problem, linear: Matrices, flow: Matrices, units: Floats) -> tuple[Floats, Floats, Floats]:
+def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Floats, Floats]:
     """(S, push, source) of `Task`: what the reference's state drives through model errors, and the white disturbance."""
     from scipy.linalg import expm
 
@@ -157,13 +157,13 @@ def _driven(problem: Problem, linear: Matrices, flow: Matrices, units: Floats) -
     A, B, _ = flow
     both = np.hstack([A, B])
     kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.count_nonzero(B, axis=1) == 0) & (np.diag(A) == 0)
-    S, hold, spread = problem.reference.S, np.eye(n), B @ B.T
+    S = problem.reference.S
+    hold: Floats = np.eye(n)
+    spread: Floats = B @ B.T
     if Ts is not None:
         S = (expm(S * Ts) - np.eye(S.shape[0])) / Ts
-        zero = np.zeros((n, n))
-        hold = expm(np.block([[A, np.eye(n)], [zero, zero]]) * Ts)[:n, n:] / Ts
-        van_loan = expm(np.block([[-A, spread], [zero, A.T]]) * Ts)
-        spread = van_loan[n:, n:].T @ van_loan[:n, n:]
+        hold = zoh(flow._replace(B=np.eye(n)), Ts).B / Ts
+        _, spread = sampled_noise(A, spread, Ts)
     entries = [(i, j) for i, j in np.argwhere(both) if not kinematic[i]]
     push = np.zeros((len(entries), n + 2 * p, S.shape[0]))
     for k, (i, j) in enumerate(entries):

@@ -1,4 +1,4 @@
-"""The repaired observer: the innovation is formed on the side that the sensor itself shows (docs/theory.md, section 2)."""
+"""The repaired observer: the innovation is formed on the side that the sensor itself shows (docs/observer.md)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a stable plant. gamma: adaptation
     gain [1/s], one or one per output, default 1. design: a file saved by `Design.save`, in place of L and gamma; its proof
-    is checked again for the model. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side, the estimates
-    are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
+    is checked again for the model. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side
+    (default: none), the estimates are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
     so that the integration error falls as h^2 only). adaptation: another law for the widths than the gradient; with one
     that is not constant no certificate is claimed. Gains are continuous-time ones in either time.
     """
@@ -31,7 +31,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     gamma: Array | None = None
     design: str | None = None
     widths0: Array = 0.0
-    width_max: Array = 1e3
+    width_max: Array | None = None
     silence: bool = False
     adaptation: Adaptation = Gradient()
 
@@ -43,7 +43,8 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             if self.L is not None or self.gamma is not None:
                 raise InputError("observer.design: it brings L and gamma; give either the design or these")
             given = _designed(self.design, model)
-        gamma, limit = vector("observer.gamma", given[1], p, "one per output"), vector("observer.width_max", self.width_max, p, "one per output")
+        gamma = vector("observer.gamma", given[1], p, "one per output")
+        limit = np.full(p, np.inf) if self.width_max is None else vector("observer.width_max", self.width_max, p, "one per output")
         if (gamma < 0).any():
             raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
         if (limit <= 0).any():

@@ -18,7 +18,7 @@ from undeadzone.sensor import Zone, present
 
 
 class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="luenberger"):
-    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966): L (n x p), or the poles of A - L C [1/s]."""
+    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966): L (n x p) [1/s] as in `Certified`, or the poles of A - L C [1/s]."""
 
     L: Array | None = None
     poles: Array | None = None

@@ -11,7 +11,7 @@ from undeadzone.arrays import Floats, scalar
 from undeadzone.errors import InputError
 from undeadzone.gaussian import Gaussian, mix, update
 from undeadzone.observers.filtering import Extension, Params
-from undeadzone.plant import Matrices, System
+from undeadzone.plant import Matrices, System, sampled_noise
 
 SMALL = 0.1  # bias of a calibrated input, relative to that of another
 
@@ -46,17 +46,13 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
     """
-    from scipy.linalg import expm, solve_discrete_lyapunov
+    from scipy.linalg import solve_discrete_lyapunov
 
     a, b = 1 / correlation, 0.0 if washout is None else 1 / washout
     F, W, C = np.array([[-a, 0.0], [b, -b]]), np.diag([2 * (a + b), 0.0]), np.array([1.0, -1.0])  # 2 (a + b): unit rms
     if washout is None:
         F, W, C = F[:1, :1], W[:1, :1], C[:1]
-    # van Loan (1978): exp [[-F, W], [0, F']] Ts = [[., Fd^-1 Q], [0, Fd']]
-    k = C.size
-    both = expm(np.block([[-F, W], [np.zeros((k, k)), F.T]]) * Ts)
-    Fd = both[k:, k:].T
-    Q = Fd @ both[:k, k:]
+    Fd, Q = sampled_noise(F, W, Ts)
     return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 

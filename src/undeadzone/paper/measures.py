@@ -10,7 +10,7 @@ from undeadzone.arrays import Floats
 from undeadzone.design.riccati import paper_riccati
 from undeadzone.paper.example import ALPHA, L_PRINTED, printed
 from undeadzone.plant import matrices
-from undeadzone.run import LIMIT, Run
+from undeadzone.run import LAST, LIMIT, Run
 from undeadzone.sensor import deadzone, indicators, zone
 
 
@@ -71,7 +71,7 @@ def tracking_error(run: Run) -> float:
 
 def inverse_error(run: Run) -> float:
     """rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 if there are none."""
-    outside = np.flatnonzero(run.side[:, 0])[-round(2.0 / run.info.step) :]
+    outside = np.flatnonzero(run.side[:, 0])[-round(LAST / run.info.step) :]
     return rms((run.z_inverse - run.z)[outside]) if outside.size else 0.0
 
 

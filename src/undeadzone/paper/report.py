@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.files import replacing
+from undeadzone.files import replacing, write_text
 from undeadzone.paper.claims import Claim, judge
 from undeadzone.paper.equations import EQUATIONS
 from undeadzone.paper.evidence import RESTING, Evidence, gather
@@ -65,17 +65,14 @@ def write(paper: Paper, folder: Path, figures: bool = True, progress: Progress |
     """
     from undeadzone.paper.page import write_figures, write_report
 
-    written = [_write_json(paper, folder / "paper.json"), _write_variants(paper.variants, folder / "variants.csv")]
+    written = [
+        write_text(json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", folder / "paper.json"),
+        _write_variants(paper.variants, folder / "variants.csv"),
+    ]
     if figures:
         images = write_figures(paper, folder, progress)
         written += [*images, write_report(paper, images, folder / "report.html")]
     return written
-
-
-def _write_json(paper: Paper, path: Path) -> Path:
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return path
 
 
 def _write_variants(outcomes: list[Outcome], path: Path) -> Path:

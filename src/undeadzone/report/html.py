@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undeadzone import __version__
-from undeadzone.files import replacing
+from undeadzone.files import write_text
 from undeadzone.report.style import png
 from undeadzone.run import Run
 
@@ -102,9 +102,7 @@ def page(title: str, *parts: Any) -> str:
 
 def write_page(text: str, path: Path) -> Path:
     """Write a page; nothing is left half-written. Raises FileError."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
+    return write_text(text, path)
 
 
 def run_page(run: Run, figures: Sequence[Figure]) -> str:
