@@ -141,6 +141,26 @@ def test_out_is_a_file(scenario: Path) -> None:
     assert "cannot write" in done.stderr
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("arguments", [["run", "--json", "--no-figures"], ["run", "--no-figures"], ["watch"]])
+def test_a_full_stdout_is_one_line(scenario: Path, arguments: list[str]) -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [*COMMAND, *arguments, str(scenario)], input="0.5,1.0\n", stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr == "undeadzone: stdout: cannot write: No space left on device\n"
+
+
+def test_an_observer_that_is_never_told_anything_ends_with_a_no(scenario: Path) -> None:
+    """Its widths stay what they were, and that is not a success; one that knows them has nothing to learn."""
+    silent = re.sub(r"amplitude = .*", "amplitude = 0.1", scenario.read_text())
+    scenario.write_text(re.sub(r"x0 = .*", "x0 = [0.0, 0.0]", silent))
+    done = undeadzone("run", scenario, "--no-figures")
+    assert done.returncode == 1
+    assert "the right edge is never reached" in done.stdout
+
+
 def test_usage_errors() -> None:
     for arguments, words in ((["rn"], "run"), (["run"], "SCENARIO.toml"), (["run", "a.toml", "--jsn"], "--json")):
         done = undeadzone(*arguments)
@@ -177,7 +197,9 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
         assert process.wait(20) == 0
 
 
-@pytest.mark.parametrize(("stdin", "words"), [("", "no samples"), ("1.0,x\n", "'x'"), ("1.0\n", "found 1"), ("1,2,3,4\n", "found 4")])
+@pytest.mark.parametrize(
+    ("stdin", "words"), [("", "no samples"), ("1.0,x\n", "'x'"), ("1.0\n", "found 1"), ("1,2,3,4\n", "found 4"), ("1" * 200_000, "not CSV text")]
+)
 def test_watch_wrong_input(scenario: Path, stdin: str, words: str) -> None:
     done = undeadzone("watch", scenario, stdin=stdin)
     assert done.returncode == 2

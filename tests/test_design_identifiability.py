@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene
 from undeadzone.arrays import Floats
+from undeadzone.design.errordynamics import pattern
 from undeadzone.design.identifiability import DIRECTIONS, Verdict, cures, invisible, verdicts
 from undeadzone.design.information import deviations, information
 from undeadzone.design.schedule import Schedule, planned
@@ -235,6 +237,30 @@ def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
     linear, schedule = plan(scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]}))
     found = deviations(linear, schedule, np.array([0.05]), 1e-3, 1e4)
     assert 0 < found.widths[0]["centre"] < 1.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-2])
+def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noise: float) -> None:
+    """Readings so good that information in double precision would lose the centre; the square root of P by QR does not."""
+    linear, schedule = plan(scene())
+    process = linear.B @ linear.B.T
+    (found,) = deviations(linear, schedule, np.array([noise]), 1e-3, 10.0, process=process).widths
+    h, F = 5e-3, np.zeros((4, 4))
+    F[:2, :2] = linear.A
+    Phi, root, spread = expm(F * h), 10.0 * np.eye(4), np.zeros((4, 1))
+    spread[:2] = linear.B * np.sqrt(h)
+    sigma = max(noise, 1e-4) * np.sqrt(1e-3 / h)
+    for _ in range(10):
+        for sides, span in zip(schedule.sides, schedule.spans, strict=True):
+            row = np.hstack([linear.C * abs(sides), -pattern(tuple(sides.astype(int)))])
+            for _ in range(round(span / h)):
+                if sides.any():
+                    joint = np.block([[np.full((1, 1), sigma), row @ root], [np.zeros((4, 1)), root]])
+                    root = np.linalg.qr(joint.T, mode="r").T[1:, 1:]
+                root = np.linalg.qr(np.hstack([Phi @ root, spread]).T, mode="r").T
+    d = (root @ root.T)[2:, 2:]
+    assert found["right"] == pytest.approx(np.sqrt(d[0, 0]), rel=0.03)
+    assert found["centre"] == pytest.approx(np.sqrt(d[0, 0] + d[1, 1] - 2 * d[0, 1]), rel=0.03)
 
 
 def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:

@@ -333,3 +333,15 @@ def test_check_of_what_has_no_certificate() -> None:
     growing = check(scene(observer={"method": "certified", "L": [-2000.0, 0.0], "gamma": 1.0}))
     assert growing["rate"] is None
     assert "the error grows along the reference" in growing["reasons"]
+
+
+def test_a_slow_plant_needs_no_fast_step() -> None:
+    """Ten thousand seconds of time constant, a step of a hundred: what `Certified` assumes by default is not in the way."""
+    slow = scene(
+        plant={"A": [[-1e-4]], "B": [[1e-4]], "C": [[1.0]]},
+        reference={"kind": "sine", "amplitude": 5.0, "frequency": 1e-5},
+        observer={"method": "kalman", "right": [0.0, 3.0]},
+        controller={"method": "state_feedback", "alpha": 1.0},
+        simulation={"duration": 1e6, "step": 100.0},
+    )
+    assert design(slow, "rate").best.rate > 1e-5

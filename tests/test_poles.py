@@ -82,6 +82,7 @@ def test_poles_are_read_from_numbers_and_pairs() -> None:
         ([[-1, 2], [-1, 2]], InputError, "conjugate pairs"),
         ([[-1, 2, 3]], ShapeError, "expected 2 poles"),
         ([-1.0, float("nan")], InputError, "must be finite"),
+        ([-1.0, 2.0], InputError, "observer.poles: every pole must have a negative real part"),
         (["fast", "slow"], InputError, "expected numbers"),
         ([[-1.0], [-1.0, 2.0]], InputError, "rows of different lengths"),
         ([-1e60, -1.0], InputError, "observer.poles: .*below 1e"),

@@ -140,7 +140,7 @@ def test_a_run_that_diverges_says_when() -> None:
 
 
 def test_an_edge_never_reached_is_reported() -> None:
-    run = simulate(scene(reference={"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0}, sensor={"left": 50.0}, simulation={"duration": 3.0}))
+    run = simulate(scene(reference={"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0}, sensor={"left": 2.9}, simulation={"duration": 3.0}))
     (verdict,) = run.info.identifiable
     assert not run.fully_identifiable
     assert (verdict["right"], verdict["left"]) == (True, False)

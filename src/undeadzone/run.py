@@ -102,11 +102,11 @@ class Run:
 
     @property
     def largest_rise_of_V(self) -> float | None:
-        """The largest increase of V from one sample to the next, relative to the largest V; None without a certificate."""
-        if self.V is None or self.V.size < 2:
+        """The largest increase of V above any earlier value, relative to the largest V; None without a certificate."""
+        if self.V is None:
             return None
         with np.errstate(invalid="ignore"):
-            return float(np.maximum(np.diff(self.V).max(), 0.0) / np.maximum(self.V.max(), 1e-300))
+            return float((self.V - np.minimum.accumulate(self.V)).max() / np.maximum(self.V.max(), 1e-300))
 
     @property
     def fully_identifiable(self) -> bool:
@@ -120,7 +120,11 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
-        right, left = (column.tolist() if len(column) > 1 else float(column[0]) for column in self.widths.T)
+
+        def each(column: Floats) -> Any:
+            return column.tolist() if column.size > 1 else float(column[0])
+
+        right, left = map(each, self.widths.T)
         verdicts = self.info.identifiable
         found: dict[str, Any] = {
             "title": self.info.title,
@@ -131,6 +135,9 @@ class Run:
             "rms_estimation": self.rms_estimation,
             "d_right": right,
             "d_left": left,
+            "d_right_std": None if self.d_std is None else each(self.d_std[-1, 0::2]),
+            "d_left_std": None if self.d_std is None else each(self.d_std[-1, 1::2]),
+            "width_std": None if self.width_std is None else each(self.width_std[-1]),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,

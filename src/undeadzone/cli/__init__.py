@@ -58,6 +58,9 @@ def main() -> None:
     except (KeyboardInterrupt, click.Abort):
         click.echo("undeadzone: interrupted", err=True)
         sys.exit(130)
-    except BrokenPipeError:
+    except OSError as error:  # of stdout: files have errors of their own
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(DONE)
+        if isinstance(error, BrokenPipeError):
+            sys.exit(DONE)
+        click.echo(f"undeadzone: stdout: cannot write: {error.strerror}", err=True)
+        sys.exit(BAD_INPUT)

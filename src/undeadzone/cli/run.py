@@ -63,13 +63,16 @@ def _print(result: Run, written: list[Path]) -> None:
         "observer": f"{summary['method']}, {summary['time']} time, step {summary['step']:g} s",
         "rms z - r": f"{result.rms_tracking:.4g} {unit} (last 2 s)",
         "rms z - z^": f"{result.rms_estimation:.4g} {unit} (last 2 s)",
-        "d_right": f"{_listed(result.widths[:, 0])} (true {_listed(result.info.widths[0::2])})",
-        "d_left": f"{_listed(result.widths[:, 1])} (true {_listed(result.info.widths[1::2])})",
+        "d_right": _widths(result, 0),
+        "d_left": _widths(result, 1),
         "silent": f"{100 * result.silent_fraction:.1f} % of the time",
     }
     if summary["certified"] is not None:
         rise = summary["largest_rise_of_V"]
-        shown["certificate"] = f"holds; along this run V rose by at most {rise:.1g} of its peak" if rise is not None else "none found for these gains"
+        holds = "holds for an exact model without noise or disturbance"
+        if rise is not None:
+            holds += f"; along this run V rose by at most {rise:.1g} of its peak"
+        shown["certificate"] = holds if summary["certified"] else "none found for these gains; undeadzone check says why"
     if summary["integration_error"] is not None:
         shown["integration"] = f"error {summary['integration_error']:.2g} (against half the step)"
     for output, verdict in enumerate(result.info.identifiable):
@@ -80,6 +83,12 @@ def _print(result: Run, written: list[Path]) -> None:
     if written:
         shown["written"] = ", ".join(map(str, written))
     print_pairs(shown)
+
+
+def _widths(result: Run, edge: int) -> str:
+    """The final estimates of one edge (0 right, 1 left) of each output, their standard deviations where known, the truth."""
+    std = "" if result.d_std is None else f" ± {', '.join(f'{value:.2g}' for value in result.d_std[-1, edge::2])}"
+    return f"{_listed(result.widths[:, edge])}{std} (true {_listed(result.info.widths[edge::2])})"
 
 
 def _listed(widths: Iterable[float]) -> str:

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +41,7 @@ def watch(scenario: Path, as_json: bool) -> int:
     online = Online(problem.observer, believed_plant(problem), problem.sensor, problem.simulation.step)
     p, m = online.model.p, online.model.m
     count = 0
-    for number, row in enumerate(csv.reader(sys.stdin), 1):
+    for number, row in enumerate(_rows(), 1):
         if not row or (count == 0 and not any(_is_number(cell) for cell in row)):
             continue
         if len(row) not in (p + m, p + m + 1):
@@ -57,6 +58,13 @@ def watch(scenario: Path, as_json: bool) -> int:
         raise FileError("stdin: no samples; give lines of readings and inputs")
     click.echo(f"{online.samples} samples, {online.missing} missing", err=True)
     return 0
+
+
+def _rows() -> Iterator[list[str]]:
+    try:
+        yield from csv.reader(sys.stdin)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise FileError(f"stdin: not CSV text ({error})") from None
 
 
 def _value(cell: str, number: int) -> float:

@@ -13,6 +13,7 @@ from undeadzone.design.schedule import Schedule, merged
 from undeadzone.plant import Matrices
 
 EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
+BLURRED = 1e-4  # the same beside process noise, which makes some direction so vague that rounding would hide it
 
 
 class Stretch(NamedTuple):
@@ -54,7 +55,8 @@ def deviations(
     per step if the schedule is sampled. No prior is used.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    found = information(linear, schedule, np.maximum(noise, EXACT * schedule.levels.max(axis=1)) ** 2, step, duration, bias, process)
+    least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
+    found = information(linear, schedule, np.maximum(noise, least) ** 2, step, duration, bias, process)
     hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
     scale = hidden.scale
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]
@@ -71,9 +73,9 @@ def deviations(
 def information(
     linear: Matrices, schedule: Schedule, variance: Floats, step: float, duration: float, bias: Floats | None = None, process: Floats | None = None
 ) -> Floats:
-    """The information matrix of [x(0); d; beta]: exact per stretch of constant side, put together by doubling.
+    """The information matrix of [x(0); d; beta], per stretch of constant side, put together by doubling.
 
-    Without process noise it is the observability Gramian of the switched system divided by the noise; see `deviations`.
+    Without process noise it is exact: the observability Gramian of the switched system divided by the noise; see `deviations`.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
@@ -86,7 +88,7 @@ def information(
     for sides, span in zip(*merged(schedule)[:2], strict=True):
         rows = np.hstack([linear.C * np.abs(sides)[:, None], -pattern(tuple(sides.astype(int))), np.zeros((p, B.shape[1]))])
         if schedule.Ts is None:
-            stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span)
+            stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span, step)
         else:
             stretch = repeat(Stretch(F + np.diag(np.r_[np.zeros(n), np.ones(size - n)]), Q, rows.T / variance @ rows), round(span))
         once = stretch if once is None else then(once, stretch)
@@ -116,20 +118,26 @@ def repeat(once: Stretch, times: int) -> Stretch:
         once = then(once, once)
 
 
-def _flow(F: Floats, Q: Floats, H: Floats, span: float) -> Stretch:
-    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: Van Loan, then doubling.
+def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
+    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: short parts, then doubling.
 
-    Q and H are brought to one size first, and the parts are short for the filter's modes, about sqrt(|Q| |H|), too.
+    Within a part readings come before process noise: with Q, a part holds one reading (every `step` [s]) at most.
     """
     from scipy.linalg import expm
 
-    free, spread, told = (float(np.linalg.norm(part, 1)) for part in (F, Q, H))
-    unit = np.sqrt(told / spread) if told and spread else told or 1.0
-    halvings = max(0, int(np.ceil(np.log2(max(max(free, np.sqrt(spread * told)) * span, 1.0)))))
-    N = F.shape[0]
-    E = expm(np.block([[-F, Q * unit], [H / unit, F.T]]) * (span / 2**halvings))
-    Phi = np.linalg.inv(E[:N, :N])
-    return repeat(Stretch(Phi, Phi @ E[:N, N:] / unit, E[N:, :N] @ Phi * unit), 2**halvings)
+    parts = max(1.0, float(np.linalg.norm(F, 1)) * span, span / step if Q.any() else 1.0)
+    halvings = int(np.ceil(np.log2(parts)))
+    part = span / 2**halvings
+    return repeat(Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part)), 2**halvings)
+
+
+def _gramian(F: Floats, Q: Floats, span: float) -> Floats:
+    """The integral of e^(F s) Q e^(F' s) from 0 to `span` [s] (Van Loan 1978)."""
+    from scipy.linalg import expm
+
+    N, size = F.shape[0], float(np.abs(Q).max()) or 1.0
+    E = expm(np.block([[-F, Q / size], [np.zeros((N, N)), F.T]]) * span)
+    return np.asarray(size * E[N:, N:].T @ E[:N, N:])
 
 
 def _inverse(information: Floats) -> Floats:

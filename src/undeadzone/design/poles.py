@@ -56,6 +56,8 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
 
 def _discretised(key: str, poles: Array, n: int, Ts: float | None) -> np.ndarray:
     found = parse_poles(key, poles, n)
+    if (found.real >= 0).any():
+        raise InputError(f"{key}: every pole must have a negative real part, found {listed(found)}")
     return found if Ts is None else np.exp(found * Ts)
 
 

@@ -167,7 +167,7 @@ TEXTS: Final = (
         "lyapunov",
         "(30)-(36)",
         "V never rises",
-        "largest rise of V between samples, relative to its largest value",
+        "largest rise of V above an earlier value, relative to its largest",
         1e-9,
         "(30) takes the output error for the state error. The certificate's V falls in continuous and in sampled time.",
     ),

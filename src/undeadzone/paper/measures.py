@@ -101,7 +101,7 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
 
 
 def rise(run: Run) -> float:
-    """Largest increase of V from one sample to the next, relative to its largest value; infinite if the run diverges."""
+    """Largest increase of V above an earlier value, relative to its largest; infinite if the run diverges."""
     return np.inf if run.diverged_at is not None or run.largest_rise_of_V is None else run.largest_rise_of_V
 
 

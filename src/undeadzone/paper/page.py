@@ -77,7 +77,7 @@ _WORDS: Final = {
     "d_left": "d_l^ at the end (true 1)",
     "silent_fraction": "share of silent samples",
     "rate": "rate of d^ → d [1/s]",
-    "largest_rise_of_V": "largest rise of V between samples, relative",
+    "largest_rise_of_V": "largest rise of V, relative",
     "integration_error": "integration error (against half the step)",
 }
 

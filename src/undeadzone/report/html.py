@@ -116,7 +116,7 @@ def run_page(run: Run, figures: Sequence[Figure]) -> str:
         (f"rms of z − z^, last 2 s [{unit}]", run.rms_estimation),
         ("share of silent samples", run.silent_fraction),
         ("certificate found for these gains", run.info.certified),
-        ("largest rise of V, relative to its largest value", run.largest_rise_of_V),
+        ("largest rise of V above an earlier value, relative to its largest", run.largest_rise_of_V),
         ("integration error (against half the step)", run.info.integration_error),
     ]
     widths = [
