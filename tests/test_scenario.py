@@ -158,6 +158,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     ({"sensor": {"kind": "jmp"}}, InputError, "sensor.kind: unknown choice 'jmp'; did you mean 'jump'?"),
     ({"simulation": {"time": "discrete"}}, InputError, "simulation.time: unknown choice 'discrete'; expected one of continuous, sampled"),
     ({"reference": {"kind": "sine", "amplitude": 1.0}}, InputError, "reference.frequency: missing; this key is required"),
+    ({"observer": {"method": "certified", "width_max": 0.1}}, InputError, "observer.width_max: the sensor's widths of output 0, .*, lie beyond d_M = 0.1"),
     ({"simulation": {"duration": "long"}}, InputError, "simulation.duration: expected a number, found text"),
     ({"plant": 3}, InputError, "plant: expected a table, found a whole number"),
     ({"disturbance": []}, InputError, "disturbance: expected a table, found a list"),

@@ -57,11 +57,23 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
         plant, model = (_sampled(key, system, step, substeps) for key, system in (("plant", true), ("model", flow)))
     observer = scenario.observer.build(model, sensor)
+    _require_room(sensor, observer)
     controller = scenario.controller.build(model)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         _require_fine_step(plant, model, observer, controller, step)
     return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps)
+
+
+def _require_room(sensor: Zone, observer: Observer) -> None:
+    """Raise InputError where the widths lie beyond d_M, so that projection keeps the estimates from the truth."""
+    limit = getattr(observer.params, "limit", None)
+    if limit is not None and (beyond := np.maximum(sensor.right, sensor.left) > limit).any():
+        output = int(beyond.argmax())
+        raise InputError(
+            f"observer.width_max: the sensor's widths of output {output}, right {sensor.right[output]:g} and left {sensor.left[output]:g}, "
+            f"lie beyond d_M = {limit[output]:g}: the projection would keep the estimates from the truth; raise width_max"
+        )
 
 
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:

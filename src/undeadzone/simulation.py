@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -30,19 +32,35 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
     """Simulate a scenario.
 
     check_step: in continuous time, run again with half the step and report the difference as `integration_error`.
-    progress: called with the number of steps just done. engine: CasADi's virtual machine (interpret), or the loop
+    progress: called with the number of steps just done, from two threads. engine: CasADi's virtual machine (interpret), or the loop
     compiled for this CPU (lanes), which takes seconds the first time; they agree to the last bits. Raises InputError
     and its kinds for what is wrong.
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     loop, state, exogenous = prepare(problem)
-    signal = run_loop(loop, state, exogenous, progress, engine)
-    error = None
-    if check_step and problem.plant.Ts is None:
+    if not check_step or problem.plant.Ts is not None:
+        return _result(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
+    interrupted = threading.Event()
+
+    def tick(done: int) -> None:
+        if interrupted.is_set():
+            raise InterruptedError
+        if progress is not None:
+            progress(done)
+
+    def finer() -> Outputs:
         halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        finer = run_loop(halved, state, _exogenous(problem, 2), progress, engine)
-        error = _difference(signal, Outputs(*(part[::2] for part in finer)))
+        return Outputs(*(part[::2] for part in run_loop(halved, state, _exogenous(problem, 2), tick, engine)))
+
+    with ThreadPoolExecutor(1) as beside:
+        twin = beside.submit(finer)
+        try:
+            signal = run_loop(loop, state, exogenous, progress, engine)
+            error = _difference(signal, twin.result())
+        except BaseException:
+            interrupted.set()
+            raise
     return _result(problem, signal, error, began)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -42,6 +43,9 @@ for command in (paper, run, check, design, init, watch):
 
 def main() -> None:
     """Entry point: run a command, turn errors into one line on stderr and an exit code."""
+    # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage collection only delay it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(100_000)
     try:
         code = group.main(standalone_mode=False)
         sys.stdout.flush()

@@ -108,7 +108,8 @@ def with_gains(scenario: Scenario, found: Design) -> Scenario:
 
     from undeadzone.observers import Certified
 
-    return msgspec.structs.replace(scenario, observer=Certified(L=found.L, gamma=found.gamma))
+    kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
+    return msgspec.structs.replace(scenario, observer=msgspec.structs.replace(kept, L=found.L, gamma=found.gamma, design=None))
 
 
 def write(found: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:

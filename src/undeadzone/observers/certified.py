@@ -52,12 +52,6 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         widths = pairs("observer.widths0", self.widths0, p)
         if (widths < 0).any() or (widths > limit[:, None]).any():
             raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
-        if (beyond := np.maximum(sensor.right, sensor.left) > limit).any():
-            output = int(beyond.argmax())
-            raise InputError(
-                f"observer.width_max: the sensor's widths of output {output}, right {sensor.right[output]:g} and left {sensor.left[output]:g}, "
-                f"lie beyond d_M = {limit[output]:g}: the projection would keep the estimates from the truth; raise width_max"
-            )
         return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence, self.adaptation.law(model.Ts))
 
 

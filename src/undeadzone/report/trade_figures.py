@@ -76,7 +76,7 @@ def ellipses(of: Account) -> Figure:
         axes, bounded = panels[name], known.right and known.left
         if bounded:
             _ellipse(axes, known)
-            exact = " (no noise: a reading is taken as exact to 1e-6 of an edge)" * (not (sensor.noise[i] or sensor.noise_before[i]))
+            exact = " (no noise: readings are taken as all but exact)" * (not (sensor.noise[i] or sensor.noise_before[i]))
             words, off = f"Both can be known{exact}", " − truth"
         else:
             stable = growth(delta(of.problem.model.linear, of.problem.model.Ts), of.problem.model.Ts) < 0
