@@ -13,8 +13,9 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError
+from undeadzone.files import write_text
 from undeadzone.report.figures import overview
-from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table, write_page
+from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table
 from undeadzone.report.style import png, sheet, write
 from undeadzone.run import Run
 from undeadzone.simulation import simulate
@@ -147,6 +148,6 @@ def test_an_unknown_suffix_is_refused(tmp_path: Path, name: str) -> None:
 def test_an_unwritable_path_is_a_file_error(tmp_path: Path, run: Run) -> None:
     (tmp_path / "file").write_text("not a folder", encoding="utf-8")
     with pytest.raises(FileError, match="cannot write"):
-        write_page(page("t"), tmp_path / "file" / "page.html")
+        write_text(page("t"), tmp_path / "file" / "page.html")
     with pytest.raises(FileError, match="cannot write"):
         run.plot(tmp_path / "file" / "figure.png")

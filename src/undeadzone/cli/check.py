@@ -30,6 +30,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     """
     from undeadzone.design.account import account, trial
     from undeadzone.design.check import check as judge
+    from undeadzone.files import write_text
     from undeadzone.problem import resolve_scenario
     from undeadzone.scenario import read
 
@@ -39,7 +40,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
         near = None if of.gains is None else of.gains.nearest
         summary = judge(problem) | {"nearest": None if near is None else in_numbers(near)}
         folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-check")
-        written = [] if folder is None else [write_text(json_text(summary), folder / "check.json")]
+        written = [] if folder is None else [write_text(json_text(summary) + "\n", folder / "check.json")]
         if folder is not None and not no_figures:
             from undeadzone.report.gains_page import write_gains
 
@@ -93,12 +94,3 @@ def plain(gains: list[Any]) -> str:
     flat = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in gains]
     words = [plain(row) if isinstance(row, list) else f"{row:.6g}" for row in flat]
     return words[0] if len(words) == 1 and not isinstance(gains[0], list) else f"[{', '.join(words)}]"
-
-
-def write_text(text: str, path: Path) -> Path:
-    """Write a text file whole. Raises FileError."""
-    from undeadzone.files import replacing
-
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-    return path

@@ -45,13 +45,14 @@ def write(result: Run, folder: Path, figures: bool) -> list[Path]:
     """The files of a run: signals always, figure and page where wanted."""
     written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
     if figures:
+        from undeadzone.files import write_text
         from undeadzone.report.figures import overview
-        from undeadzone.report.html import run_page, write_page
+        from undeadzone.report.html import run_page
         from undeadzone.report.style import write as write_figure
 
         figure = overview(result)
         written.append(write_figure(figure, folder / "figure.png"))
-        written.append(write_page(run_page(result, [figure]), folder / "report.html"))
+        written.append(write_text(run_page(result, [figure]), folder / "report.html"))
     return written
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from undeadzone.files import write_text
 from undeadzone.observers.printed import STAND_INS
 from undeadzone.paper.equations import EQUATIONS, FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING
@@ -14,7 +15,7 @@ from undeadzone.paper.example import AMPLITUDES, READINGS
 from undeadzone.paper.facts import forced
 from undeadzone.paper.figures import Trio, figure, silence
 from undeadzone.paper.printed import DEFINITION
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag, write_page
+from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.style import write
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def write_figures(paper: Paper, folder: Path, progress: Callable[[int], None] | 
 def write_report(paper: Paper, images: list[Path], path: Path) -> Path:
     """One self-contained HTML page with everything; images as `write_figures` gave them. Raises FileError."""
     silent, *numbered = images
-    return write_page(
+    return write_text(
         page(
             "Output deadzone: the paper's example, as printed and repaired",
             paragraph(

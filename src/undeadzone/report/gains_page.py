@@ -13,7 +13,8 @@ from undeadzone.design.account import Account, Gains, Trial
 from undeadzone.design.check import Known
 from undeadzone.design.design import Design
 from undeadzone.design.identifiability import DIRECTIONS
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag, write_page
+from undeadzone.files import write_text
+from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.proof_figures import courses, nyquist, root_locus
 from undeadzone.report.style import label, write
 from undeadzone.report.trade_figures import ellipses, front
@@ -58,7 +59,7 @@ def write_gains(of: Account, tried: Trial | None, folder: Path, design: Design |
     """Write the figures as PNG and report.html to a folder. Raises FileError."""
     written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(of, tried, design).items()}
     text = gains_page(of, tried, {name: path.read_bytes() for name, path in written.items()}, design)
-    return [*written.values(), write_page(text, folder / "report.html")]
+    return [*written.values(), write_text(text, folder / "report.html")]
 
 
 def gains_page(of: Account, tried: Trial | None, images: Mapping[str, bytes], design: Design | None = None) -> str:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undeadzone import __version__
-from undeadzone.files import write_text
 from undeadzone.report.style import png
 from undeadzone.run import Run
 
@@ -98,11 +96,6 @@ def page(title: str, *parts: Any) -> str:
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title><style>{_CSS}</style>'
     body = join([tag("h1", title), *parts, paragraph(f"Written by undeadzone {__version__}.", "note")])
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body.text}\n</body></html>\n'
-
-
-def write_page(text: str, path: Path) -> Path:
-    """Write a page; nothing is left half-written. Raises FileError."""
-    return write_text(text, path)
 
 
 def run_page(run: Run, figures: Sequence[Figure]) -> str:
