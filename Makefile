@@ -12,11 +12,11 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
 
-bench: .venv/tested           ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
+bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv *-results *-check *-design .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv *-results *-check *-design *-ensemble *-tune .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -25,4 +25,8 @@ clean:
 
 .venv/tested: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+.venv/benched: .venv/tested
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	touch $@

@@ -79,6 +79,8 @@ def kind(annotation: typing.Any) -> str:
     if structs(annotation):
         return "list of tables" if typing.get_origin(annotation) is list else "table"
     parts = [kind(part) for part in typing.get_args(annotation)]
+    if typing.get_origin(annotation) is tuple:
+        return f"list of {len(parts)} {parts[0]}s"
     if typing.get_origin(annotation) is list:
         return f"list of {parts[0]}"
     if typing.get_origin(annotation) is dict:

@@ -8,11 +8,15 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from undeadzone.controllers import ControllerOptions
+from undeadzone.observers import ObserverOptions
+
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
@@ -27,13 +31,18 @@ def test_python_blocks_run(name: str, code: str, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("console"))
-def test_console_blocks_show_what_happens(name: str, text: str) -> None:
-    command, *expected = text.rstrip("\n").split("\n")
-    words = shlex.split(command.removeprefix("$ undeadzone "))
+def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    for command, expected in re.findall(r"^\$ undeadzone (.*)\n((?:(?!\$ ).*\n)*)", text, re.M):
+        compared(command, expected.rstrip("\n").split("\n"), tmp_path)
+
+
+def compared(command: str, expected: list[str], folder: Path) -> None:
+    """Run a command in a folder and compare what it shows: words exactly, numbers to 2 %."""
     code = "from undeadzone.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", code, *shlex.split(command)], cwd=folder, capture_output=True, text=True, timeout=300)
     shown = done.stdout.rstrip("\n").split("\n")
-    assert [NUMBER.sub("#", line) for line in shown] == [NUMBER.sub("#", line) for line in expected]
+    assert [NUMBER.sub("#", line) for line in shown] == [NUMBER.sub("#", line) for line in expected], done.stderr
     for a, b in zip(NUMBER.findall("\n".join(shown)), NUMBER.findall("\n".join(expected)), strict=True):
         tolerance = 0.02 if abs(float(b)) > 1e-7 else 10.0  # an integration error is known to its order of magnitude
         assert abs(float(a) - float(b)) <= tolerance * abs(float(b)) + 1e-12
@@ -52,3 +61,9 @@ def test_scenario_page_is_up_to_date() -> None:
 def test_links_point_to_files(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("method", [options.__struct_config__.tag for catalogue in (ObserverOptions, ControllerOptions) for options in get_args(catalogue)])
+def test_every_method_has_its_page(method: str) -> None:
+    page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
+    assert page.startswith(f"# {method}\n")

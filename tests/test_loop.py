@@ -146,8 +146,8 @@ def test_jump_sensor_equals_its_event_twin() -> None:
     ids=["no threshold guards the zone", "before and after", "jump"],
 )
 def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
-    """The twin judges reading and side anew at each stage of twenty small steps, so that both err by about h^2 at a change of side."""
-    step, substeps, steps = 1e-3, 20, 500
+    """The twin judges reading and side anew at each stage of fifty small steps, so that both err by about h^2 at a change of side."""
+    step, substeps, steps = 1e-3, 50, 500
     sensor = {"right": twin.right, "left": twin.left, "noise": after, "noise_before": before, "threshold": twin.threshold}
     run = simulate(
         scene(

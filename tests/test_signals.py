@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from undeadzone import noise, signals
+from undeadzone import signals
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.signals import Random, Samples, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
 
@@ -158,27 +158,6 @@ def test_unreadable_csv(tmp_path: Path) -> None:
 def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         exosystem("reference", signal, 2)
-
-
-def test_noise_is_seeded_independent_and_gaussian() -> None:
-    first = noise.gaussian(1, noise.AFTER, 20000, 2)
-    assert first.tolist() == noise.gaussian(1, noise.AFTER, 20000, 2).tolist()
-    assert first[:100].tolist() == noise.gaussian(1, noise.AFTER, 100, 2).tolist()
-    others = [noise.gaussian(2, noise.AFTER, 20000, 2), noise.gaussian(1, noise.BEFORE, 20000, 2), noise.gaussian(1, noise.AFTER, 20000, 2, run=1)]
-    columns = np.hstack([first, *others])
-    assert np.abs(np.corrcoef(columns.T) - np.eye(8)).max() < 0.03
-    assert np.abs(columns.mean(axis=0)).max() < 0.03
-    assert columns.std(axis=0) == pytest.approx(1.0, abs=0.03)
-
-
-def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
-    step, correlation = 0.01, 0.2
-    found = noise.coloured(3, 200_000, np.array([2.0, 0.5]), correlation, step)
-    assert found.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
-    lag = round(correlation / step)
-    assert np.corrcoef(found[:-lag, 0], found[lag:, 0])[0, 1] == pytest.approx(np.exp(-1), abs=0.04)
-    starts = np.array([noise.coloured(seed, 1, np.ones(1), correlation, step)[0, 0] for seed in range(2000)])
-    assert starts.std() == pytest.approx(1.0, abs=0.08)
 
 
 def test_random_is_a_disturbance_only() -> None:

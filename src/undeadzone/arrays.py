@@ -11,6 +11,7 @@ import numpy.typing as npt
 from undeadzone.errors import InputError, ShapeError
 
 Floats = npt.NDArray[np.floating[Any]]
+Integers = npt.NDArray[np.integer[Any]]
 
 LARGEST = 1e50  # beyond this no unit makes sense, and squares and products overflow
 
@@ -112,6 +113,14 @@ def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
     found = vector(key, value, size, why)
     if (found < 0).any():
         raise InputError(f"{key}: must not be negative, found {found.min():g}")
+    return found
+
+
+def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """`vector` whose entries are > 0. Raises InputError."""
+    found = vector(key, value, size, why)
+    if (found <= 0).any():
+        raise InputError(f"{key}: must be positive, found {found.min():g}")
     return found
 
 

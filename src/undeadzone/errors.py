@@ -31,3 +31,7 @@ class FileError(InputError):
 
 class ProofError(InputError):
     """A stored proof that does not hold for what it is said to prove."""
+
+
+class ClusterError(InputError):
+    """A cluster that cannot be reached or used: no workers, workers with other versions, workers that die."""

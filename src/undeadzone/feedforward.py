@@ -88,11 +88,14 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
     return Pi, Gamma
 
 
-def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
-    """Targets at times t [s] for a linear model, continuous or sampled. Raises TrackingError where none exists."""
+def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats, derivative: int = 0) -> Target:
+    """Targets, or their derivatives of the given order, at times t [s] for a linear model, continuous or sampled.
+
+    Raises TrackingError where none exists.
+    """
     Pi, Gamma = steady_state(model, exo, tracked)
-    w = exo.state(t)
-    return Target(exo.value(t), w @ Pi.T, w @ Gamma.T)
+    w = exo.state(t) @ np.linalg.matrix_power(exo.S, derivative).T
+    return Target(w @ exo.Q.T, w @ Pi.T, w @ Gamma.T)
 
 
 def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats) -> Target:

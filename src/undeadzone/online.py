@@ -13,6 +13,7 @@ from undeadzone.arrays import Array, Floats, scalar
 from undeadzone.design.structure import require_structure
 from undeadzone.engine.interpret import Stepper
 from undeadzone.observers import Observer, ObserverOptions, Reading
+from undeadzone.observers.interface import graph_of
 from undeadzone.plant import Plant, System
 from undeadzone.problem import require_bounded_error
 from undeadzone.sensor import Sensor, present, resolve, side
@@ -50,7 +51,7 @@ class Online:
         require_structure(system.linear, "plant")
         self.model = plants.sampled(system, Ts)
         zone = resolve(sensor, self.model.p, Ts)
-        built = observer.build(self.model, zone)
+        built = graph_of(observer.build(self.model, zone))
         require_bounded_error(self.model, built, Ts)
         graph, state, params, sizes = _graph(self.model, built, zone.threshold)
         self.samples = 0

@@ -13,7 +13,7 @@ from undeadzone.arrays import Floats, nonnegative, scalar
 from undeadzone.controllers import Controller
 from undeadzone.design.structure import require_structure
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
-from undeadzone.observers import Observer
+from undeadzone.observers import NumericObserver, Observer
 from undeadzone.plant import Plant, System
 from undeadzone.scenario import Scenario
 from undeadzone.sensor import Zone, resolve
@@ -30,7 +30,7 @@ class Problem(NamedTuple):
     model: System
     flow: System
     sensor: Zone
-    observer: Observer
+    observer: Observer | NumericObserver
     controller: Controller
     reference: Exosystem
     disturbance: Exosystem | None
@@ -65,7 +65,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps)
 
 
-def _require_room(sensor: Zone, observer: Observer) -> None:
+def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
     """Raise InputError where the widths lie beyond d_M, so that projection keeps the estimates from the truth."""
     limit = getattr(observer.params, "limit", None)
     if limit is not None and (beyond := np.maximum(sensor.right, sensor.left) > limit).any():
@@ -112,8 +112,12 @@ def _time(scenario: Scenario, plant: System) -> tuple[float, int]:
     step = scalar("simulation.step", scenario.simulation.step, above=0.0)
     if step > duration:
         raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
-    if scenario.simulation.seed < 0:
-        raise InputError(f"simulation.seed: must not be negative, found {scenario.simulation.seed}")
+    if not 4 <= scenario.simulation.order <= 20:
+        raise InputError(f"simulation.order: expected 4 to 20, found {scenario.simulation.order}")
+    if scenario.simulation.order > 4 and (scenario.simulation.time == "sampled" or scenario.simulation.switching == "plain" or plant.nonlinear):
+        raise InputError("simulation.order: above 4 only in continuous time, for a linear plant, with located switching; use 4")
+    if not 0 <= (seed := scenario.simulation.seed) < 2**63:
+        raise InputError(f"simulation.seed: must {'not be negative' if seed < 0 else 'be below 2^63'}, found {seed}")
     numbers = 15 * (plant.n + 2 * plant.m + 4 * plant.p)  # a step, the check at half the step included
     if duration / step * numbers * 8 > MEMORY:
         raise StepError(f"simulation.step: {duration / step:.3g} steps would need more than {MEMORY / 1e9:g} GB; use a longer step or a shorter duration")
@@ -159,14 +163,14 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
     return found
 
 
-def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
+def constant_gains(observer: Observer | NumericObserver, model: System) -> tuple[Floats, Floats] | None:
     """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
     params, step = observer.params, 1.0 if model.Ts is None else model.Ts
     constant = hasattr(params, "L") and hasattr(params, "gamma") and params.law is None
     return (params.L / step, params.gamma / step) if constant else None
 
 
-def require_bounded_error(model: System, observer: Observer, step: float) -> None:
+def require_bounded_error(model: System, observer: Observer | NumericObserver, step: float) -> None:
     """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
     gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)
     if model.Ts is not None and gamma >= 2:
@@ -185,7 +189,7 @@ def require_bounded_error(model: System, observer: Observer, step: float) -> Non
         )
 
 
-def _require_fine_step(plant: System, model: System, observer: Observer, controller: Controller, step: float) -> None:
+def _require_fine_step(plant: System, model: System, observer: Observer | NumericObserver, controller: Controller, step: float) -> None:
     """Raise StepError where RK4 would be unstable or useless on some linear part of the loop."""
     gamma = np.max(getattr(observer.params, "gamma", 0.0))
     L, K = getattr(observer.params, "L", None), getattr(controller.params, "K", None)
@@ -195,6 +199,8 @@ def _require_fine_step(plant: System, model: System, observer: Observer, control
         parts["the observer, A - L C with gamma,"] = np.block([[A - L @ C, L], [gamma * C, -gamma * np.eye(model.p)]])
     if K is not None:
         parts["the controlled model, A - B K,"] = model.linear.A - model.linear.B @ K
+    if (rate := getattr(observer.params, "rate", None)) is not None:
+        parts["the observer's adaptation"] = np.array([[-rate]])
     if (tau := getattr(controller.params, "tau", None)) is not None:
         parts["the controller's filter"] = np.array([[-1.0 / tau]])
     for name, matrix in parts.items():

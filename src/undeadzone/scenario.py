@@ -12,6 +12,10 @@ import msgspec
 
 from undeadzone.arrays import Array, decode
 from undeadzone.controllers import ControllerOptions
+from undeadzone.declared import Declared
+from undeadzone.ensemble import tuning, vary
+from undeadzone.ensemble.tuning import Tune
+from undeadzone.ensemble.vary import Vary
 from undeadzone.errors import FileError, InputError
 from undeadzone.explain import explain
 from undeadzone.files import reason
@@ -31,9 +35,12 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """duration [s]; time: continuous (RK4 with located switching) or sampled (exact hold, discrete observer); step [s].
+    """duration [s]; time: continuous (RK4) or sampled (exact hold, discrete observer); step [s].
 
-    seed: of every random number; substeps: RK4 steps within a sample, for a nonlinear plant in sampled time.
+    seed: of every random number; substeps: RK4 steps within a sample, for a nonlinear plant in sampled time; switching,
+    in continuous time: located (the change of side is found inside the step, which keeps the order) or plain RK4.
+    order: 4 for RK4; 5 to 20 for Taylor series of that order, for loops that are linear on each side of the zone: much
+    longer steps at the same accuracy.
     """
 
     duration: float = 20.0
@@ -41,6 +48,8 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     step: float = 1e-3
     seed: int = 0
     substeps: int = 10
+    switching: Literal["located", "plain"] = "located"
+    order: int = 4
 
 
 class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,7 +63,8 @@ class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A plant behind a dead zone, what it should follow, and what watches and drives it.
 
-    tracked: outputs that follow the reference (default: the first min(inputs, outputs)).
+    tracked: outputs that follow the reference (default: the first min(inputs, outputs)). ensemble: what varies among many runs. tune:
+    what `undeadzone tune` may change, and to what end. declared: what the methods of `undeadzone arena` are told.
     """
 
     plant: Plant
@@ -67,6 +77,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     disturbance: Disturbance | None = None
     tracked: list[int] | None = None
     units: Units = Units()
+    ensemble: Vary | None = None
+    tune: Tune | None = None
+    declared: Declared | None = None
     title: str = "Untitled"
 
 
@@ -96,11 +109,17 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
     """The scenario in a dictionary as TOML gives it. Raises InputError."""
     try:
         _require_finite(data, "")
+        data = data | {kind.TABLE.name: kind.TABLE.decoded(data[kind.TABLE.name]) for kind in (vary, tuning) if kind.TABLE.name in data}
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None
     except msgspec.ValidationError as error:
         raise InputError(explain(str(error), data, Scenario)) from None
+    return anchored(scenario, folder)
+
+
+def anchored(scenario: Scenario, folder: Path) -> Scenario:
+    """The scenario with the files that it names taken from `folder`."""
     return msgspec.structs.replace(scenario, **{part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer")})
 
 

@@ -71,7 +71,7 @@ def offset(side: Any, right: Any, left: Any) -> Any:
 def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> Any:
     """The reading on a given branch, continued beyond its edge: m (z - chi_bar d), m z for a jump sensor, 0 inside."""
     taken = 0.0 if kind == "jump" else offset(zone, right, left)
-    return slope * (z - taken) * (1.0 * (zone > 0) + 1.0 * (zone < 0))
+    return slope * (z - taken) * (zone != 0)
 
 
 def inverse(y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone") -> Any:
@@ -113,6 +113,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     right, left: d_r, d_l [z]; slope: m [y/z]; noise: rms added after the deadzone [y]; noise_before: rms added to z
     ahead of it [z]; threshold: |y| that counts as silent [y] (default: from noise and false_alarm_rate [1/s]).
+    drift [1/sqrt(s)]: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms; dropout: probability
+    that a reading is missing, below 1.
     """
 
     right: Array
@@ -123,10 +125,12 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     noise_before: Array = 0.0
     threshold: Array | None = None
     false_alarm_rate: float = 0.01
+    drift: Array = 0.0
+    dropout: Array = 0.0
 
 
 class Zone(msgspec.Struct, frozen=True):
-    """A `Sensor` checked and spread over p outputs, with its silence threshold decided."""
+    """A `Sensor` checked and spread over p outputs, with its silence threshold decided; right, left at t = 0."""
 
     kind: str
     right: Floats
@@ -135,6 +139,8 @@ class Zone(msgspec.Struct, frozen=True):
     noise: Floats
     noise_before: Floats
     threshold: Floats
+    drift: Floats
+    dropout: Floats
 
 
 def resolve(sensor: Sensor, p: int, step: float) -> Zone:
@@ -146,9 +152,12 @@ def resolve(sensor: Sensor, p: int, step: float) -> Zone:
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
     noise = nonnegative("sensor.noise", sensor.noise, p, why)
     before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
+    drift, dropout = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("drift", "dropout"))
+    if (dropout >= 1).any():
+        raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
     rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
     if sensor.threshold is None:
         threshold = noise_threshold(noise, step, rate)
     else:
         threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
-    return Zone(sensor.kind, right, left, slope, noise, before, threshold)
+    return Zone(sensor.kind, right, left, slope, noise, before, threshold, drift, dropout)

@@ -10,22 +10,20 @@ from typing import Literal
 
 import numpy as np
 
-from undeadzone import noise, signals, tree
-from undeadzone.arrays import Floats, vector
+from undeadzone import inputs, live, tree
+from undeadzone.arrays import Floats
 from undeadzone.design.identifiability import unknown_bias, verdicts
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import recorded
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
-from undeadzone.feedforward import Target, inverted_targets, linear_targets
 from undeadzone.loop import Loop, Outputs, close
+from undeadzone.observers.interface import NumericObserver, graph_of
 from undeadzone.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.run import Info, Run
 from undeadzone.scenario import Scenario
 
 Engine = Literal["interpret", "lanes"]
-
-NUDGE = 1e-9  # of a step: corners of a reference on the grid belong to the step that follows them
 
 
 def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Run:
@@ -38,9 +36,11 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
+    if isinstance(problem.observer, NumericObserver) and engine == "interpret":
+        return collect(problem, live.run(problem, problem.observer, inputs.exogenous(problem), progress), None, began)
     loop, state, exogenous = prepare(problem)
     if not check_step or problem.plant.Ts is not None:
-        return _result(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
+        return collect(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
     interrupted = threading.Event()
 
     def tick(done: int) -> None:
@@ -51,7 +51,7 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
 
     def finer() -> Outputs:
         halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        return Outputs(*(part[::2] for part in run_loop(halved, state, _exogenous(problem, 2), tick, engine)))
+        return Outputs(*(part[::2] for part in run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)))
 
     with ThreadPoolExecutor(1) as beside:
         twin = beside.submit(finer)
@@ -61,13 +61,22 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
         except BaseException:
             interrupted.set()
             raise
-    return _result(problem, signal, error, began)
+    return collect(problem, signal, error, began)
 
 
 def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
     """(the closed loop, its initial state with the plant at x0, exogenous inputs (steps + 1 rows))."""
-    loop = close(problem.plant, problem.sensor, problem.observer, problem.controller, len(problem.tracked), problem.scenario.simulation.step)
-    return loop, tree.pack(loop.state._replace(plant=problem.x0)), _exogenous(problem, 1)
+    loop = closed(problem)
+    return loop, tree.pack(loop.state._replace(plant=problem.x0)), inputs.exogenous(problem)
+
+
+def closed(problem: Problem) -> Loop:
+    """The closed loop of a problem. Raises InputError for an observer that is no graph."""
+    simulation = problem.scenario.simulation
+    located = simulation.switching == "located"
+    return close(
+        problem.plant, problem.sensor, graph_of(problem.observer), problem.controller, len(problem.tracked), simulation.step, located, simulation.order
+    )
 
 
 def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Outputs:
@@ -81,47 +90,13 @@ def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[i
         outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
     else:
         raise InputError(f"engine: expected interpret or lanes, found {engine!r}")
+    return named(loop, outputs)
+
+
+def named(loop: Loop, outputs: Floats) -> Outputs:
+    """The columns of recorded outputs (N x all) by name."""
     widths = [part.size for part in loop.outputs]
     return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
-
-
-def _exogenous(problem: Problem, refine: int) -> Floats:
-    """One row per step (and one for the last instant): target, disturbance, noise; three instants if continuous."""
-    simulation, plant = problem.scenario.simulation, problem.plant
-    step = simulation.step / refine
-    starts = np.arange(problem.steps * refine + 1) * step
-    held = np.arange(starts.size) // refine
-    samples = problem.steps + 1
-    after = (noise.gaussian(simulation.seed, noise.AFTER, samples, plant.p) * problem.sensor.noise)[held]
-    before = (noise.gaussian(simulation.seed, noise.BEFORE, samples, plant.p) * problem.sensor.noise_before)[held]
-    if plant.Ts is not None:
-        return np.hstack([*_targets(problem, starts), disturbance(problem, starts + step / 2), before, after])
-    instants = (starts + NUDGE * step, starts + step / 2, starts + (1 - NUDGE) * step)
-    return np.hstack([part for t in instants for part in (*_targets(problem, t), disturbance(problem, t), before, after)])
-
-
-def _targets(problem: Problem, t: Floats) -> Target:
-    if not problem.model.nonlinear:
-        return linear_targets(problem.model, problem.reference, problem.tracked, t)
-    eq = problem.scenario.plant.x_eq
-    start = np.zeros(problem.model.n) if eq is None else vector("plant.x_eq", eq, problem.model.n)
-    target = inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)
-    if problem.model.Ts is not None:
-        held = inverted_targets(problem.flow, problem.reference, problem.tracked, t + problem.model.Ts / 2, start)
-        target = target._replace(u_ff=held.u_ff)
-    return target
-
-
-def disturbance(problem: Problem, t: Floats) -> Floats:
-    """The input disturbance (len(t) x m); random ones are straight lines between samples of the time grid."""
-    signal, m = problem.scenario.disturbance, problem.plant.m
-    if isinstance(signal, signals.Random):
-        step = problem.scenario.simulation.step
-        rms = np.broadcast_to(np.asarray(signal.rms, float).ravel(), m)
-        knots = noise.coloured(problem.scenario.simulation.seed, problem.steps + 3, rms, signal.correlation_time, step)
-        grid = np.arange(problem.steps + 3) * step
-        return np.stack([np.interp(t, grid, column) for column in knots.T], axis=1)
-    return np.zeros((t.size, m)) if problem.disturbance is None else problem.disturbance.value(t)
 
 
 def _difference(coarse: Outputs, fine: Outputs) -> float:
@@ -136,7 +111,8 @@ def certificate(problem: Problem) -> Certificate | None:
     return None if gains is None or problem.model.nonlinear else certify(problem.model.linear, *gains, problem.model.Ts)
 
 
-def _result(problem: Problem, signal: Outputs, error: float | None, began: float) -> Run:
+def collect(problem: Problem, signal: Outputs, error: float | None, began: float) -> Run:
+    """The run whose signals these are, begun at that reading of the performance counter; error: of the integration."""
     scenario = problem.scenario
     t = np.arange(problem.steps + 1) * scenario.simulation.step
     d_hat, d_std = (np.stack(pair, axis=2).reshape(t.size, -1) for pair in ((signal.right, signal.left), (signal.right_std, signal.left_std)))

@@ -1,13 +1,16 @@
-"""A Runge-Kutta step that finds where the sensor changes side inside it, so that its order survives the kink."""
+"""A step that finds where the sensor changes side inside it, so that its order survives the kink."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 
-from undeadzone.integrate import hermite, hermite_slope, rk4
+from undeadzone.arcs import Arc
+
+NEWTON = 4  # iterations
+CHANGES = 2  # of side that are located in a step
 
 
 class Mode(Protocol):
@@ -19,6 +22,9 @@ class Mode(Protocol):
         ...
 
 
+Branch = TypeVar("Branch", bound=Mode)
+
+
 class Crossing(NamedTuple):
     """What changed, per output: whether anything did, the side entered, which level was met, in which direction."""
 
@@ -28,57 +34,90 @@ class Crossing(NamedTuple):
     rising: Any
 
 
+class Located(NamedTuple):
+    """A step on its first branch, whether the side changed on it, and the step finished on the second branch if so."""
+
+    trial: Any
+    crossed: Any
+    finished: Any
+
+
 def located_step(
-    rate: Callable[[ca.SX, Any, Any], ca.SX],
-    output: Callable[[ca.SX], ca.SX],
+    arc: Callable[[ca.SX, Any, Any], Arc],
     levels: tuple[ca.SX, ca.SX],
-    first: Mode,
-    second: Callable[[Crossing], Mode],
+    first: Branch,
+    second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
-    h: ca.SX,
-) -> ca.SX:
-    """x after h [s] of x' = rate(x, c, mode), c the fraction of the step.
+) -> Located:
+    """A step from x with the changes of side inside it located: `finished` where there may be one, else `trial`.
 
-    The side is right above levels[0], left below levels[1] of z = output(x). RK4 runs on the branch `first`; if the
-    side has changed at its end, the earliest change is located on the cubic dense output of z, and RK4 runs again from
-    there on second(crossing). Branch-free: both are always computed. One change a step is located.
+    The side is right above levels[0], left below levels[1] of z. The arc from (x, 0) runs on the branch `first`, to the
+    earliest change; another runs from there on second(first, crossing), and so on: `CHANGES` of them, an excursion that
+    ends before the step does included. Branch-free, and `trial` costs little more than one arc does.
     """
+    whole = arc(x, 0.0, first)
+    onward = whole.output(0.0) + whole.slope(0.0) / 2
+    changed = ca.logic_or(_beyond(whole.final, levels, first.side), _beyond(onward, levels, first.side))
+    mode, now, begin, done = first, whole, ca.SX(0.0), whole.end
+    for _ in range(CHANGES):
+        crossing, c = _earliest(now, levels, mode.side)
+        split = ca.mmin(c)
+        mode = second(mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split)))
+        begin = begin + (1.0 - begin) * split
+        now = arc(now.at(split), begin, mode)
+        done = ca.if_else(ca.sum1(crossing.changed) > 0, now.end, done)
+    return Located(whole.end, ca.sum1(changed) > 0, done)
+
+
+def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+    """Whether z lies where another side is read."""
     above, below = levels
-    k1 = rate(x, 0.0, first)
-    trial = rk4(lambda state, c: rate(state, c, first), x, h, k1)
-    k5 = rate(trial, 1.0, first)
-    z0, z1 = output(x), output(trial)
-    v = ca.SX.sym("v", x.shape[0])
-    slope = ca.Function("slope", [x, v], [ca.jtimes(z0, x, v)], {"allow_free": True})
-    dz0, dz1 = slope(x, k1), slope(trial, k5)
+    return ca.logic_or((z > above) != (side > 0), (z < below) != (side < 0))
 
-    enters_right = ca.logic_and(first.side <= 0, z1 > above)
-    enters_left = ca.logic_and(first.side >= 0, z1 < below)
-    leaves_right = ca.logic_and(first.side > 0, z1 < above)
-    leaves_left = ca.logic_and(first.side < 0, z1 > below)
-    silent = first.side == 0
+
+def _earliest(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> tuple[Crossing, ca.SX]:
+    """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none."""
+    above, below = levels
+    z0, z1, s0, s1 = arc.output(0.0), arc.final, arc.slope(0.0), arc.slope(1.0)
+    turns = s0 * s1 < 0
+    turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
+    peak = arc.output(turn)
+    ends = _beyond(z1, levels, side)
+    excursion = ca.logic_and(turns, ca.logic_and(ca.logic_not(ends), _beyond(peak, levels, side)))
+    far = ca.if_else(excursion, peak, z1)
+
+    enters_right, enters_left = ca.logic_and(side <= 0, far > above), ca.logic_and(side >= 0, far < below)
+    leaves_right, leaves_left = ca.logic_and(side > 0, far < above), ca.logic_and(side < 0, far > below)
+    silent = side == 0
     upper = ca.logic_or(leaves_right, ca.logic_and(silent, enters_right))
-    crosses = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
-
-    c = ca.if_else(crosses, _root(z0, dz0, z1, dz1, h, ca.if_else(upper, above, below)), 1.0)
-    split = ca.mmin(c)
-    entered = 1.0 * ca.logic_and(silent, enters_right) - 1.0 * ca.logic_and(silent, enters_left)
+    changed = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
     rising = ca.logic_or(leaves_left, ca.logic_and(silent, enters_right))
-    mode = second(Crossing(ca.logic_and(crosses, c <= split), entered, upper, rising))
+    through = above <= below  # nothing silent lies between
+    entered = 1.0 * ca.logic_or(ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through))
+    entered -= 1.0 * ca.logic_or(ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through))
 
-    rest = 1.0 - split
-    middle = hermite(x, k1, trial, k5, h, split)
-    finished = rk4(lambda state, fraction: rate(state, split + fraction * rest, mode), middle, h * rest)
-    return ca.if_else(ca.sum1(crosses) > 0, finished, trial)
+    level = ca.if_else(upper, above, below)
+    before = (s0 > 0) == rising  # z moves through the level as it does at first: ahead of the turn
+    low, high = ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0), ca.if_else(ca.logic_and(turns, before), turn, 1.0)
+    # Between a turn and an end z is nearly a parabola, else nearly a line.
+    part = ca.sqrt(ca.fmax((peak - level) / (peak - ca.if_else(before, z0, z1)), 0.0))
+    guess = ca.if_else(turns, ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part), (level - z0) / (z1 - z0))
+    c = _within(guess, low, high)
+    for _ in range(NEWTON):
+        c = _within(c - (arc.output(c) - level) / arc.slope(c), low, high)
+    return Crossing(changed, entered, upper, rising), ca.if_else(changed, c, 1.0)
 
 
-def _root(z0: ca.SX, dz0: ca.SX, z1: ca.SX, dz1: ca.SX, h: ca.SX, level: ca.SX) -> ca.SX:
-    """The fraction c in [0, 1] at which the cubic through z0 and z1 meets `level`, by Newton's method from the chord."""
-    c = _unit((level - z0) / (z1 - z0))
-    for _ in range(4):
-        c = _unit(c - (hermite(z0, dz0, z1, dz1, h, c) - level) / hermite_slope(z0, dz0, z1, dz1, h, c))
+def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
+    """Where a slope that changes its sign between 0 and 1 vanishes."""
+    before, after = ca.SX.zeros(s0.shape), s0
+    c = s0 / (s0 - s1)
+    for _ in range(NEWTON):
+        now = slope(c)
+        moved = c - now * (c - before) / (now - after)
+        before, after, c = c, now, ca.if_else(now == after, c, _within(moved, 0.0, 1.0))
     return c
 
 
-def _unit(c: ca.SX) -> ca.SX:
-    return ca.fmin(ca.fmax(c, 0.0), 1.0)
+def _within(c: ca.SX, low: Any, high: Any) -> ca.SX:
+    return ca.fmin(ca.fmax(c, low), high)

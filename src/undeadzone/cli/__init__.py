@@ -11,9 +11,11 @@ import click
 import undeadzone
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
+from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.init import init
 from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
+from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 from undeadzone.errors import UndeadzoneError
 
@@ -31,13 +33,15 @@ def group() -> None:
     undeadzone run mine.toml          simulate your plant, sensor, observer and controller
     undeadzone check mine.toml        judge the observer's gains: proof, rate, what can be known
     undeadzone design mine.toml       find gains with a proof, and the trade between rate and noise
+    undeadzone ensemble mine.toml     run it thousands of times with what may vary
+    undeadzone tune mine.toml         find the gains that do best over such runs
     undeadzone watch mine.toml < log  estimate from samples as they come
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable); 2 bad input.
     """
 
 
-for command in (paper, run, check, design, init, watch):
+for command in (paper, run, ensemble, tune, check, design, init, watch):
     group.add_command(command)
 
 
@@ -59,8 +63,8 @@ def main() -> None:
     except UndeadzoneError as error:
         click.echo(f"undeadzone: {error}", err=True)
         sys.exit(BAD_INPUT)
-    except (KeyboardInterrupt, click.Abort):
-        click.echo("undeadzone: interrupted", err=True)
+    except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
+        click.echo(": ".join(filter(None, ("undeadzone: interrupted", str(error.__cause__ or error)))), err=True)
         sys.exit(130)
     except OSError as error:  # of stdout: files have errors of their own
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

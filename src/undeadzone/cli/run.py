@@ -16,29 +16,53 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.option("--replay", type=int, default=None, metavar="NUMBER", help="Show a run of an ensemble, whose file stands for SCENARIO.toml.")
 @common
-def run(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> int:
+def run(scenario: Path, replay: int | None, out: Path | None, as_json: bool, no_figures: bool) -> int:
     """Simulate a scenario: its plant behind its dead zone, watched by its observer, driven by its controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a certificate
     holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default: NAME-results);
     with --no-figures and no --out it writes nothing. Exit code 1: it diverged, or its widths cannot be identified.
-    """
-    from undeadzone.scenario import read
-    from undeadzone.simulation import simulate
 
-    problem = read(scenario)
-    runs = 3 if problem.simulation.time == "continuous" else 1
-    with progress("simulating", round(runs * problem.simulation.duration / max(problem.simulation.step, 1e-12))) as advance:
-        result = simulate(problem, progress=advance)
-    folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-results")
+    undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default folder:
+    run-NUMBER-results), computed again with its own numbers and noise, and says whether it met them to the last bit.
+    """
+    result, apart = (_simulated(scenario), None) if replay is None else _replayed(scenario, replay)
+    name = scenario.stem if replay is None else f"run-{replay}"
+    folder = out if out is not None else None if no_figures else Path(f"{name}-results")
     written = write(result, folder, not no_figures) if folder is not None else []
     summary = result.summary()
     if as_json:
-        print_json(summary | {"files": [str(path) for path in written]})
+        again = {} if replay is None else {"replayed": {"run": replay, "deviation": apart}}
+        print_json(summary | again | {"files": [str(path) for path in written]})
     else:
-        _print(result, written)
+        _print(result, written, apart)
     return 0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
+
+
+def _simulated(path: Path) -> Run:
+    from undeadzone.ensemble.variation import require_bound
+    from undeadzone.errors import InputError
+    from undeadzone.scenario import read
+    from undeadzone.simulation import simulate
+
+    if path.suffix in (".npz", ".parquet"):
+        raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
+    problem = read(path)
+    require_bound(problem)
+    runs = 3 if problem.simulation.time == "continuous" else 1
+    with progress("simulating", round(runs * problem.simulation.duration / max(problem.simulation.step, 1e-12))) as advance:
+        return simulate(problem, progress=advance)
+
+
+def _replayed(path: Path, number: int) -> tuple[Run, float]:
+    """A run of an ensemble, and how far it lies from what it was there."""
+    from undeadzone.ensemble.result import Ensemble
+    from undeadzone.ensemble.whole import deviation, replay_run
+
+    ensemble = Ensemble.load(path)
+    return replay_run(ensemble, number), deviation(ensemble, number)
 
 
 def write(result: Run, folder: Path, figures: bool) -> list[Path]:
@@ -56,7 +80,7 @@ def write(result: Run, folder: Path, figures: bool) -> list[Path]:
     return written
 
 
-def _print(result: Run, written: list[Path]) -> None:
+def _print(result: Run, written: list[Path], apart: float | None) -> None:
     summary = result.summary()
     unit = result.info.units.output
     shown: dict[str, Any] = {
@@ -81,6 +105,8 @@ def _print(result: Run, written: list[Path]) -> None:
         shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
     if result.diverged_at is not None:
         shown["DIVERGED"] = f"at {result.diverged_at:g} s"
+    if apart is not None:
+        shown["replayed"] = "as in the ensemble, to the last bit" if apart == 0 else f"off by {apart:.1g} of the ensemble: another processor or version"
     if written:
         shown["written"] = ", ".join(map(str, written))
     print_pairs(shown)

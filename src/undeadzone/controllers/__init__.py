@@ -1,9 +1,13 @@
 """The catalogue of controllers: one file each. To add one, write its file and name its options class here."""
 
+from undeadzone.controllers.fuzzy_feedback import FuzzyFeedback
 from undeadzone.controllers.interface import Controller
 from undeadzone.controllers.pd import PD
+from undeadzone.controllers.rbf_feedback import RBFFeedback
+from undeadzone.controllers.sliding_mode import SlidingMode
 from undeadzone.controllers.state_feedback import Robust, StateFeedback
+from undeadzone.controllers.taylor_feedback import TaylorFeedback
 
-ControllerOptions = StateFeedback | PD
+ControllerOptions = StateFeedback | PD | SlidingMode | FuzzyFeedback | RBFFeedback | TaylorFeedback
 
-__all__ = ["PD", "Controller", "ControllerOptions", "Robust", "StateFeedback"]
+__all__ = ["PD", "Controller", "ControllerOptions", "FuzzyFeedback", "RBFFeedback", "Robust", "SlidingMode", "StateFeedback", "TaylorFeedback"]

@@ -59,9 +59,8 @@ class StateFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         robust = self.robust is not None
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
-            error = estimate.x - target.x_ref
-            u = target.u_ff - p.K @ error
-            return s, u - p.rho * ca.tanh(p.BtP @ error / p.width) if robust else u
+            u = (target.u_ff + p.K @ target.x_ref) - p.K @ estimate.x
+            return s, u - p.rho * ca.tanh(p.BtP @ (estimate.x - target.x_ref) / p.width) if robust else u
 
         return Controller(params, lambda p: None, step)
 

@@ -6,12 +6,12 @@ import os
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
-import tomli_w
 
+from undeadzone import toml
 from undeadzone.arrays import Floats, matrix, vector
 from undeadzone.controllers import StateFeedback
 from undeadzone.design.check import Known, determined, knowledge
@@ -100,7 +100,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it as TOML, every number exactly. Raises FileError."""
-        return write_text(tomli_w.dumps(_given(msgspec.to_builtins(self))), Path(path))
+        return write_text(toml.dumps(self), Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
@@ -187,10 +187,3 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
 def _point(candidate: Candidate) -> Point:
     numbers = candidate._asdict()
     return Point(**numbers | {"L": candidate.L.tolist(), "gamma": candidate.gamma.tolist()})
-
-
-def _given(value: Any) -> Any:
-    """Without the keys whose value is None, which TOML lacks."""
-    if isinstance(value, dict):
-        return {key: _given(child) for key, child in value.items() if child is not None}
-    return [_given(child) for child in value] if isinstance(value, list) else value

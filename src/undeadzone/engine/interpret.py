@@ -37,6 +37,21 @@ def run(step: ca.Function, state: Floats, exogenous: Floats, params: Floats, pro
     return outputs, state
 
 
+def mapped(function: ca.Function, count: int) -> Callable[[Floats, Floats], Floats]:
+    """(rows (count x inputs), params) -> function(row, params) of each row (count x outputs)."""
+    buffer, evaluate = function.map(count).buffer()
+
+    def values(rows: Floats, params: Floats) -> Floats:
+        given, repeated, found = np.ascontiguousarray(rows, float), np.tile(params, (count, 1)), np.empty((count, function.size1_out(0)))
+        buffer.set_arg(0, given.data)
+        buffer.set_arg(1, repeated.data)
+        buffer.set_res(0, found.data)
+        evaluate()
+        return found
+
+    return values
+
+
 class Stepper:
     """One step at a time, in place: fill `w`, call, read `out`; `state` advances. Zero copies, for live use."""
 

@@ -44,14 +44,9 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
                 raise InputError("observer.design: it brings L and gamma; give either the design or these")
             given = _designed(self.design, model)
         gamma = vector("observer.gamma", given[1], p, "one per output")
-        limit = np.full(p, np.inf) if self.width_max is None else vector("observer.width_max", self.width_max, p, "one per output")
         if (gamma < 0).any():
             raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
-        if (limit <= 0).any():
-            raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
-        widths = pairs("observer.widths0", self.widths0, p)
-        if (widths < 0).any() or (widths > limit[:, None]).any():
-            raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
+        widths, limit = bounded_widths(self.widths0, self.width_max, p)
         return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence, self.adaptation.law(model.Ts))
 
 
@@ -108,6 +103,17 @@ def pairs(key: str, value: Array, p: int) -> Floats:
     if found.ndim < 2 and found.size in (1, 2):
         return np.broadcast_to(found, (p, 2)).astype(float)
     return matrix(key, found, p, 2, "one [right, left] per output")
+
+
+def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
+    """(d^(0) (p x 2), its upper bound d_M (p), inf if none is given). Raises InputError, ShapeError."""
+    limit = np.full(p, np.inf) if width_max is None else vector("observer.width_max", width_max, p, "one per output")
+    if (limit <= 0).any():
+        raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
+    widths = pairs("observer.widths0", widths0, p)
+    if (widths < 0).any() or (widths > limit[:, None]).any():
+        raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
+    return widths, limit
 
 
 def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths: Floats, limit: Floats, silence: bool, law: Law = GRADIENT) -> Observer:

@@ -71,34 +71,44 @@ class State(NamedTuple):
     wait: Any
 
 
-def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array) -> Prior:
+def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array, floor: float = FLOOR) -> Prior:
     """The prior from declared ranges [lo, hi] of the widths: mean of the range, std of a uniform distribution over it.
 
-    noise: default the sensor's, but at least FLOOR of a range; x_std: default five times the largest width.
+    noise: default the sensor's, but at least `floor` of a range; x_std: default five times the largest width.
     Raises InputError, ShapeError.
     """
-    if model.Ts is None:
-        raise InputError('observer: a Kalman filter works on samples; set simulation.time = "sampled" (simulation.step is the sample time)')
-    p = model.p
-    ranges = np.concatenate([_ranges("observer.right", right, p), _ranges("observer.left", right if left is None else left, p)])
+    Ts, p = sample_time(model), model.p
+    ranges = declared(right, left, p)
     span, most = ranges[:, 1] - ranges[:, 0], ranges[:, 1].max()
     if noise is None:
         rms = np.hypot(sensor.noise / sensor.slope, sensor.noise_before)
-        floor = FLOOR * span.reshape(2, p).max(axis=0)
+        least = floor * span.reshape(2, p).max(axis=0)
     else:
         rms = nonnegative("observer.noise", noise, p, "one per output")
         if not rms.all():
             raise InputError("observer.noise: must be positive, found 0; leave it out for a sensor without noise")
-        floor = np.zeros(p)
+        least = np.zeros(p)
     spread = np.full(model.n, 5 * most) if x_std is None else nonnegative("observer.x_std", x_std, model.n, "one per state")
-    growth = scalar("observer.drift", drift, least=0.0) ** 2 * model.Ts
+    growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
     return Prior(
         np.concatenate([np.zeros(model.n), ranges.mean(axis=1)]),
         np.concatenate([spread, span / np.sqrt(12)]),
-        np.maximum(rms, floor) ** 2,
+        np.maximum(rms, least) ** 2,
         np.maximum(sensor.threshold, 4 * rms * sensor.slope),
         np.full(2 * p, growth),
     )
+
+
+def sample_time(model: System) -> float:
+    """The model's sample time [s]. Raises InputError in continuous time."""
+    if model.Ts is None:
+        raise InputError('observer: this filter works on samples; set simulation.time = "sampled" (simulation.step is the sample time)')
+    return model.Ts
+
+
+def declared(right: Array, left: Array | None, p: int) -> Floats:
+    """The declared ranges of all d_r, then all d_l (2p x 2); left: default that of right. Raises InputError, ShapeError."""
+    return np.concatenate([_ranges("observer.right", right, p), _ranges("observer.left", right if left is None else left, p)])
 
 
 def _ranges(key: str, value: Array, p: int) -> Floats:
@@ -118,15 +128,9 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
     silence: hear that a silent sensor bounds z.
     """
     n, p = model.n, model.p
-    known = n + 2 * p
     jump = sensor.kind == "jump"
-    first = np.zeros((known + len(extension.cov),) * 2)
-    first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
-    size = len(first)
-    params = Params(
-        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift,
-        np.concatenate([prior.mean, np.zeros(size - known)]), first[np.tril_indices(size)],
-    )  # fmt: skip
+    params = numbers(model, sensor, prior, extension)
+    size = params.mean.size
 
     def init(q: Params) -> State:
         return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p))
@@ -168,25 +172,59 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
         wait = s.wait
         if silence:
             belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
-        noise_x, noise_extra = extension.noise(q, belief.mean[:n], u)
-
-        def move(X: Any) -> Any:
-            x, extra = extension.move(q, X[:n], X[known:], u)
-            return ca.vertcat(x, X[n:known], extra)
-
-        after = predict(belief, move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra), lasting)
-        mean, cov = extension.read(q, belief)
-        x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
-        variance = ca.diag(cov)
-        both = variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])
-        std = ca.sqrt(ca.fmax(variance, 0.0))
-        found = estimate(x, model.output(q.model, x), right, left, reading, q.slope, sensor.kind, e)
-        found = found._replace(
-            x_std=std[:n], right_std=std[n : n + p], left_std=std[n + p : known], width_std=ca.sqrt(ca.fmax(both, 0.0)), innovation_std=e_std
-        )
+        after = predict(belief, *motion(model, q, extension, belief, u), lasting)
+        found = shown(model, sensor, q, extension.read(q, belief), reading, e, e_std)
         return State(after.mean, triangle(after.cov), y, s.last, wait), found
 
     return Observer(params, init, step)
+
+
+def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> Params:
+    """The numbers of a filter that starts from the prior."""
+    known = model.n + 2 * model.p
+    first = np.zeros((known + len(extension.cov),) * 2)
+    first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
+    mean = np.concatenate([prior.mean, np.zeros(len(extension.cov))])
+    return Params(model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[np.tril_indices(len(first))])
+
+
+def motion(model: System, q: Params, extension: Extension, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:
+    """(the motion of [x; d; extra] over a step, the covariance that it adds)."""
+    n, known = model.n, model.n + 2 * model.p
+    noise_x, noise_extra = extension.noise(q, belief.mean[:n], u)
+
+    def move(X: Any) -> Any:
+        x, extra = extension.move(q, X[:n], X[known:], u)
+        return ca.vertcat(x, X[n:known], extra)
+
+    return move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
+
+
+def shown(model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any) -> Estimate:
+    """The belief as an `Estimate`; e, e_std: innovations and their standard deviations."""
+    mean, cov = belief
+    n, p, known = model.n, model.p, model.n + 2 * model.p
+    x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
+    variance = ca.diag(cov)
+    both = variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])
+    std = ca.sqrt(ca.fmax(variance, 0.0))
+    found = estimate(x, model.output(q.model, x), right, left, reading, q.slope, sensor.kind, e)
+    return found._replace(
+        x_std=std[:n], right_std=std[n : n + p], left_std=std[n + p : known], width_std=ca.sqrt(ca.fmax(both, 0.0)), innovation_std=e_std
+    )  # fmt: skip
+
+
+def white(model: System, variance: Floats) -> Extension:
+    """Nothing unknown beside [x; d], but an input disturbance that is new at every sample, of that variance (m)."""
+
+    def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        return model.move(q.model, x, u), extra
+
+    def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+        _, B = linearise(lambda v: model.move(q.model, x, v), u)
+        return B @ ca.diag(q.extension) @ B.T, ca.SX(0, 0)
+
+    return Extension(variance, np.zeros((0, 0)), move, noise)
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:

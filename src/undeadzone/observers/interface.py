@@ -6,15 +6,22 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
-from undeadzone.sensor import inverse, present
+from undeadzone.arrays import Floats
+from undeadzone.errors import InputError
+from undeadzone.sensor import Zone, inverse, present
 
 
 class Reading(NamedTuple):
-    """What the sensor gives: y (p), NaN where missing, and its measured side (+1 right, -1 left, 0 silent)."""
+    """What the sensor gives: y (p), NaN where missing, and its measured side (+1 right, -1 left, 0 silent).
+
+    x (n): the true state, which only a simulation has (None elsewhere), for the reference line `full_state`.
+    """
 
     y: Any
     side: Any
+    x: Any = None
 
 
 NONE = ca.SX(0, 1)
@@ -45,7 +52,8 @@ class Observer(NamedTuple):
 
     params: tree of NumPy arrays; init(params): the state at t = 0, a tree of NumPy arrays;
     step(params, state, u, reading): (the state's derivative, or its next value when the model is sampled, Estimate),
-    where the estimate must not depend on u; project(params, state): the admissible state nearest to a given one.
+    where the estimate must not depend on u; project(params, state): the admissible state nearest to a given one;
+    init, and step where the model is sampled, give one.
     """
 
     params: Any
@@ -58,3 +66,34 @@ def estimate(x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any
     """An `Estimate` with its deadzone inverse; a missing sample is inverted to z^."""
     inverted = ca.if_else(present(reading.y), inverse(reading.y, reading.side, right, left, slope, kind), z)
     return Estimate(x, z, right, left, inverted, innovation)
+
+
+class NumericObserver(NamedTuple):
+    """An observer that computes in Python, one sample at a time, since no graph of fixed size holds it; sampled time.
+
+    params: its numbers; start(seed): the state at t = 0; correct(state, reading): (state, Estimate), both of NumPy
+    arrays; predict(state, u): the state at the next sample. States are values: nothing else is changed.
+    """
+
+    params: Any
+    start: Callable[[int], Any]
+    correct: Callable[[Any, Reading], tuple[Any, Estimate]]
+    predict: Callable[[Any, Floats], Any]
+
+
+def graph_of(observer: Observer | NumericObserver) -> Observer:
+    """The observer if it is a graph. Raises InputError for one that computes in Python."""
+    if isinstance(observer, NumericObserver):
+        raise InputError(
+            "observer.method: this one computes in Python, sample by sample: it runs in single simulations only, "
+            "not in ensembles, compiled lanes, live use or generated C; use 'ekf', 'ukf', 'kalman' or 'censored' there"
+        )
+    return observer
+
+
+def numeric_estimate(X: Floats, z: Floats, reading: Reading, sensor: Zone, e: Floats, std: Floats, width_std: Floats, e_std: Floats) -> Estimate:
+    """An `Estimate` of numbers; X, std: [x; d_r; d_l] and its standard deviations (n + 2p); e, e_std: innovations and theirs."""
+    ends = [X.size - 2 * z.size, X.size - z.size]
+    (x, right, left), (x_std, right_std, left_std) = np.split(X, ends), np.split(std, ends)
+    inverted = np.where(np.isfinite(reading.y), inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind), z)
+    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import casadi as ca
 import msgspec
-import numpy as np
 
 from undeadzone.arrays import Array, nonnegative
 from undeadzone.errors import InputError
-from undeadzone.gaussian import linearise
-from undeadzone.observers.filtering import Extension, Params, measured_filter, prior
+from undeadzone.observers.filtering import measured_filter, prior, white
 from undeadzone.observers.interface import Observer
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
@@ -39,12 +34,4 @@ class Kalman(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise InputError("observer.method: readings of a jump sensor only bound its widths, which 'kalman' cannot use; use 'censored'")
         believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
         variance = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input") ** 2
-
-        def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-            return model.move(q.model, x, u), extra
-
-        def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-            _, B = linearise(lambda v: model.move(q.model, x, v), u)
-            return B @ ca.diag(q.extension) @ B.T, ca.SX(0, 0)
-
-        return measured_filter(model, sensor, believed, Extension(variance, np.zeros((0, 0)), move, noise))
+        return measured_filter(model, sensor, believed, white(model, variance))

@@ -12,6 +12,7 @@ from undeadzone.arrays import Floats
 from undeadzone.design.poles import observer_gain
 from undeadzone.design.riccati import paper_riccati
 from undeadzone.observers import Reading
+from undeadzone.observers.interface import graph_of
 from undeadzone.paper import measures as m
 from undeadzone.paper.equations import FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING, Evidence, Pair
@@ -125,7 +126,7 @@ def _paper(e: Evidence) -> Numbers:
 def _operations(scenario: Scenario) -> float:
     """Arithmetic operations of one step of the observer alone."""
     model = system(scenario.plant)
-    observer = scenario.observer.build(model, resolve(scenario.sensor, model.p, scenario.simulation.step))
+    observer = graph_of(scenario.observer.build(model, resolve(scenario.sensor, model.p, scenario.simulation.step)))
     p_column, p = tree.symbols(observer.params, "p")
     s_column, s = tree.symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))

@@ -1,0 +1,63 @@
+"""SciPy's `solve_ivp`, run by run: as it comes, or stopped and restarted at each change of side (events)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from benchmarks.rivals.equations import dot, rate
+from benchmarks.workload import Floats, Result, Work, grid
+
+
+def prepare(work: Work, *, rtol: float = 1e-6, method: str = "RK45", events: bool = False) -> Callable[[], Result]:
+    n, end, times = len(work.B), len(work.targets) * work.step, grid(work)
+    options = {"rtol": rtol, "atol": rtol, "method": method}
+
+    def output(s: Floats) -> float:
+        return dot(work.C, s[:n])
+
+    def move(t: float, s: Floats, d: Floats, on: tuple[float, float] | None) -> list[float]:
+        v = work.wave[1, 0] * math.cos(work.omega * t) + work.wave[1, 1] * math.sin(work.omega * t)
+        on = on or sides(s, d)
+        return rate(work, s.tolist(), on, d, v)
+
+    def sides(s: Floats, d: Floats) -> tuple[float, float]:
+        return 1.0 * (output(s) > d[0]), 1.0 * (output(s) < -d[1])
+
+    def smooth(s: Floats, d: Floats) -> Floats:
+        return solve_ivp(move, (0.0, end), s, args=(d, None), t_eval=times, **options).y
+
+    def switched(s: Floats, d: Floats) -> Floats:
+        t, on, parts = 0.0, sides(s, d), []
+        while t < end:
+            edges = [_edge(lambda s: output(s) - d[0], 1 - 2 * on[0]), _edge(lambda s: output(s) + d[1], 2 * on[1] - 1)]
+            found = solve_ivp(move, (t, end), s, args=(d, on), t_eval=times[times > t], events=edges, **options)
+            if len(found.t):
+                parts.append(found.y)
+            right, left = (part.size > 0 for part in found.t_events)
+            if not (right or left):
+                break
+            first = 0 if right else 1
+            t, s = found.t_events[first][0], found.y_events[first][0]
+            on = (1 - on[0] if right else on[0], 1 - on[1] if left else on[1])
+        return np.hstack(parts)
+
+    def run() -> Result:
+        paths = np.stack([(switched if events else smooth)(s, d.tolist()) for s, d in zip(work.states, work.widths, strict=True)])
+        errors = np.einsum("j,ijk->ik", work.C, paths[:, :n, :-1]) - work.targets[-work.tail :, 0, 0]
+        return Result(paths[:, :, -1], np.sqrt((errors**2).mean(axis=1)))
+
+    return run
+
+
+def _edge(value: Callable[[Floats], float], direction: float) -> Callable[..., float]:
+    """A terminal event where `value` changes sign in a direction."""
+
+    def event(t: float, s: Floats, *args: object) -> float:
+        return value(s)
+
+    event.terminal, event.direction = True, direction
+    return event

@@ -1,0 +1,1 @@
+"""The arena: every method on every scenario, on the same ground (docs/arena.md)."""

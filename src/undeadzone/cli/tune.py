@@ -1,0 +1,112 @@
+"""undeadzone tune SCENARIO.toml"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import common, print_json, print_pairs, progress
+
+if TYPE_CHECKING:
+    from undeadzone.ensemble.tuned import Tuned
+    from undeadzone.ensemble.tuning import Tune
+    from undeadzone.scenario import Scenario
+
+
+@click.command(epilog="Example: undeadzone tune examples/tune.toml --out tuned && undeadzone run tuned/tuned.toml")
+@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.option("--over", multiple=True, metavar="ADDRESS=LOW:HIGH[:log]", help="Tune this number too, or within these bounds; may be given several times.")
+@click.option("--metric", default=None, metavar="NAME", help="What is made small (default: [tune] metric, rms_tracking).")
+@click.option("--statistic", type=click.Choice(["mean", "median", "p95", "worst"]), default=None, help="Of the runs (default: [tune] statistic, mean).")
+@click.option("--certified", is_flag=True, default=None, help="Keep the observer's gains certified.")
+@click.option("--runs", type=int, default=None, metavar="N", help="Runs of each candidate (default: [tune] runs, 64).")
+@click.option("--budget", type=int, default=None, metavar="N", help="Candidates tried in all (default: [tune] budget, 200).")
+@click.option("--seed", type=int, default=None, metavar="N", help="Of the runs and the search (default: [tune] seed).")
+@common
+def tune(scenario: Path, over: tuple[str, ...], out: Path | None, as_json: bool, no_figures: bool, **changes: Any) -> int:
+    """Find the numbers of observer and controller that make a metric small over many runs.
+
+    A table of the scenario says which, within which bounds; their runs vary as its [ensemble] says:
+
+    \b
+        [tune]
+        metric = "rms_tracking"     # of a run
+        statistic = "p95"           # of the runs: mean, median, p95, worst
+        certified = true            # keep the observer's gains certified
+        "observer.gamma" = { between = [0.1, 100.0], log = true }
+        "observer.L" = { between = [0.01, 100.0], log = true }
+
+    Prints the numbers found and what they are worth on held-out runs, others than those tuned on. Writes tuned.toml, the
+    scenario with these numbers, and figures to DIR (default: NAME-tune); with --no-figures and no --out it writes nothing.
+    Exit code 1: no better on the held-out runs, or not certified though this was asked for.
+    """
+    from undeadzone.ensemble.tune import tune as search
+    from undeadzone.scenario import read
+
+    problem = read(scenario)
+    what = _wanted(problem, over, changes)
+    with progress("tuning", what.budget, "candidates") as advance:
+        result = search(problem, what, progress=advance)
+    folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-tune")
+    written = [] if folder is None else [result.save(folder / "tuned.toml")]
+    if folder is not None and not no_figures:
+        from undeadzone.report.tune_figures import write_figures
+
+        written += write_figures(result, folder)
+    if as_json:
+        print_json(result.summary() | {"files": [str(path) for path in written]})
+    else:
+        print_pairs(_words(result) | ({"written": ", ".join(map(str, written))} if written else {}))
+    return 0 if result.improved and result.certified else 1
+
+
+def _wanted(problem: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> Tune:
+    """The [tune] of a scenario with what the options say. Raises InputError."""
+    import msgspec
+
+    from undeadzone.ensemble.tuning import Tune
+
+    what = problem.tune or Tune()
+    given = {name: value for name, value in changes.items() if value is not None}
+    return msgspec.structs.replace(what, entries=what.entries | dict(map(_bounds, over)), **given)
+
+
+def _bounds(text: str) -> tuple[str, Any]:
+    """An address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
+    from undeadzone.ensemble.tuning import Range
+    from undeadzone.errors import InputError
+
+    address, _, bounds = text.partition("=")
+    low, _, rest = bounds.partition(":")
+    high, _, scale = rest.partition(":")
+    try:
+        if scale not in ("", "log"):
+            raise ValueError
+        return address.strip(), Range(between=(float(low), float(high)), log=scale == "log")
+    except ValueError:
+        raise InputError(f"--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as observer.gamma=0.1:100:log, found {text!r}") from None
+
+
+def _words(result: Tuned) -> dict[str, Any]:
+    what, edge = result.what, result.at_edge
+    shown: dict[str, Any] = {
+        "scenario": result.scenario.title,
+        "made small": f"{what.statistic} of {what.metric}, {what.runs} runs, {len(result.trials)} candidates of {what.budget}",
+    }
+    for p, value in zip(result.parameters, result.values, strict=True):
+        shown[p.name] = f"{value:.6g} (from {p.start:.6g})" + ", at the end of its range: a wider one may do better" * (p.name in edge)
+    before, after, runs = result.held_out[0]
+    shown["runs tuned on"] = f"{result.cost[0]:.4g} -> {result.cost[1]:.4g}"
+    shown["held-out runs"] = f"{_interval(before.value)} -> {_interval(after.value)}, {f'{runs} runs' if runs > 1 else 'one run: nothing differs between them'}"
+    shown["change"] = f"{_interval(result.change)}: {'better' if result.improved else 'NO improvement that chance could not explain'}"
+    if before.diverged.value or after.diverged.value:
+        shown["diverged"] = f"{100 * before.diverged.value:.3g} % -> {100 * after.diverged.value:.3g} % of the held-out runs"
+    if result.margin is not None:
+        shown["certified"] = f"{'yes' if result.certified else 'NO'}, margin {result.margin:.4g}"
+    return shown
+
+
+def _interval(found: Any) -> str:
+    return "{:.4g} ({} to {})".format(found.value, *("?" if abs(end) == float("inf") else f"{end:.4g}" for end in (found.low, found.high)))

@@ -1,0 +1,89 @@
+"""The sliding-mode controller: drives the tracking error onto a plane on which it decays, whatever a bounded input disturbance does."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, Floats, nonnegative, scalar, vector
+from undeadzone.controllers.interface import Controller
+from undeadzone.design.poles import state_gain
+from undeadzone.errors import InputError, StepError, StructureError
+from undeadzone.feedforward import Target
+from undeadzone.observers.injection import fastest_pole
+from undeadzone.observers.interface import Estimate
+from undeadzone.plant import Matrices, System
+from undeadzone.scaling import sizes
+
+
+class SlidingMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="sliding_mode"):
+    """u = u_ff - G (f(x^, u_ff) - f(x_ref, u_ff)) - rate s - gain sat(s / boundary), s = G (x^ - x_ref), G B = I: Slotine and Li (1991).
+
+    gain [u], one or one per input: exceeds the input disturbances that it is to suppress. poles [1/s] (n - m of them): of the
+    error on s = 0 (default: about ten times the fastest pole of the plant). rate [1/s]: at which s decays (default: the
+    same). boundary [u s], one or one per input: layer in which the law is linear (default: gain / (2 rate)). Sampled: the
+    reaching law of Gao, Wang and Homaifa (1995). Needs as many independent columns of B as inputs; of a nonlinear plant, a constant B.
+    """
+
+    gain: Array
+    poles: Array | None = None
+    rate: float | None = None
+    boundary: Array | None = None
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model, continuous or sampled. Raises InputError, ShapeError, StepError, StructureError."""
+        n, m, Ts = model.n, model.m, model.Ts
+        usual = 10 * fastest_pole(model)
+        poles = -usual * np.linspace(0.8, 1.2, n - m) if self.poles is None else self.poles
+        rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
+        gain = nonnegative("controller.gain", self.gain, m, "one per input")
+        if not gain.all():
+            raise InputError("controller.gain: must be positive, found 0; without it the law is a state feedback")
+        boundary = vector("controller.boundary", gain / (2 * rate) if self.boundary is None else self.boundary, m, "one per input")
+        if (boundary <= 0).any():
+            raise InputError(f"controller.boundary: must be positive, found {boundary.min():g}")
+        if Ts is not None and (gain * Ts > boundary).any():
+            raise StepError(
+                f"simulation.step: {Ts:g} s is too coarse: gain / boundary = {(gain / boundary).max():.4g} 1/s inside the layer must be below 1 / step; "
+                "use a wider controller.boundary or a shorter step"
+            )
+        per_step, keep = (1.0, -rate) if Ts is None else (Ts, np.exp(-rate * Ts))
+        params = Params(model.params, surface(model, poles), np.float64(keep), gain, boundary)
+
+        def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            apart = model.move(p.model, estimate.x, target.u_ff) - model.move(p.model, target.x_ref, target.u_ff)
+            distance = p.G @ (estimate.x - target.x_ref)
+            pull = p.gain * ca.fmax(ca.fmin(per_step * distance / p.boundary, 1.0), -1.0)
+            return s, target.u_ff - p.G @ apart + p.keep * distance - pull
+
+        return Controller(params, lambda p: None, step)
+
+
+class Params(NamedTuple):
+    """G (m x n), G B = 1; keep: -rate, or what is left of s after a step; gain, boundary (m)."""
+
+    model: Any
+    G: Floats
+    keep: Any
+    gain: Floats
+    boundary: Floats
+
+
+def surface(model: System, poles: Array) -> Floats:
+    """G (m x n) with G B = 1 such that the error on G e = 0 has these poles (n - m). Raises InputError, StructureError."""
+    A, B, _ = model.linear
+    n, m = B.shape
+    size = sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
+    A, B = A * size / size[:, None], B / size[:, None]
+    if np.linalg.matrix_rank(B) < m:
+        raise StructureError(f"controller.method: 'sliding_mode' needs inputs that move independent states, B has rank {np.linalg.matrix_rank(B)}, not {m}")
+    Q = np.linalg.qr(B, mode="complete")[0]
+    moved, free = Q[:, :m], Q[:, m:]  # what inputs move, and what they do not
+    M: Floats = np.zeros((m, 0))
+    if n > m or np.size(poles):
+        M = state_gain(Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m))), poles, model.Ts)
+    G = moved.T + M @ free.T
+    return np.asarray(np.linalg.solve(G @ B, G / size))

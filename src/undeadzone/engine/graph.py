@@ -1,0 +1,129 @@
+"""A CasADi SX function as a list of instructions, and its rewriting into fewer ones that round differently."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+CONDITIONS = frozenset((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR))  # instructions whose result is 1 or 0
+
+
+class Node(NamedTuple):
+    """An instruction whose operands are the numbers of earlier nodes; text: of an input (its name and entry) or a constant."""
+
+    op: int
+    operands: tuple[int, ...] = ()
+    text: str = ""
+
+
+class Graph(NamedTuple):
+    """Nodes, the nodes that each output consists of, and the entries that are read of each input."""
+
+    nodes: list[Node]
+    results: list[list[int]]
+    reads: list[list[int]]
+
+
+def listed(function: ca.Function) -> Graph:
+    """The instructions of a function with dense outputs; every node is assigned once, unlike CasADi's work vector."""
+    nodes: list[Node] = []
+    holds: dict[int, int] = {}
+    reads: list[list[int]] = [[] for _ in range(function.n_in())]
+    results = [[0] * function.nnz_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        op, sources, targets = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            results[targets[0]][targets[1]] = holds[sources[0]]
+            continue
+        if op == ca.OP_INPUT:
+            reads[sources[0]].append(sources[1])
+            node = Node(op, text=f"{function.name_in(sources[0])}{sources[1]}")
+        elif op == ca.OP_CONST:
+            node = Node(op, text=repr(function.instruction_constant(k)))
+        else:
+            node = Node(op, tuple(holds[source] for source in sources))
+        holds[targets[0]] = len(nodes)
+        nodes.append(node)
+    return Graph(nodes, results, reads)
+
+
+def steady(nodes: list[Node]) -> set[int]:
+    """The nodes that depend on constants and on inputs named p alone, which are finite numbers."""
+    found: set[int] = set()
+    for k, node in enumerate(nodes):
+        if all(operand in found for operand in node.operands) if node.operands else node.op == ca.OP_CONST or node.text.startswith("p"):
+            found.add(k)
+    return found
+
+
+def shortened(graph: Graph) -> Graph:
+    """The same values to rounding and the sign of zero: conditions moved into products, inverses of and products with what is steady gathered."""
+    rewriting = _Rewriting([], {}, set())
+    places: list[int] = []
+    for node in graph.nodes:
+        places.append(rewriting.made(node.op, tuple(places[operand] for operand in node.operands), node.text))
+    results = [[places[k] for k in result] for result in graph.results]
+    return Graph(rewriting.nodes, results, graph.reads)
+
+
+class _Rewriting(NamedTuple):
+    """A growing list of nodes in which none stands twice."""
+
+    nodes: list[Node]
+    places: dict[Node, int]
+    steady: set[int]
+
+    def made(self, op: int, operands: tuple[int, ...], text: str = "") -> int:
+        """The node of an instruction, or of what does the same with fewer."""
+        if op == ca.OP_IF_ELSE_ZERO:
+            return self.gated(*operands)
+        if op == ca.OP_OR and "0.0" in (false := [self.nodes[operand].text for operand in operands]):
+            return operands[1 - false.index("0.0")]
+        if op == ca.OP_DIV and operands[1] in self.steady and operands[0] not in self.steady:
+            return self.made(ca.OP_MUL, (self.made(ca.OP_INV, operands[1:]), operands[0]))
+        if op == ca.OP_MUL:
+            for factor, value in (operands, operands[::-1]):
+                if self.nodes[factor].op in CONDITIONS:
+                    return self.gated(factor, value)
+                if factor in self.steady and value not in self.steady:
+                    within, rest = self.factors(value)
+                    return self.kept(op, (factor if within is None else self.made(op, (factor, within)), rest))
+        return self.kept(op, operands, text)
+
+    def gated(self, condition: int, value: int) -> int:
+        """value where the condition holds, else 0."""
+        if self.nodes[condition].op not in CONDITIONS:
+            condition = self.kept(ca.OP_NE, (condition, self.kept(ca.OP_CONST, (), "0.0")))
+        node = self.nodes[value]
+        factor, rest = self.factors(value)
+        if factor is not None:
+            return self.kept(ca.OP_MUL, (factor, self.gated(condition, rest)))
+        if node.op == ca.OP_NEG:
+            return self.kept(ca.OP_NEG, (self.gated(condition, node.operands[0]),))
+        if node.op == ca.OP_IF_ELSE_ZERO:
+            both = condition if self.implies(condition, node.operands[0]) else self.kept(ca.OP_AND, (condition, node.operands[0]))
+            return self.gated(both, node.operands[1])
+        return self.kept(ca.OP_IF_ELSE_ZERO, (condition, value))
+
+    def implies(self, condition: int, other: int) -> bool:
+        """Whether a condition holds only where another does: they are the same, or a < 0 or 0 < a and a != 0."""
+        this, that = self.nodes[condition], self.nodes[other]
+        return condition == other or (this.op == ca.OP_LT and that.op == ca.OP_NE and set(this.operands) == set(that.operands))
+
+    def factors(self, value: int) -> tuple[int | None, int]:
+        """(the steady factor, the rest) of a product that has one."""
+        node = self.nodes[value]
+        if value not in self.steady and node.op == ca.OP_MUL and node.operands[0] in self.steady:
+            return node.operands[0], node.operands[1]
+        return None, value
+
+    def kept(self, op: int, operands: tuple[int, ...], text: str = "") -> int:
+        """The place of an instruction as it is."""
+        node = Node(op, operands, text)
+        if node not in self.places:
+            self.places[node] = len(self.nodes)
+            if all(operand in self.steady for operand in operands) if operands else op == ca.OP_CONST or text.startswith("p"):
+                self.steady.add(len(self.nodes))
+            self.nodes.append(node)
+        return self.places[node]

@@ -1,0 +1,1 @@
+"""Ensembles: one scenario, many runs; what varies, how it is computed, kept and judged."""

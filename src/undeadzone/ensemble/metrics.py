@@ -1,0 +1,96 @@
+"""What is kept of a run without keeping its signals: sums and extremes that the loop itself accumulates."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone import tree
+from undeadzone.arrays import Floats
+from undeadzone.loop import Exogenous, Loop, Outputs, Params
+from undeadzone.run import LIMIT
+
+
+class Tally(NamedTuple):
+    """Sums of (z - r)^2 and (z - z^)^2 over the tail, the largest |z - r|, the last time at which it was too large [s], silent samples, sum of u^2.
+
+    right, left: the latest d_r^, d_l^ (p each).
+    """
+
+    tracking: Any
+    estimation: Any
+    peak: Any
+    settled: Any
+    silent: Any
+    effort: Any
+    right: Any
+    left: Any
+
+
+class Measured(NamedTuple):
+    """A loop that also keeps a `Tally`, behind its own state; rare: as in `engine.lanes.build`.
+
+    step(state and tally, exogenous inputs, time [s] and 1 in the tail, params and tolerance [z] for scale 1).
+    """
+
+    step: ca.Function
+    rare: ca.Function | None
+    tally: Tally
+
+
+def measured(loop: Loop, tracked: list[int]) -> Measured:
+    """The loop with its metrics."""
+    step, rare = (loop.step, None) if loop.parts is None else loop.parts
+    zero = Tally(*np.zeros((6, 1)), *np.zeros((2, loop.outputs.right.size)))
+    kept = tree.size(zero)
+    s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1))))
+    given = (s[:-kept], w[:-2], p[:-1])
+    following, out, *flag = step(*given)
+    outputs: Outputs = tree.unpack(loop.outputs, out)
+    instant: Exogenous = tree.unpack(loop.instant, w[: tree.size(loop.instant)])
+    params: Params = tree.unpack(loop.params, given[2])
+    tally = _add(
+        tree.unpack(zero, s[-kept:]), outputs, params.scale.reference * instant.target.r, tracked, w[-2], w[-1], p[-1] * ca.fabs(params.scale.reference)
+    )
+    results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
+    parts = None if rare is None else ca.Function("rare", [s, w, p], [rare(*given)])
+    return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
+
+
+def _add(tally: Tally, out: Outputs, r: ca.SX, tracked: list[int], t: ca.SX, tail: ca.SX, tolerance: ca.SX) -> Tally:
+    error = out.z[tracked] - r
+    worst = ca.norm_inf(error)
+    return Tally(
+        tally.tracking + tail * ca.sumsqr(error),
+        tally.estimation + tail * ca.sumsqr(out.z - out.z_hat),
+        ca.fmax(worst, tally.peak),
+        ca.if_else(worst > tolerance, t, tally.settled),
+        tally.silent + ca.sum1(out.side == 0),
+        tally.effort + ca.sumsqr(out.u),
+        out.right,
+        out.left,
+    )
+
+
+def columns(p: int) -> tuple[str, ...]:
+    """The names of the metrics, p being the number of outputs."""
+    widths = (f"d_{edge}[{i}]" for edge in ("right", "left") for i in range(p))
+    return ("rms_tracking", "rms_estimation", "peak_tracking", "settling_time", "silent_fraction", "rms_input", *widths, "diverged")
+
+
+def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) -> Floats:
+    """The metrics (runs x columns) from tallies (runs x 1 or x p each) and final states (runs x S)."""
+    p = tally.right.shape[1]
+    with np.errstate(invalid="ignore", over="ignore"):
+        diverged = ~((np.abs(states) < LIMIT).all(axis=1) & (tally.peak[:, 0] < LIMIT))
+        found = (
+            np.sqrt(tally.tracking / (tail * tracked)),
+            np.sqrt(tally.estimation / (tail * p)),
+            tally.peak,
+            tally.settled,
+            tally.silent / (samples * p),
+            np.sqrt(tally.effort / samples),
+        )
+    return np.hstack([*found, tally.right, tally.left, diverged[:, None]])

@@ -1,0 +1,74 @@
+"""Candidates run by run, for observers that compute in Python: slow, but the same runs and the same metrics as on the lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone import inputs, live
+from undeadzone.arrays import Floats
+from undeadzone.ensemble import metrics
+from undeadzone.ensemble.metrics import Tally
+from undeadzone.ensemble.vary import Vary
+from undeadzone.loop import Outputs
+from undeadzone.observers.interface import NumericObserver, graph_of
+from undeadzone.problem import Problem
+from undeadzone.run import LAST
+
+
+class Singles(NamedTuple):
+    """The first `runs` runs of a seed, which differ in their noise and random disturbance alone."""
+
+    problem: Problem
+    runs: int
+    seed: int
+
+    @property
+    def varied(self) -> dict[str, Floats]:
+        """Nothing: see `candidates.Bench.varied`."""
+        return {}
+
+    def redrawn(self, runs: int, seed: int) -> Singles:
+        """Other runs: the first `runs` of a seed; one if nothing differs between them."""
+        alike = not (self.problem.sensor.noise.any() or self.problem.sensor.noise_before.any() or inputs.random_disturbance(self.problem))
+        return Singles(self.problem, 1 if alike else runs, seed)
+
+    def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
+        """The metrics (candidates x runs x columns) of candidates."""
+        return np.stack([np.concatenate([self._row(candidate, run) for run in range(self.runs)]) for candidate in candidates])
+
+    def _row(self, candidate: Problem, run: int) -> Floats:
+        assert isinstance(candidate.observer, NumericObserver)
+        return row(candidate, live.run(candidate, candidate.observer, inputs.exogenous(candidate, run=run, seed=self.seed)))
+
+
+def singles(problem: Problem) -> Singles:
+    """The runs of a problem, none yet. Raises InputError if [ensemble] varies anything."""
+    vary = problem.scenario.ensemble
+    if vary is not None and vary.entries:
+        graph_of(problem.observer)
+    return Singles(problem, 0, 0)
+
+
+def row(problem: Problem, out: Outputs) -> Floats:
+    """The metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the loop."""
+    t = np.arange(len(out.z)) * problem.scenario.simulation.step
+    tail = t >= t[-1] - LAST - 1e-12
+    r = problem.reference.value(t)
+    error = out.z[:, problem.tracked] - r
+    worst = np.abs(error).max(axis=1)
+    tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
+    tally = Tally(
+        tracking=np.array([[(error[tail] ** 2).sum()]]),
+        estimation=np.array([[((out.z - out.z_hat)[tail] ** 2).sum()]]),
+        peak=np.array([[np.fmax.reduce(worst)]]),
+        settled=np.array([[t[worst > tolerance].max(initial=0.0)]]),
+        silent=np.array([[(out.side == 0).sum()]]),
+        effort=np.array([[(out.u**2).sum()]]),
+        right=out.right[-1:],
+        left=out.left[-1:],
+    )
+    states = np.hstack([out.x, out.x_hat, out.right, out.left])[-1:]
+    return metrics.rows(tally, states, t.size, int(tail.sum()), len(problem.tracked))

@@ -1,0 +1,38 @@
+"""The reference line of what knowing everything is worth: the true state as the estimate."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+
+from undeadzone.arrays import Floats
+from undeadzone.errors import InputError
+from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
+from undeadzone.plant import System
+from undeadzone.sensor import Zone
+
+
+class FullState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="full_state"):
+    """State feedback on the true state, with the true widths; no observer: it exists in simulations only."""
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The reference line for a model, continuous or sampled. Its step raises InputError where no true state is given."""
+
+        def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+            if reading.x is None:
+                raise InputError("observer.method: 'full_state' is told the true state, which exists in a simulation only; choose an observer")
+            z = model.output(p.model, reading.x)
+            return s, estimate(reading.x, z, p.right, p.left, reading, p.slope, sensor.kind, ca.SX.zeros(model.p))
+
+        return Observer(Params(model.params, sensor.right, sensor.left, sensor.slope), lambda p: None, step)
+
+
+class Params(NamedTuple):
+    """Numbers of the line."""
+
+    model: Any
+    right: Floats
+    left: Floats
+    slope: Floats

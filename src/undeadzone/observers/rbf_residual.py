@@ -1,0 +1,43 @@
+"""A radial basis function network that learns what the sensor takes off z."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from undeadzone.arrays import Array, scalar
+from undeadzone.basis import gaussians
+from undeadzone.observers.injection import hiding, in_poles, injection
+from undeadzone.observers.interface import Observer
+from undeadzone.observers.learning import residual
+from undeadzone.observers.weights import gradient
+from undeadzone.plant import System
+from undeadzone.sensor import Zone
+
+
+class RBFResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="rbf_residual"):
+    """Sanner and Slotine, Gaussian networks for direct adaptive control (1992): z - y / m = W'phi(z^), phi Gaussians at `centres` places.
+
+    reach: |z| up to which they lie, one or one per output [z]; overlap: of neighbours, standard deviation in spacings.
+    L, poles [1/s] or speed [1/s]: of A - L C (default: a speed of 6 mean poles of the plant, fewer beyond second order); gain [1/s], leak:
+    of the normalised gradient (default: 30 times the fastest pole) with e-modification; filtered: learn by the
+    sensitivity of the error, so that fast poles do less harm; false is the law as published.
+    """
+
+    reach: Array
+    centres: int = 9
+    overlap: float = 0.7
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    gain: float | None = None
+    leak: float = 0.0
+    filtered: bool = True
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
+        overlap = scalar("observer.overlap", self.overlap, above=0.0)
+        L = injection(model, self.L, self.poles, self.speed, hiding(model, 6.0))
+        gain = in_poles(model, "observer.gain", self.gain, 30.0)
+        basis = gaussians("observer.centres", np.ones(1), self.centres, overlap, False)
+        return residual(model, sensor, L, self.reach, basis, gradient(model, gain, self.leak, basis.size), self.filtered)

@@ -1,0 +1,73 @@
+"""A small job for the tests of journal and cluster. Run as a program it computes one: python -m tests.jobs PATH RUNS SECONDS."""
+
+from __future__ import annotations
+
+import functools
+import os
+import resource
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.arrays import Floats
+from undeadzone.ensemble import execute
+from undeadzone.ensemble.job import Layout
+
+
+class Sines(NamedTuple):
+    """Rows of sines, and of what float64 has besides numbers; each block takes `seconds` and leaves a file in `trace`.
+
+    The block `deadly` kills its process, once; the block `wrong` raises.
+    """
+
+    layout: Layout
+    seconds: float = 0.0
+    trace: Path | None = None
+    deadly: int = -1
+    wrong: int = -1
+
+    def block(self, index: int, threads: int | None = None) -> Floats:
+        if self.trace is not None:
+            began = self.trace / str(index)
+            if index == self.deadly and not began.exists():
+                began.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            began.touch()
+        if index == self.wrong:
+            raise ArithmeticError("a block that fails")
+        time.sleep(self.seconds)
+        runs = self.layout.within(index)
+        k = np.arange(runs.start, runs.stop)[:, None]
+        rows = np.sin(k * (1.0 + np.arange(len(self.layout.columns))))
+        rows[k[:, 0] % 7 == 3, 0] = np.nan
+        rows[k[:, 0] % 7 == 4, 0] = -0.0
+        return rows
+
+
+def layout(runs: int, block: int = 10, columns: int = 3, **problem: str | int) -> Layout:
+    return Layout(runs, tuple(f"column {i}" for i in range(columns)), block, {"scenario": "a = 1\nb = 2\n", "seed": 0} | problem)
+
+
+def sines(runs: int, seconds: float = 0.0, trace: Path | None = None, deadly: int = -1, wrong: int = -1, block: int = 10) -> Sines:
+    return Sines(layout(runs, block), seconds, trace, deadly, wrong)
+
+
+def main(path: str, runs: str, seconds: str, block: str = "10") -> None:
+    """Compute or continue a job; print the runs done at each block, and at the end the largest resident size [kB]."""
+    make = functools.partial(sines, int(runs), float(seconds), block=int(block))
+    execute.run(make, Path(path), resume=True, progress=say).close()
+    say(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def say(number: int) -> None:
+    """A line on stdout, at once."""
+    sys.stdout.write(f"{number}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,299 @@
+"""The result of an ensemble: what enters its statistics and what does not, files that come back bit for bit, figures and page."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from undeadzone.arrays import Floats
+from undeadzone.ensemble.bands import LEVELS, bands, true_width
+from undeadzone.ensemble.result import Ensemble, Info
+from undeadzone.ensemble.statistics import describe, proportion
+from undeadzone.errors import FileError, InputError
+from undeadzone.report.ensemble_page import figures, write_ensemble
+from undeadzone.scenario import Units
+
+ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
+NASTY = "<b>Ω & more</b>"
+
+
+def ensemble(runs: int = 400, entries: tuple[str, ...] = ENTRIES, sampling: str = "random", diverge: float = 0.02, recorded: int = 50) -> Ensemble:
+    """An ensemble with the shape of a real one: rms grows with the right width, with the mass and with the noise, in this order."""
+    random = np.random.default_rng(runs)
+    drawn = {"sensor.right[0]": random.uniform(0.3, 2.0, runs), "plant.A[1,0] (relative)": random.normal(1, 0.1, runs), "sensor.noise[0]": random.random(runs)}
+    right, mass, noise = drawn.values()
+    lost = random.random(runs) < diverge
+    metrics = {
+        "rms_tracking": 0.1 * (right + noise) * np.exp(2 * (mass - 1)),
+        "rms_estimation": 0.1 * right,
+        "peak_tracking": 5 + random.random(runs),
+        "settling_time": 4 + 5 * noise,
+        "silent_fraction": 0.1 * right,
+        "rms_input": 100 + random.random(runs),
+        "d_right[0]": right + 0.01 * random.standard_normal(runs),
+        "d_left[0]": 0.7 + 0.01 * random.standard_normal(runs),
+        "diverged": lost.astype(float),
+    }
+    metrics |= {name: np.where(lost, np.nan, column) for name, column in metrics.items() if name != "diverged"}
+    info = Info(
+        title=NASTY,
+        method="certified",
+        time="sampled",
+        step=0.01,
+        duration=10.0,
+        seed=3,
+        sampling=sampling,
+        runs=runs,
+        tolerance=0.02,
+        tracked=[0],
+        widths=[1.0, 0.7],
+        scenario=f'title = "{NASTY}"',
+        version="0",
+        recorded=recorded,
+        units=Units(output="mm", input="N"),
+    )
+    return Ensemble({name: drawn[name] for name in entries}, metrics, info, recorded_bands(recorded) if recorded else None)
+
+
+def recorded_bands(lanes: int) -> Any:
+    random, t = np.random.default_rng(0), np.linspace(0, 10, 40)
+    r = np.broadcast_to(np.sin(t)[:, None], (lanes, 40, 1))
+    z = r + np.exp(-t)[:, None] * random.standard_normal((lanes, 40, 1))
+    z[0, 20:] = np.nan
+    return bands(t, z, r, random.random((lanes, 40, 2)), np.ones((lanes, 2)), [0])
+
+
+def with_metrics(result: Ensemble, **columns: Floats) -> Ensemble:
+    return dataclasses.replace(result, metrics=result.metrics | columns)
+
+
+def test_runs_that_diverged_are_counted_and_never_averaged() -> None:
+    result = ensemble()
+    lost = result.diverged
+    assert 0 < lost.sum() < 20
+    spoilt = dataclasses.replace(result, metrics={k: np.where(lost, 1e300, v) if k != "diverged" else v for k, v in result.metrics.items()})
+    summary = result.summary()
+    assert summary["diverged"] == proportion(int(lost.sum()), 400)._asdict() | {"runs": np.flatnonzero(lost).tolist()}
+    assert summary["metrics"]["rms_tracking"]["mean"] == describe(result.metrics["rms_tracking"][~lost])["mean"]._asdict()
+    for key in ("metrics", "sensitivities", "settled", "typical"):
+        assert spoilt.summary()[key] == summary[key]
+
+
+def test_runs_that_never_settled_take_for_ever() -> None:
+    result = ensemble(diverge=0.0)
+    late = result.metrics["settling_time"] > 8.0
+    summary = result.summary()
+    assert summary["settled"] == proportion(400 - int(late.sum()), 400)._asdict()
+    time = summary["metrics"]["settling_time"]
+    assert time["median"]["value"] == np.sort(result.metrics["settling_time"])[199]
+    assert time["p99"] == {"value": None, "low": None, "high": None}
+    assert time["mean"]["value"] is None
+
+
+def test_a_run_that_diverged_has_not_settled() -> None:
+    result = ensemble(diverge=0.5)
+    assert not (result.settled & result.diverged).any()
+    assert result.summary()["settled"]["value"] == result.settled.mean()
+
+
+def test_the_worst_runs_come_first() -> None:
+    result = with_metrics(ensemble(8, diverge=0.0), rms_tracking=np.array([3.0, 1, 7, 7, 2, np.nan, 5, 0]), diverged=np.eye(8)[5])
+    assert result.worst(count=4) == [5, 2, 3, 6]
+    assert result.worst(count=100) == [5, 2, 3, 6, 0, 4, 1, 7]
+    assert result.typical() == 0
+    assert [row["run"] for row in result.summary()["worst"]] == result.worst(count=10)
+    row = result.row(2)
+    assert row["varied"]["sensor.right[0]"] == result.varied["sensor.right[0]"][2]
+    assert row["metrics"]["rms_tracking"] == 7
+    with pytest.raises(InputError, match="expected 0 to 7"):
+        result.row(8)
+    with pytest.raises(InputError, match="no_such: is not a column of this ensemble; there are sensor"):
+        result.worst("no_such")
+
+
+def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
+    result = ensemble(diverge=0.0)
+    np.testing.assert_array_equal(result.column("d_right_error[0]"), result.metrics["d_right[0]"] - result.varied["sensor.right[0]"])
+    np.testing.assert_array_equal(result.column("d_left_error[0]"), result.metrics["d_left[0]"] - 0.7)
+
+
+@pytest.mark.parametrize(
+    ("words", "right", "left"),
+    [
+        ("sensor.right[1]", [2.0, 3.0], 0.5),
+        ("sensor.right[1] (relative)", [2.8, 4.2], 0.5),
+        ("sensor.right[0]", 1.4, 0.5),
+        ("sensor.right + sensor.left", [2.0, 3.0], [2.0, 3.0]),
+        ("sensor.left[:] (relative)", 1.4, [1.0, 1.5]),
+        ("plant.x0[1]", 1.4, 0.5),
+    ],
+)
+def test_true_widths_are_found_in_whatever_words_they_vary(words: str, right: Any, left: Any) -> None:
+    varied = {words: np.array([2.0, 3.0])}
+    np.testing.assert_allclose(true_width("right[1]", 1.4, varied), right)
+    np.testing.assert_allclose(true_width("left[1]", 0.5, varied), left)
+
+
+def test_the_most_influential_entry_comes_first() -> None:
+    found = ensemble(2000).sensitivities()
+    assert list(found) == ["sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]"]
+    assert found["sensor.right[0]"].partial.low > 0.5
+    assert found["sensor.right[0]"].floor is not None
+    assert found["sensor.right[0]"].total_order is None
+    assert ensemble(entries=()).sensitivities() == {}
+
+
+def test_saltellis_blocks_that_repeat_values_enter_the_indices_only() -> None:
+    """Blocks A, B, AB_1, AB_2 of y = 2 x_1 + x_2: variance shares 0.8 and 0.2; rows of AB are not independent of A and B."""
+    n = 512
+    A, B = np.random.default_rng(1).random((2, n, 2))
+    X = np.concatenate([A, B, np.column_stack([B[:, 0], A[:, 1]]), np.column_stack([A[:, 0], B[:, 1]])])
+    result = ensemble(4 * n, ("sensor.right[0]", "sensor.noise[0]"), "saltelli", diverge=0.0)
+    result = dataclasses.replace(with_metrics(result, rms_tracking=X @ [2.0, 1.0]), varied=dict(zip(result.varied, X.T, strict=True)))
+    for one, share in zip(result.sensitivities().values(), (0.8, 0.2), strict=True):
+        assert one.total_order is not None
+        assert one.first_order.low <= share <= one.first_order.high
+        assert one.total_order.low <= share <= one.total_order.high
+    assert result.summary()["metrics"]["rms_tracking"]["mean"] == describe(X[: 2 * n] @ [2.0, 1.0])["mean"]._asdict()
+    assert result.summary()["diverged"]["high"] == proportion(0, 2 * n).high
+
+
+def test_bands_are_quantiles_of_all_recorded_runs() -> None:
+    """Of 100 runs with |z - r| = 1, ..., 100 and one that is lost after the first instant."""
+    z = np.arange(1.0, 101.0)[:, None, None] * np.array([1.0, -1.0])[:, None]
+    z[0, 1] = np.nan
+    found = bands(np.array([0.0, 1.0]), z, np.zeros((100, 2, 1)), np.ones((100, 2, 2)), np.tile([1.0, 0.7], (100, 1)), [0])
+    assert list(found.quantiles) == ["tracking[0]", "d_right[0]", "d_left[0]"]
+    np.testing.assert_array_equal(found.quantiles["tracking[0]"], [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]])
+    np.testing.assert_allclose(found.quantiles["d_left[0]"], np.full((2, len(LEVELS)), 0.3))
+    z[1:3, 1] = np.nan
+    assert bands(np.zeros(2), z, np.zeros((100, 2, 1)), z, z[:, 0], [0]).quantiles["tracking[0]"][1, -1] == np.inf
+
+
+def same(one: Ensemble, other: Ensemble) -> bool:
+    columns = [{**result.varied, **result.metrics} | (result.bands.quantiles | {"t": result.bands.t} if result.bands else {}) for result in (one, other)]
+    equal = all(np.array_equal(column, columns[1][name], equal_nan=True) for name, column in columns[0].items())
+    return equal and list(columns[0]) == list(columns[1]) and list(one.varied) == list(other.varied) and one.info == other.info
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
+@pytest.mark.parametrize("kind", [{}, {"entries": (), "recorded": 0}, {"runs": 1}])
+def test_a_saved_ensemble_comes_back_to_the_last_bit(suffix: str, kind: dict[str, Any], tmp_path: Path) -> None:
+    result = ensemble(**kind)
+    path = result.save(tmp_path / f"runs{suffix}")
+    loaded = Ensemble.load(path)
+    assert same(result, loaded)
+    assert loaded.summary() == result.summary()
+    assert loaded.save(tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
+    assert sorted(found.name for found in tmp_path.iterdir()) == [f"again{suffix}", f"runs{suffix}"]
+
+
+def test_parquet_is_a_table_for_other_tools(tmp_path: Path) -> None:
+    import pandas as pd
+
+    result = ensemble()
+    frame = pd.read_parquet(result.save(tmp_path / "runs.parquet"))
+    assert list(frame) == [*result.varied, *result.metrics]
+    np.testing.assert_array_equal(frame["rms_tracking"], result.metrics["rms_tracking"])
+
+
+def test_columns_of_a_loaded_file_stay_on_disk(tmp_path: Path) -> None:
+    runs = 200_000
+    path = ensemble(runs).save(tmp_path / "runs.npz")
+    tracemalloc.start()
+    try:
+        loaded = Ensemble.load(path)
+        for name in loaded.quantities:
+            describe(loaded.sample(name))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert isinstance(loaded.metrics["rms_tracking"], np.memmap)
+    assert peak < 6 * 8 * runs  # bytes: six columns of the twelve
+
+
+def test_without_pyarrow_the_message_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = ensemble().save(tmp_path / "runs.parquet")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    for act in (lambda: ensemble().save(tmp_path / "other.parquet"), lambda: Ensemble.load(path)):
+        with pytest.raises(InputError, match=r"pip install 'undeadzone\[parquet\]'"):
+            act()
+    assert [found.name for found in tmp_path.iterdir()] == ["runs.parquet"]
+
+
+def test_files_that_are_no_ensemble_are_refused(tmp_path: Path) -> None:
+    good = ensemble().save(tmp_path / "runs.npz").read_bytes()
+    np.savez(tmp_path / "other.npz", a=np.ones(3))
+    at = good.index(ensemble().metrics["rms_input"].tobytes()[:64])
+    (tmp_path / "torn.npz").write_bytes(good[: len(good) // 2])
+    (tmp_path / "bent.npz").write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
+    (tmp_path / "text.npz").write_text("runs", encoding="utf-8")
+    (tmp_path / "text.parquet").write_text("runs", encoding="utf-8")
+    for name in ("other.npz", "torn.npz", "bent.npz", "text.npz", "text.parquet"):
+        with pytest.raises(FileError, match=name.replace(".", r"\.")):
+            Ensemble.load(tmp_path / name)
+    with pytest.raises(FileError, match="cannot read"):
+        Ensemble.load(tmp_path / "missing.npz")
+    with pytest.raises(InputError, match=r"must end in \.npz or \.parquet"):
+        ensemble().save(tmp_path / "runs.csv")
+    with pytest.raises(FileError, match="cannot write"):
+        ensemble().save(tmp_path / "text.npz" / "runs.npz")
+
+
+LOST = {name: np.full(100, np.nan) for name in ensemble(100).metrics} | {"diverged": np.ones(100)}
+ALIKE = {name: np.ones(100) for name in ensemble(100).metrics} | {"diverged": np.zeros(100)}
+CASES = {
+    "usual": (ensemble(), {"distributions", "over_time", "tornado", "influence"}),
+    "saltelli": (ensemble(500, sampling="saltelli", diverge=0.0), {"distributions", "over_time", "tornado", "influence"}),
+    "one entry": (ensemble(entries=ENTRIES[:1]), {"distributions", "over_time", "tornado", "influence"}),
+    "nothing varies": (ensemble(entries=(), recorded=0), {"distributions"}),
+    "one run": (ensemble(1, diverge=0.0), {"distributions", "over_time"}),
+    "all lost": (with_metrics(ensemble(100), **LOST), {"over_time"}),
+    "all alike": (with_metrics(ensemble(100), **ALIKE), {"distributions", "over_time"}),
+    "never settles": (with_metrics(ensemble(), settling_time=np.full(400, 9.99)), {"distributions", "over_time", "tornado", "influence"}),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", CASES)
+def test_every_ensemble_has_its_page_and_its_figures(name: str, tmp_path: Path) -> None:
+    result, expected = CASES[name]
+    summary = result.summary()
+    json.dumps(summary, allow_nan=False)
+    *images, page = write_ensemble(result, summary, tmp_path)
+    assert {path.stem for path in images} == expected
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<img") == len(expected)
+    assert NASTY not in text
+    assert "&lt;b&gt;Ω &amp; more&lt;/b&gt;" in text
+    assert "http" not in text.replace("http://www.w3.org", "")
+    for row in summary["worst"]:
+        assert f'<td class="number">{row["run"]}</td>' in text
+
+
+def test_figures_show_what_the_summary_says() -> None:
+    result = ensemble(2000)
+    summary = result.summary()
+    drawn = figures(result, summary)
+    marks = {text.get_text() for axes in drawn["distributions"].axes if axes.get_legend() for text in axes.get_legend().get_texts()}
+    found = summary["metrics"]["rms_tracking"]
+    assert {f"{name} {found[key]['value']:.3g}" for name, key in (("median", "median"), ("95 %", "p95"), ("99 %", "p99"))} <= marks
+    assert [text.get_text() for text in drawn["tornado"].axes[0].get_yticklabels()] == list(summary["sensitivities"])
+    for figure in drawn.values():
+        assert all(axes.get_xlabel() or axes.get_ylabel() or axes.get_title(loc="left") for axes in figure.axes)
+
+
+def test_units_and_words() -> None:
+    result = dataclasses.replace(ensemble(), info=msgspec.structs.replace(ensemble().info, units=Units(output="mm", input="N")))
+    units = {
+        name: result.unit(name) for name in ("rms_tracking", "settling_time", "silent_fraction", "rms_input", "sensor.right[0]", "sensor.right[0] (relative)")
+    }
+    assert list(units.values()) == ["mm", "s", "1", "N", "mm", "1"]

@@ -1,0 +1,282 @@
+"""Noise from counters: the generator's published answers, Gaussian to the tails, independent, the same bits from NumPy and from lanes."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from undeadzone import noise
+from undeadzone.arrays import Floats
+from undeadzone.engine import lanes, normal
+from undeadzone.engine.philox import box_muller, philox
+from undeadzone.errors import ShapeError
+
+UNLIKELY = 1e-6  # of a test of true Gaussian numbers to fail, were the seed not fixed
+STREAMS = [(noise.AFTER, 0), (noise.AFTER, 1), (noise.BEFORE, 0), (noise.DISTURBANCE, 0), (noise.DISTURBANCE, 3)]
+RUNS = [0, 1, 2, 1000, 2**32 - 1, 2**32, 2**63 - 1, 77, 5, 6, 7, 8, 9, 10, 11, 12]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def many() -> Floats:
+    return noise.gaussian(1, noise.AFTER, 10_000_000, 1)[:, 0]
+
+
+def filled(first: int, count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
+    """Steps x streams x runs, by lanes."""
+    numbers = np.full((count, len(STREAMS), len(runs)), np.nan)
+    normal.fill(numbers, first, seed, [noise.word(*stream) for stream in STREAMS], runs)
+    return numbers
+
+
+def expected(count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
+    """The same by NumPy."""
+    return np.stack([[noise.gaussian(seed, stream, count, channel + 1, run)[:, channel] for run in runs] for stream, channel in STREAMS]).transpose(2, 0, 1)
+
+
+# --- The generator and the transform
+
+
+@pytest.mark.parametrize(
+    ("counter", "key", "answer"),
+    [
+        ([0, 0, 0, 0], [0, 0], [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]),
+        ([0xFFFFFFFF] * 4, [0xFFFFFFFF] * 2, [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD]),
+        ([0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344], [0xA4093822, 0x299F31D0], [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1]),
+    ],
+)
+def test_known_answers(counter: list[int], key: list[int], answer: list[int]) -> None:
+    """Of Philox4x32-10, as published with Random123."""
+    assert [int(word) for word in philox(*map(np.uint64, counter), np.uint64(key[0] | key[1] << 32))] == answer
+
+
+def textbook(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """Box and Muller in float64: u = (a + 1/2) / 2^32; b: sign of the cosine, swap, 30 bits of angle in quarter turns."""
+    u = (a.astype(float) + 0.5) / 2**32
+    radius = np.sqrt(-2 * np.where(u > 0.5, np.log1p(-(0.5 + (0xFFFFFFFF - a.astype(float))) / 2**32), np.log(u)))
+    turn = (b.astype(np.int64) % 2**30 * 4 + 2 + 2**31) % 2**32 - 2**31
+    angle = turn * 2.0**-32 * np.pi / 2
+    cosine, sine = radius * np.cos(angle) * np.where(b >> 31, -1, 1), radius * np.sin(angle)
+    return np.where(b >> 30 & 1, sine, cosine), np.where(b >> 30 & 1, cosine, sine)
+
+
+def test_box_muller_of_all_kinds_of_words() -> None:
+    rng = np.random.default_rng(0)
+    corners = np.array([0, 1, 2, 2**29 - 1, 2**29, 2**30 - 1, 2**30, 2**31 - 1, 2**31, 0xBFFFFF80, 0xBFFFFFFF, 0xC0000000, 0xFFFFFFFE, 0xFFFFFFFF], np.uint32)
+    shifted = rng.integers(0, 2**32, 200_000, dtype=np.uint32) >> rng.integers(0, 32, 200_000, dtype=np.uint32)
+    a, b = (np.concatenate([part.ravel(), shifted]) for part in np.meshgrid(corners, corners))
+    for words in ((a, b), (~a, b), (a, ~b), (b, a)):
+        for found, exact in zip(box_muller(*words), textbook(*words), strict=True):
+            assert found.dtype == np.float32
+            assert np.abs(found / exact - 1).max() < 5e-7
+            assert (found != 0).all()
+
+
+@pytest.mark.parametrize(("sigma", "tolerance"), [(4.0, 1e-5), (5.0, 1e-4), (5.5, 1e-3), (6.0, 5e-3)])
+def test_tails_without_sampling(sigma: float, tolerance: float) -> None:
+    """The share of angles beyond sigma at each radius that reaches it, over all words of radius: no number is drawn."""
+    words = np.arange(2**32 * np.exp(-(sigma**2) / 2) + 2).astype(np.uint32)
+    x, y = (part.astype(float) for part in box_muller(words, np.zeros_like(words)))
+    angles = np.arccos(np.minimum(1.0, sigma / np.hypot(x, y))) / np.pi
+    assert angles.sum() / 2**32 == pytest.approx(stats.norm.sf(sigma), rel=tolerance)
+
+
+@pytest.mark.parametrize("bit", range(192))
+def test_every_bit_of_counter_and_seed_changes_every_word(bit: int) -> None:
+    rng = np.random.default_rng(bit)
+    words = [*rng.integers(0, 2**32, (4, 1000), dtype=np.uint64), rng.integers(0, 2**64, 1000, dtype=np.uint64)]
+    before = philox(*words)
+    words[min(bit // 32, 4)] ^= np.uint64(1) << np.uint64(bit % 32 if bit < 128 else bit - 128)
+    for a, b in zip(before, philox(*words), strict=True):
+        flips = [np.count_nonzero((a ^ b) >> np.uint32(k) & np.uint32(1)) for k in range(32)]
+        assert stats.binom.cdf(min(flips), 1000, 0.5) > UNLIKELY / 1000
+        assert stats.binom.sf(max(flips), 1000, 0.5) > UNLIKELY / 1000
+
+
+# --- Gaussian, in ten million numbers
+
+
+@pytest.mark.parametrize("sigma", [0.01, 1.0, 2.0, 3.0, 4.0, 5.0])
+def test_as_many_numbers_beyond_sigma_as_there_should_be(many: Floats, sigma: float) -> None:
+    for side in (many, -many):
+        assert stats.binomtest(np.count_nonzero(side > sigma), many.size, stats.norm.sf(sigma)).pvalue > UNLIKELY
+
+
+def test_moments(many: Floats) -> None:
+    power = np.ones_like(many)
+    for mean, variance in ((0, 1), (1, 2), (0, 15), (3, 96), (0, 945), (15, 10170)):
+        power *= many
+        assert abs(power.mean() - mean) < stats.norm.isf(UNLIKELY / 2) * np.sqrt(variance / many.size)
+
+
+def test_distribution(many: Floats) -> None:
+    assert stats.kstest(many[:1_000_000], stats.norm.cdf).pvalue > UNLIKELY
+    assert stats.kstest(np.abs(many[np.abs(many) < 1e-3]) * 1e3, stats.uniform.cdf).pvalue > UNLIKELY
+
+
+# --- Independent
+
+
+def cells(x: Floats) -> Floats:
+    """To which of 16 equally likely cells each number belongs."""
+    return np.searchsorted(stats.norm.ppf(np.arange(1, 16) / 16), x)
+
+
+def assert_independent(x: Floats, y: Floats) -> None:
+    """Every pair of cells is as frequent as any other, and sizes are uncorrelated also in the tails."""
+    counts = np.bincount(16 * cells(x) + cells(y), minlength=256)
+    assert stats.chisquare(counts).pvalue > UNLIKELY
+    assert abs(np.corrcoef(x, y)[0, 1]) * np.sqrt(x.size) < stats.norm.isf(UNLIKELY / 2)
+    assert abs(np.corrcoef(x**2, y**2)[0, 1]) * np.sqrt(x.size) < stats.norm.isf(UNLIKELY / 2)
+
+
+@pytest.mark.parametrize("lag", [1, 2, 3, 4, 5, 7, 8, 100])
+def test_steps_are_independent(many: Floats, lag: int) -> None:
+    assert_independent(many[:400_000], many[lag : 400_000 + lag])
+    assert_independent(many[: 4 * 400_000 : 4], many[lag : 4 * 400_000 + lag : 4])
+
+
+NEXT = {"stream": {"stream": 1}, "run": {"run": 1}, "run of 2^32": {"run": 2**32}, "seed": {"seed": 1}, "seed of 2^32": {"seed": 2**32}}
+
+
+@pytest.mark.parametrize("change", NEXT.values(), ids=NEXT)
+def test_streams_runs_and_seeds_are_independent(change: dict[str, int]) -> None:
+    base = {"seed": 0, "stream": noise.AFTER, "samples": 400_000, "channels": 1}
+    one, other = noise.gaussian(**base)[:, 0], noise.gaussian(**base | change)[:, 0]
+    assert_independent(one, other)
+    assert_independent(one[:-1], other[1:])
+
+
+def test_channels_are_independent() -> None:
+    one, other, last = noise.gaussian(0, noise.AFTER, 400_000, 3).T
+    assert_independent(one, other)
+    assert_independent(one, last)
+
+
+@pytest.mark.parametrize("varied", ["seed", "run"])
+def test_one_step_across_many_seeds_or_runs_is_gaussian(varied: str) -> None:
+    numbers = np.concatenate([noise.gaussian(**{"seed": 0, "stream": 0, "samples": 8, "channels": 2, varied: k}) for k in range(3000)], axis=1)
+    for row in numbers:
+        assert stats.kstest(row, stats.norm.cdf).pvalue > UNLIKELY
+    assert np.abs(np.corrcoef(numbers) - np.eye(8)).max() < 6 / np.sqrt(numbers.shape[1])
+
+
+# --- A function of its place alone
+
+
+def test_a_number_is_a_function_of_its_place() -> None:
+    all_of_them = noise.gaussian(4, noise.BEFORE, 1001, 3, run=9)
+    for samples in (0, 1, 2, 3, 4, 5, 1000):
+        assert np.array_equal(noise.gaussian(4, noise.BEFORE, samples, 3, run=9), all_of_them[:samples])
+    assert np.array_equal(noise.gaussian(4, noise.BEFORE, 1001, 1, run=9), all_of_them[:, :1])
+    assert noise.gaussian(4, noise.BEFORE, 10, 0).shape == (10, 0)
+
+
+def test_no_two_places_share_numbers() -> None:
+    places = [(seed, stream, run) for seed in (0, 1, 2**32, 2**63 - 1) for stream in (noise.AFTER, noise.BEFORE, noise.DISTURBANCE) for run in RUNS]
+    numbers = np.concatenate([noise.gaussian(seed, stream, 40, 3, run).ravel() for seed, stream, run in places])
+    assert np.unique(numbers).size > numbers.size - 60  # of float32 some coincide; of two places alike it would be 120
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 2**63 - 1), first=st.integers(0, 25), count=st.integers(1, 14), run=st.integers(0, 2**63 - 1))
+def test_lanes_draw_the_same_bits(seed: int, first: int, count: int, run: int) -> None:
+    runs = [*RUNS[:-1], run]
+    assert np.array_equal(filled(first, count, seed, runs), expected(first + count, seed, runs)[first:])
+
+
+@pytest.mark.parametrize("width", [1, 3, 16, 128])
+def test_bits_do_not_depend_on_the_number_of_lanes(width: int) -> None:
+    runs = [*RUNS, *range(1000, 2000)][:width]
+    assert np.array_equal(filled(0, 33, runs=runs), expected(33, runs=runs))
+
+
+def test_steps_far_out() -> None:
+    far = 10**10 + 3
+    assert np.array_equal(filled(far, 9), np.concatenate([filled(far, 2), filled(far + 2, 7)]))
+    a, b, c, d = philox(np.uint64(far // 4), np.uint64(noise.word(*STREAMS[1])), np.uint64(5), np.uint64(0), np.uint64(3))
+    assert filled(far, 1)[0, 1, RUNS.index(5)] == box_muller(c, d)[1]  # the last of four
+    assert far % 4 == 3
+    assert a != b
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    with ThreadPoolExecutor(3) as pool:
+        parts = list(pool.map(lambda first: filled(first, 50), range(0, 500, 50)))
+    assert np.array_equal(np.concatenate(parts), expected(500))
+
+
+# --- Coloured
+
+
+@pytest.mark.parametrize("cuts", [[1000], [1, 2, 5, 992], [3] * 333 + [1]], ids=["at once", "in parts", "three at a time"])
+def test_coloured_lanes_have_the_same_bits(cuts: list[int]) -> None:
+    words = [noise.word(noise.AFTER, 0), noise.word(noise.DISTURBANCE, 0), noise.word(noise.DISTURBANCE, 1)]
+    state, first, parts = np.full((2, len(RUNS)), np.nan), 0, []
+    for count in cuts:
+        parts.append(np.empty((count, 3, len(RUNS))))
+        normal.fill(parts[-1], first, 3, words, RUNS)
+        normal.colour(parts[-1], state, first, 1, *noise.colour(0.2, 0.01))
+        first += count
+    found = np.concatenate(parts)
+    for j, run in enumerate(RUNS):
+        assert np.array_equal(found[:, 1:, j], noise.coloured(3, 1000, np.ones(2), 0.2, 0.01, run))
+        assert np.array_equal(found[:, :1, j], noise.gaussian(3, noise.AFTER, 1000, 1, run))
+
+
+def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
+    step, correlation = 0.01, 0.2
+    found = noise.coloured(3, 200_000, np.array([2.0, 0.5]), correlation, step)
+    assert found.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
+    lag = round(correlation / step)
+    assert np.corrcoef(found[:-lag, 0], found[lag:, 0])[0, 1] == pytest.approx(np.exp(-1), abs=0.04)
+    starts = np.array([noise.coloured(seed, 1, np.ones(1), correlation, step)[0, 0] for seed in range(2000)])
+    assert starts.std() == pytest.approx(1.0, abs=0.08)
+    white = noise.gaussian(3, noise.DISTURBANCE, 200_000, 2) * [2.0, 0.5]
+    memory = np.exp(-step / correlation)
+    np.testing.assert_allclose(found[1:] - memory * found[:-1], np.sqrt(1 - memory**2) * white[1:], atol=1e-14)
+    assert np.array_equal(found[0], white[0])
+
+
+# --- The compiled kernel
+
+
+def test_lanes_are_drawn_by_vector_instructions() -> None:
+    """The products of the generator, the root of the radius and the polynomials are of many lanes at once."""
+    block = normal._kernel(normal._FILL, 2 * lanes.WIDTH)  # compiled here: what comes from disk cannot be inspected
+    (code,) = block.inspect_llvm().values()
+    for wide in (r"mul .*<\d+ x i64>", r"fmul <\d+ x float>", r"@llvm.sqrt.v\d+f32", r"fpext <\d+ x float>"):
+        assert re.search(wide, code)
+    assert "contract" not in code
+
+
+def test_misuse_is_named() -> None:
+    words = [noise.word(noise.AFTER, 0)]
+    for numbers in (np.empty((4, 2, 16)), np.empty((4, 1, 15))):
+        with pytest.raises(ShapeError, match="numbers: expected steps x 1 channels x 16 lanes"):
+            normal.fill(numbers, 0, 0, words, RUNS)
+    for state, start in ((np.empty((2, 16)), 0), (np.empty((1, 15)), 0), (np.empty((1, 16)), 1)):
+        with pytest.raises(ShapeError, match="state"):
+            normal.colour(np.empty((4, 1, 16)), state, 0, start, 0.5, 0.5)
+
+
+def test_a_single_run_needs_neither_numba_nor_scipy_signal() -> None:
+    code = (
+        "import sys, numpy; from undeadzone import noise; noise.coloured(0, 9, numpy.ones(1), 1.0, 0.1); print({'numba', 'scipy.signal'} & sys.modules.keys())"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

@@ -1,0 +1,357 @@
+"""Tuning: candidates as lanes, gradients, known optima, the certificate, held-out runs, the command."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from scenes import scene
+from undeadzone import inputs, toml
+from undeadzone.arrays import Floats
+from undeadzone.cli import group
+from undeadzone.design.passivity import certify
+from undeadzone.ensemble import metrics
+from undeadzone.ensemble.candidates import graph
+from undeadzone.ensemble.compute import prepare
+from undeadzone.ensemble.objective import Frame, Objective, losses, objective, statistic
+from undeadzone.ensemble.options import numbers, parameters, with_numbers
+from undeadzone.ensemble.singles import row
+from undeadzone.ensemble.statistics import Interval
+from undeadzone.ensemble.sweep import sweep
+from undeadzone.ensemble.tune import REACH, Judged, gradient, tune
+from undeadzone.ensemble.tuned import HeldOut, Worth, change
+from undeadzone.ensemble.tuning import Range, Tune
+from undeadzone.ensemble.vary import Distribution, Vary
+from undeadzone.errors import InputError, StructureError
+from undeadzone.observers import HighGain, ParticleFilter, TaylorResidual
+from undeadzone.problem import resolve_scenario
+from undeadzone.run import LIMIT
+from undeadzone.scenario import Scenario, convert, read
+from undeadzone.simulation import prepare as prepare_loop
+from undeadzone.simulation import run_loop
+
+GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
+GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
+
+
+def gusts(**changes: Any) -> Scenario:
+    """The paper's loop at 100 Hz, in gusts, with widths that vary."""
+    found = scene(
+        sensor={"noise": 0.02},
+        simulation={"time": "sampled", "step": 1e-2, "duration": 4.0},
+        disturbance={"kind": "random", "rms": 5.0, "correlation_time": 0.3},
+        ensemble={"entries": {f"sensor.{edge}": {"uniform": [0.3, 2.0]} for edge in ("right", "left")}},
+    )
+    return msgspec.structs.replace(found, **changes)
+
+
+def of(what: Tune, scenario: Scenario, names: list[str], probes: Any) -> Objective:
+    return objective(what, [scenario], [Frame()], names, np.array(probes, float), what.runs, 0)
+
+
+def test_numbers_of_the_options_by_address() -> None:
+    scenario = gusts()
+    known = numbers(scenario)
+    assert known["observer.L[1]"].value == 1.5
+    assert known["observer.gamma"].value == 10.0
+    assert known["controller.poles"].value is None
+    assert "observer.silence" not in known
+    assert "observer.design" not in known
+    changed = with_numbers(scenario, {"observer.L[1]": 7.0, "controller.alpha": 3.0})
+    np.testing.assert_array_equal(changed.observer.L, [1.0, 7.0])
+    assert changed.controller.alpha == 3.0
+    assert numbers(changed) | {"observer.L[1]": known["observer.L[1]"], "controller.alpha": known["controller.alpha"]} == known
+
+
+@pytest.mark.parametrize(
+    ("address", "names"),
+    [
+        ("observer.L", ["observer.L[0]", "observer.L[1]"]),
+        ("observer.L[:,0]", ["observer.L[0]", "observer.L[1]"]),
+        ("observer.L[1,0]", ["observer.L[1]"]),
+        ("observer.gamma[0]", ["observer.gamma"]),
+    ],
+)
+def test_an_address_names_entries(address: str, names: list[str]) -> None:
+    assert [p.name for p in parameters({address: Range(between=(0.0, 20.0))}, gusts())] == names
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "nothing to tune"),
+        ({"observer.gama": (1, 20)}, "did you mean 'observer.gamma'"),
+        ({"plant.A[0,0]": (1, 20)}, "no number of that name in the options; there are controller.K"),
+        ({"observer.L[2]": (1, 20)}, r"there is observer.L\[0\] to observer.L\[1\]"),
+        ({"controller.K[0,1]": (1, 20)}, "the scenario gives no controller.K; write it there"),
+        ({"observer.gamma": (20, 1)}, r"expected \[low, high\] with low < high, found \[20, 1\]"),
+        ({"observer.gamma": (20, 30)}, r"the scenario's observer.gamma = 10 lies outside \[20, 30\]"),
+        ({"observer.gamma": (1, 20), "observer.gamma[0]": (1, 20)}, "tuned twice"),
+    ],
+)
+def test_what_cannot_be_tuned(given: dict[str, tuple[float, float]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        tune(gusts(), Tune(entries={address: Range(between=between) for address, between in given.items()}))
+
+
+@pytest.mark.parametrize(
+    ("what", "scenario", "message"),
+    [
+        (Tune(entries={"observer.gamma": Range(between=(0.0, 20.0), log=True)}), {}, "a logarithmic scale needs positive bounds"),
+        (Tune(entries=GAMMA, metric="rms"), {}, "tune.metric: 'rms' is none of rms_tracking"),
+        (Tune(entries=GAMMA, budget=1), {}, "tune.budget: expected 4 or more, found 1"),
+        (Tune(entries={"observer.epsilon": Range(between=(0.1, 1.0))}, certified=True), {"observer": HighGain()}, "no constant gains L and gamma to certify"),
+        (Tune(entries={"controller.poles": Range(between=(-9.0, -1.0))}), {}, "cannot start from controller.poles = -5: .*exactly one of K, poles, alpha"),
+        (Tune(entries=GAMMA), {"ensemble": Vary(entries={"observer.gamma": Distribution(uniform=(1.0, 2.0))})}, "keep one of them"),
+        (Tune(entries=GAMMA, seed=-1), {}, "tune.seed"),
+    ],
+)
+def test_what_cannot_be_wanted(what: Tune, scenario: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        tune(gusts(**scenario), what)
+
+
+def test_no_gains_of_an_unstable_plant_are_certified() -> None:
+    plant = {"A": [[0.0, 1.0], [1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [0.5, 0.0]}
+    scenario = scene(plant=plant, observer={"method": "certified", "L": [5.0, 6.0]})
+    with pytest.raises(StructureError, match="no gains can be certified: the model is unstable"):
+        tune(scenario, Tune(entries={"observer.gamma": Range(between=(0.1, 10.0))}, certified=True))
+
+
+@pytest.mark.parametrize("table", [{"gamma": {"between": [1, 2]}}, {"observer.gamma": [1, 2]}, {"observer.gamma": {"betwen": [1, 2]}}])
+def test_words_of_the_table(table: dict[str, Any]) -> None:
+    data = {"plant": {}, "tune": table}
+    with pytest.raises(InputError, match=r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')"):
+        convert(data)
+
+
+def test_a_candidate_is_the_run_of_its_own_scenario() -> None:
+    scenario, names = gusts(), ["observer.L[0]", "observer.L[1]", "observer.gamma"]
+    on = of(Tune(entries=GAINS, runs=6), scenario, names, [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
+    points = np.array([[1.0, 1.5, 10.0], [0.3, 8.0, 0.7], [4.0, 30.0, 20.0]])
+    found = on.benches[0].rows([resolve_scenario(on.scenario(0, point)) for point in points])
+    for point, several in zip(points, found, strict=True):
+        alone = prepare(with_numbers(scenario, dict(zip(names, point, strict=True))))
+        values = on.benches[0].values
+        np.testing.assert_allclose(several, alone.rows(np.arange(6), values)[:, values.shape[1] :], rtol=1e-9)
+
+
+def test_the_gradient_by_lanes_is_that_of_single_candidates() -> None:
+    what = Tune(entries=GAINS, runs=6)
+    found = parameters(what.entries, gusts())
+    on = of(what, gusts(), [p.name for p in found], [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
+
+    def costs(u: Floats) -> Floats:
+        points = np.stack([p.value(u[:, i]) for i, p in enumerate(found)], axis=1)
+        return on.costs([problems for problems in on.problems(points) if problems is not None])
+
+    u = np.array([0.5, 0.7, 0.4])
+    worth, slopes = gradient(lambda sides: Judged(costs(sides), np.full(len(sides), np.inf)), u)
+    assert worth.cost[0] == costs(u[None])[0]
+    for i, slope in enumerate(slopes.cost):
+        step = REACH * np.eye(3)[i]
+        ahead, behind = costs((u + step)[None])[0], costs((u - step)[None])[0]
+        assert slope == pytest.approx((ahead - behind) / (2 * REACH), rel=1e-12)
+        small = 1e-5 * np.eye(3)[i]
+        assert slope == pytest.approx((costs((u + small)[None])[0] - costs((u - small)[None])[0]) / 2e-5, rel=0.1, abs=0.03)
+
+
+def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
+    def judge(u: Floats) -> Judged:
+        return Judged(np.where(u[:, 1] > 0.5, np.inf, (u**2).sum(axis=1)), np.full(len(u), np.inf))
+
+    worth, slopes = gradient(judge, np.array([1.0, 0.5]))
+    assert worth.cost[0] == 1.25
+    np.testing.assert_allclose(slopes.cost, [2 - REACH, 1 - REACH])
+    np.testing.assert_array_equal(slopes.margin, 0.0)
+
+
+@pytest.mark.parametrize(("name", "metric"), [("mean", "rms_estimation"), ("median", "rms_tracking")])
+def test_one_gain_is_as_good_as_a_dense_sweep(name: Any, metric: str) -> None:
+    what = Tune(entries=GAMMA, runs=16, held_out=16, budget=60, statistic=name, metric=metric)
+    dense = sweep(gusts(), {"observer.gamma": np.geomspace(0.1, 100.0, 151)}, what)
+    best = dense.axes["observer.gamma"][dense.cost.argmin()]
+    assert 0.2 < best < 50.0
+    found = tune(gusts(), what)
+    assert found.cost[1] <= dense.cost.min() * (1 + 1e-3)
+    assert np.log(found.values[0] / best) == pytest.approx(0.0, abs=0.1)
+    assert len(found.trials) <= 60
+
+
+def test_several_gains_are_better_than_a_grid() -> None:
+    what = Tune(entries=GAINS, runs=16, held_out=64, budget=150)
+    names = ("observer.L[0]", "observer.L[1]", "observer.gamma")
+    grid = sweep(gusts(), {name: np.geomspace(*GAINS[name.partition("[")[0]].between, 7) for name in names}, what)
+    assert grid.cost.shape == (7, 7, 7)
+    found = tune(gusts(), what)
+    assert found.cost[1] < grid.cost.min()
+    assert found.improved
+    assert {trial.stage for trial in found.trials} >= {"start", "global", "gradient"}
+    assert min(trial.cost for trial in found.trials) == found.cost[1]
+
+
+def test_the_certificate_is_kept_where_it_binds() -> None:
+    what = Tune(entries=GAINS, runs=16, held_out=64, budget=150, certified=True, margin=0.02)
+    found = tune(gusts(), what)
+    model = resolve_scenario(found.scenario).model
+    L, gamma = np.reshape(found.values[:2], (2, 1)), np.array(found.values[2:])
+    proof = certify(model.linear, L, gamma, model.Ts)
+    assert proof.certified
+    assert proof.margin == pytest.approx(found.margin)
+    assert 0.02 <= proof.margin < 0.1
+    free = tune(gusts(), msgspec.structs.replace(what, certified=False))
+    assert free.cost[1] < found.cost[1]
+    assert not certify(model.linear, np.reshape(free.values[:2], (2, 1)), np.array(free.values[2:]), model.Ts).certified
+    assert found.improved
+    assert found.certified
+
+
+def test_threads_change_nothing() -> None:
+    what = Tune(entries=GAINS, runs=16, held_out=64, budget=40)
+    one, two = (tune(gusts(), what, threads=threads) for threads in (1, 2))
+    assert one.trials == two.trials
+    assert one.summary() == two.summary()
+
+
+def test_a_rebuilt_option_is_a_lane_too() -> None:
+    scenario = gusts(observer=HighGain(epsilon=0.2))
+    on = of(Tune(runs=4), scenario, ["observer.epsilon", "controller.alpha"], [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]])
+    candidates = on.problems(np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]]))
+    assert candidates[2] is None  # too fast for the sample time
+    kept = [problems for problems in candidates if problems is not None]
+    cost = on.costs(kept)
+    assert on.benches[0].graph == graph(kept[1][0])
+    alone = prepare(kept[1][0].scenario)
+    lost = losses("rms_tracking", on.benches[0], alone.rows(np.arange(4), on.benches[0].values)[:, 2:])
+    assert cost[1] == pytest.approx(lost.mean(), rel=1e-9)
+
+
+def test_an_observer_in_python_runs_the_same_runs() -> None:
+    scenario = gusts(ensemble=None)
+    bench = of(Tune(runs=3), scenario, ["observer.gamma"], [[10.0], [5.0]]).benches[0]
+    problem = resolve_scenario(scenario)
+    for k, expected in enumerate(bench.rows([problem])[0]):
+        loop, state, _ = prepare_loop(problem)
+        found = row(problem, run_loop(loop, state, inputs.exogenous(problem, run=k)))
+        np.testing.assert_allclose(found[0], expected, rtol=1e-9)
+    particles = gusts(ensemble=None, observer=ParticleFilter(right=[0.0, 2.0], particles=10))
+    found = tune(particles, Tune(entries={"observer.noise": Range(between=(0.01, 1.0), log=True)}, runs=2, held_out=2, budget=4))
+    assert len(found.trials) == 4
+    assert found.cost[1] <= found.cost[0]
+    with pytest.raises(InputError, match="computes in Python"):
+        tune(gusts(observer=particles.observer), Tune(entries={"observer.noise": Range(between=(0.01, 1.0))}))
+
+
+def test_another_structure_is_another_graph() -> None:
+    options = [TaylorResidual(reach=6.0, speed=3.0, degree=degree, leak=leak) for degree, leak in ((5, 0.1), (5, 0.2), (7, 0.1))]
+    problems = [resolve_scenario(gusts(observer=each)) for each in options]
+    assert graph(problems[0]) == graph(problems[1]) != graph(problems[2])
+
+
+def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
+    bench = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).benches[0]
+    names = metrics.columns(1)
+    found = np.zeros((5, len(names)))
+    found[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
+    found[:, names.index("diverged")] = [0, 1, 1, 0, 0]
+    found[:, names.index("peak_tracking")] = [1.0, 1e20, 1e20, 4.0, 1e3]
+    found[:, names.index("settling_time")] = [1.0, 3.0, 1.0, 4.0, 4.0]
+    lost = losses("rms_tracking", bench, found)
+    assert lost[0] == 0.1
+    assert lost[3] == 3.0
+    assert LIMIT == lost[4] < lost[1] < lost[2] < 2 * LIMIT
+    found[:, names.index("d_right[0]")] = 5.0
+    np.testing.assert_allclose(losses("d_right_error[0]", bench, found[:1, None].repeat(2, axis=1))[0], 5.0 - bench.values[:, 0])
+
+
+def test_statistics_of_losses() -> None:
+    lost = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))[None]
+    assert [float(statistic(name, lost)[0]) for name in ("mean", "median", "p95", "worst")] == [50.5, 50.0, 95.0, 100.0]
+
+
+def test_the_interval_of_the_change_covers_it() -> None:
+    rng, covered = np.random.default_rng(1), 0
+    on = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]])
+    for seed in range(200):
+        hard = rng.exponential(size=100)
+        found = change(on, [np.stack([hard, 0.9 * hard + 0.05 * rng.normal(size=100)])], seed)
+        covered += found.low <= -0.1 <= found.high
+    assert 0.90 <= covered / 200 <= 0.985
+
+
+def test_better_means_fewer_diverge_or_a_change_that_chance_does_not_explain() -> None:
+    found = tune(gusts(), Tune(entries=GAMMA, runs=4, held_out=8, budget=4))
+    none, some = Interval(0.0, 0.0, 0.1), Interval(0.1, 0.0, 0.2)
+    value = Interval(1.0, 0.9, 1.1)
+
+    def improved(before: Interval, after: Interval, change: Interval) -> bool:
+        return dataclasses.replace(found, held_out=(HeldOut(Worth(value, before), Worth(value, after), 8),), change=change).improved
+
+    assert improved(none, none, Interval(-1.0, -2.0, -0.1))
+    assert not improved(none, none, Interval(-1.0, -2.0, 0.1))
+    assert not improved(none, some, Interval(-1.0, -2.0, -0.1))
+    assert improved(some, none, Interval(1.0, 0.1, 2.0))
+    assert improved(none, none, Interval(-1.0, -np.inf, np.inf))  # the worst of the runs
+
+
+def test_several_scenarios_at_once() -> None:
+    calm = gusts(title="calm", disturbance=None)
+    what = Tune(entries=GAMMA, runs=8, held_out=8, budget=24)
+    frames = [Frame(0.1, 2.0), Frame(0.0, 0.05)]
+    found = tune([gusts(), calm], what, frames=frames)
+    expected = [sweep(scenario, {"observer.gamma": [found.values[0], 10.0]}, what).cost for scenario in (gusts(), calm)]
+    scores = np.mean([(cost - frame.zero) / (frame.one - frame.zero) for cost, frame in zip(expected, frames, strict=True)], axis=0)
+    np.testing.assert_allclose(scores[::-1], found.cost, rtol=1e-9)
+    assert [scenario.title for scenario in found.scenarios] == [gusts().title, "calm"]
+    assert {scenario.observer.gamma for scenario in found.scenarios} == {found.values[0]}
+    assert found.runs == len(found.trials) * 8 * 2
+    with pytest.raises(InputError, match="scenario 'other' has no such number"):
+        tune([gusts(), gusts(title="other", observer=HighGain())], Tune(entries={"observer.L": GAINS["observer.L"]}))
+
+
+def test_runs_that_are_alike_are_one_run() -> None:
+    still = scene(simulation={"time": "sampled", "step": 1e-2})
+    found = tune(still, Tune(entries=GAMMA, budget=12))
+    assert found.change.low == found.change.value == found.change.high
+    assert found.held_out[0].runs == 1
+    assert found.runs == len(found.trials)
+    assert found.improved == (found.cost[1] < found.cost[0])
+
+
+def test_the_command(tmp_path: Path) -> None:
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text(toml.dumps(gusts(tune=Tune(entries=GAMMA, runs=16, held_out=64, budget=40))))
+    words = ["--over", "observer.L=0.01:100:log", "--json", "--out", str(tmp_path / "out")]
+    run = CliRunner().invoke(group, ["tune", str(scenario), *words], standalone_mode=False)
+    assert run.exception is None
+    assert run.return_value == 0
+    found = json.loads(run.stdout)
+    assert found["improved"]
+    assert found["certified"] is None
+    assert found["held_out"]["seed"] == found["seed"] + 1
+    assert len(found["history"]) == found["evaluations"] <= 40
+    tuned = read(tmp_path / "out" / "tuned.toml")
+    assert len(found["parameters"]) == 3
+    assert all(numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"])
+    for name in ("history.png", "around.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 10_000
+    again = CliRunner().invoke(group, ["tune", str(tmp_path / "out" / "tuned.toml"), "--budget", "4", "--no-figures"], standalone_mode=False)
+    assert again.return_value == 1
+    assert "NO improvement" in again.stdout
+
+
+def test_a_tuned_scenario_finds_its_files(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "r.csv").write_text("t,r\n0,0\n1,1\n2,0\n4,1\n")
+    table = msgspec.to_builtins(gusts().simulation)
+    scenario = scene(reference={"kind": "csv", "path": str(tmp_path / "here" / "r.csv")}, simulation=table)
+    found = tune(scenario, Tune(entries=GAMMA, runs=2, held_out=2, budget=4))
+    path = found.save(tmp_path / "there" / "deep" / "tuned.toml")
+    assert resolve_scenario(read(path)).reference is not None
