@@ -75,12 +75,12 @@ def _with(work: Work, step: str, order: int) -> Work:
     return work._replace(problem=work.problem._replace(scenario=msgspec.structs.replace(scenario, simulation=simulation)))
 
 
-def _summed(loop: Loop) -> tuple[ca.Function, ca.Function | None]:
+def _summed(loop: Loop) -> tuple[ca.Function, tuple[ca.Function, ...]]:
     """The loop's step and its rare part, with a last state that sums (z - r)^2 where a last exogenous input is 1."""
-    step, rare = (loop.step, None) if loop.parts is None else loop.parts
+    step, rare = (loop.step, ()) if loop.parts is None else loop.parts
     s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", 1), ("w", 1), ("p", 0))))
     given = (s[:-1], w[:-1], p)
     following, out, *flag = step(*given)
     error = tree.unpack(loop.outputs, out).z - tree.unpack(loop.instant, w).target.r
     usual = ca.Function("summed", [s, w, p], [ca.vertcat(following, s[-1] + w[-1] * error**2), out, *flag])
-    return usual, None if rare is None else ca.Function("rare", [s, w, p], [rare(*given)])
+    return usual, tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)

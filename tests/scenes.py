@@ -68,12 +68,12 @@ def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Es
     s, state = tree.symbols(like, "s")
     u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
     after, estimate = observer.step(params, state, u, Reading(y, side))
-    function = ca.Function("step", [p, s, u, y, side], [*after, *estimate])
+    function = ca.Function("step", [p, s, u, y, side], [*(leaf for _, leaf in tree.leaves(after)), *estimate])
     numbers = tree.pack(observer.params)
 
     def step(state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
-        parts = [value.full().ravel() for value in function(numbers, tree.pack(tuple(state)), u, y, side)]
-        return type(like)(*parts[: len(like)]), Estimate(*parts[len(like) :])
+        parts = iter([value.full().ravel() for value in function(numbers, tree.pack(state), u, y, side)])
+        return tree.rebuild(like, parts), Estimate(*parts)
 
     return step
 

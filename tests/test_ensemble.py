@@ -136,7 +136,7 @@ def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
     assert identical(run.x[-1], last[39, :1])
     found = metrics(run, fleet, 0.04)
     assert found == pytest.approx({name: rows[name][39] for name in found}, rel=1e-12, abs=1e-15)
-    assert np.ptp(rows["rms_estimation"]) > 0
+    assert np.ptp(rows["silent_fraction"]) > 0
     assert not rows["diverged"].any()
 
 

@@ -33,6 +33,7 @@ from .interop import to_scipy as to_scipy
 from .observers import EKF as EKF
 from .observers import UKF as UKF
 from .observers import AdaptiveInverse as AdaptiveInverse
+from .observers import Auto as Auto
 from .observers import Censored as Censored
 from .observers import Certified as Certified
 from .observers import FullState as FullState

@@ -14,11 +14,12 @@ from undeadzone.integrate import hermite, hermite_slope, rk4
 class Arc(NamedTuple):
     """A solution on one branch over a step, or what is left of it: its end; the state, z and dz/dc at a fraction c of it.
 
-    final: z at the end.
+    final: z at the end; onward: z halfway if it went on as it sets out.
     """
 
     end: ca.SX
     final: ca.SX
+    onward: ca.SX
     at: Callable[[Any], ca.SX]
     output: Callable[[Any], ca.SX]
     slope: Callable[[Any], ca.SX]
@@ -35,7 +36,9 @@ def runge_kutta(rate: Callable[[ca.SX, Any, Any], ca.SX], output: Callable[[ca.S
         end = rk4(lambda state, c: rate(state, start + c * rest, mode), x, h * rest, k1)
         k5 = rate(end, 1.0, mode)
         z = (output(x), slope(x, k1), output(end), slope(end, k5), h * rest)
-        return Arc(end, z[2], lambda c: hermite(x, k1, end, k5, h * rest, c), lambda c: hermite(*z, c), lambda c: hermite_slope(*z, c))
+        return Arc(
+            end, z[2], output(x + h * rest / 2 * k1), lambda c: hermite(x, k1, end, k5, h * rest, c), lambda c: hermite(*z, c), lambda c: hermite_slope(*z, c)
+        )
 
     return arc
 
@@ -62,7 +65,9 @@ def taylor(
         z = [output(start), *(seen(start, term) for term in terms[1:])]
         steep = [k * term for k, term in enumerate(z)][1:]
         end = _polynomial(terms, 1.0)
-        return Arc(end, output(end), lambda c: _polynomial(terms, c), lambda c: _polynomial(z, c), lambda c: _polynomial(steep, c))
+        return Arc(
+            end, output(end), output(start + terms[1] / 2), lambda c: _polynomial(terms, c), lambda c: _polynomial(z, c), lambda c: _polynomial(steep, c)
+        )
 
     return arc
 

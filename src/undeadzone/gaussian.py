@@ -34,23 +34,24 @@ def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
     return found, slope
 
 
-def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.0) -> Gaussian:
+def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.0, bend: Callable[[Any], tuple[Any, Any]] | None = None) -> Gaussian:
     """The belief after x+ = f(x) + w, cov w = Q (N x N), to second order; exact for f of degree 2, lasting = 1.
 
     What f bends beyond its mean is not white: it keeps its sign for about `lasting` steps and counts that much more.
+    bend(x) = (G (N x M), b (M)): all that is bent in f(x) is, nearly, in G b(x); with few b, much cheaper.
     """
     P, X = belief.cov, ca.SX.sym("X", belief.mean.shape[0])
     value = f(X)
-    bent = [row for row, nonlinear in enumerate(ca.which_depends(value, X, 2, True)) if nonlinear]
-    curvatures = [ca.hessian(value[row], X)[0] for row in bent]
-    mean, F, *curvatures = ca.substitute([value, ca.jacobian(value, X), *curvatures], [X], [belief.mean])
-    spread = [H @ P for H in curvatures]
-    cov = F @ P @ F.T + Q
-    for row, M in zip(bent, spread, strict=True):
-        mean[row] += ca.trace(M) / 2
-        for column, other in zip(bent, spread, strict=True):
-            cov[row, column] += lasting * ca.dot(M, other.T) / 2
-    return Gaussian(mean, _from_upper(cov))
+    spread, bent = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
+    rows = [row for row, nonlinear in enumerate(ca.which_depends(bent, X, 2, True)) if nonlinear]
+    mean, F, *curvatures = ca.substitute([value, ca.jacobian(value, X), *(ca.hessian(bent[row], X)[0] for row in rows)], [X], [belief.mean])
+    products = [H @ P for H in curvatures]
+    shift, excess = ca.SX(bent.shape[0], 1), ca.SX(bent.shape[0], bent.shape[0])
+    for row, M in zip(rows, products, strict=True):
+        shift[row] = ca.trace(M) / 2
+        for column, other in zip(rows, products, strict=True):
+            excess[row, column] = lasting * ca.dot(M, other.T) / 2
+    return Gaussian(mean + spread @ shift, _from_upper(F @ P @ F.T + Q + spread @ excess @ spread.T))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
@@ -77,6 +78,20 @@ def cut(belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float) -
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
     return Gaussian(mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))), used
+
+
+def within(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
+    """(the belief given low <= x_i <= high, by matching mean and covariance, the log of its chance); unchanged below a chance of 1e-6."""
+    mean, P = belief
+    std = ca.sqrt(P[i, i])
+    a, b = (low - mean[i]) / std, (high - mean[i]) / std
+    chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
+    at_a, at_b = (ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi) for x in (a, b))
+    share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
+    shift = (at_a - at_b) * share
+    along = P[:, i] / std
+    cov = P - (shift**2 + (b * at_b - a * at_a) * share) * (along @ along.T)
+    return Gaussian(mean + shift * along, _from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
 
 
 def mix(first: Gaussian, second: Gaussian, share: Any) -> Gaussian:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -16,7 +17,7 @@ from undeadzone.integrate import rk4
 from undeadzone.observers import Observer, Reading
 from undeadzone.plant import System
 from undeadzone.sensor import Zone, branch, edges, zone
-from undeadzone.switching import Crossing, Located, located_step
+from undeadzone.switching import Attempt, Crossing, located_step
 
 RUNGE_KUTTA = 4  # the order that needs no Taylor series
 HELD = 5  # exogenous inputs of an output that keep their value within a step: the last ones
@@ -93,13 +94,17 @@ class Outputs(NamedTuple):
     left_std: Any
     width_std: Any
     innovation_std: Any
+    w_hat: Any
 
 
-class Rarely(NamedTuple):
-    """A step in two parts: usual(s, w, p) -> (next, out, flag), right where flag is 0; else next is rare(s, w, p)."""
+class Parts(NamedTuple):
+    """A step in parts: usual(s, w, p) -> (next, out, flag), right where flag is 0; else rare[0](s, w, p) -> (next, flag), and so on.
+
+    The last of them is right in any case.
+    """
 
     usual: ca.Function
-    rare: ca.Function
+    rare: tuple[ca.Function, ...]
 
 
 class Loop(NamedTuple):
@@ -114,7 +119,7 @@ class Loop(NamedTuple):
     params: Params
     outputs: Outputs
     instant: Exogenous
-    parts: Rarely | None
+    parts: Parts | None
 
 
 class _Mode(NamedTuple):
@@ -150,9 +155,10 @@ def close(plant: System, sensor: Zone, observer: Observer, controller: Controlle
     elif not located:
         following = _plain_step(wires, state, instant, s_column, columns)
     else:
-        found = _located_step(wires, state, instant, s_column, columns, order)
-        following = ca.if_else(found.crossed, found.finished, found.trial)
-        parts = Rarely(_function("usual", inputs, next=found.trial, out=out, flag=found.crossed), _function("rare", inputs, next=found.finished))
+        first, *others = _located_step(wires, state, instant, s_column, columns, order)
+        following = functools.reduce(lambda later, attempt: ca.if_else(attempt.more, later, attempt.end), [*others[-2::-1], first], others[-1].end)
+        rare = tuple(_function("rare", inputs, next=attempt.end, flag=attempt.more) for attempt in others)
+        parts = Parts(_function("usual", inputs, next=first.end, out=out, flag=first.more), rare)
     shapes = Outputs(*(np.zeros(value.shape[0]) for value in outputs))
     return Loop(_function("step", inputs, next=following, out=out), state, params, shapes, instant, parts)
 
@@ -231,7 +237,7 @@ def _at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
     return ca.vertcat(first + c * (4 * middle - 3 * first - last + c * (2 * (first + last) - 4 * middle)), held)
 
 
-def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX], order: int) -> Located:
+def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX], order: int) -> list[Attempt]:
     """RK4 or a Taylor series with the change of side located inside the step (`switching.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
@@ -267,5 +273,5 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
         return _Mode(*(ca.if_else(crossing.changed, new, old) for new, old in zip(entered, before, strict=True)))
 
     levels = (above - noise.before, below - noise.before)
-    found = located_step(arc, levels, before, after, start)
-    return found._replace(trial=wires.admissible(like, found.trial), finished=wires.admissible(like, found.finished))
+    attempts = located_step(arc, levels, before, after, start)
+    return [attempt._replace(end=wires.admissible(like, attempt.end)) for attempt in attempts]

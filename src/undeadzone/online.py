@@ -33,6 +33,7 @@ class Live(NamedTuple):
     left_std: Floats
     width_std: Floats
     innovation_std: Floats
+    w: Floats
     side: Floats
 
 

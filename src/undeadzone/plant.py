@@ -272,6 +272,13 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
 
 
+def held(model: System) -> Floats:
+    """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w, w held over a step (n x n): the integral of e^(A t)."""
+    assert model.flow is not None
+    assert model.Ts is not None
+    return zoh(model.flow._replace(B=np.eye(model.n)), model.Ts).B
+
+
 def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     """(e^{A Ts}, the covariance that white noise of density W (n x n) per second adds to x' = A x + w over Ts [s]), van Loan (1978)."""
     from scipy.linalg import expm

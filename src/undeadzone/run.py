@@ -46,7 +46,7 @@ class Run:
     x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
     output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
     x_std, d_std, width_std, innovation_std: standard deviations of x_hat, d_hat, d_r^ + d_l^ and innovation, where the
-    observer knows them.
+    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that.
     """
 
     t: Floats
@@ -67,6 +67,7 @@ class Run:
     d_std: Floats | None = None
     width_std: Floats | None = None
     innovation_std: Floats | None = None
+    w_hat: Floats | None = None
 
     @property
     def last(self) -> slice:
@@ -166,8 +167,9 @@ class Run:
     def unit(self, name: str) -> str:
         """The unit of a signal or of one of its columns."""
         units, (signal, _, index) = self.info.units, name.partition("[")
-        if signal in ("x", "x_hat", "x_std"):
-            return units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
+        if signal in ("x", "x_hat", "x_std", "w_hat"):
+            state = units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
+            return f"{state}/s" if signal == "w_hat" else state
         return {"t": "s", "u": units.input, "side": "1", "V": "1"}.get(signal, units.output)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -218,6 +220,7 @@ class Run:
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
+REQUIRED = tuple(field.name for field in dataclasses.fields(Run) if field.name in ARRAYS and field.default is dataclasses.MISSING)
 EDGES = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}  # names of columns
 
 
@@ -234,7 +237,7 @@ def _read_csv(path: Path) -> dict[str, Any]:
     fields: dict[str, Any] = {"info": info, "V": columns.get("V"), "t": columns["t"]}
     for name in set(ARRAYS) - {"t", "V"}:
         parts = [column for key, column in columns.items() if key.partition("[")[0] in EDGES.get(name, (name,))]
-        if parts or not name.endswith("_std"):
+        if parts or name in REQUIRED:
             fields[name] = np.stack(parts, axis=1)
     return fields
 

@@ -12,7 +12,6 @@ import msgspec
 
 from undeadzone.arrays import Array, decode
 from undeadzone.controllers import ControllerOptions
-from undeadzone.declared import Declared
 from undeadzone.ensemble import tuning, vary
 from undeadzone.ensemble.tuning import Tune
 from undeadzone.ensemble.vary import Vary
@@ -20,6 +19,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.explain import explain
 from undeadzone.files import reason
 from undeadzone.observers import ObserverOptions
+from undeadzone.observers.claims import Claims
 from undeadzone.plant import Plant
 from undeadzone.sensor import Sensor
 from undeadzone.signals import Disturbance, Signal
@@ -79,7 +79,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     units: Units = Units()
     ensemble: Vary | None = None
     tune: Tune | None = None
-    declared: Declared | None = None
+    declared: Claims | None = None
     title: str = "Untitled"
 
 

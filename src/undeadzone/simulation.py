@@ -116,7 +116,7 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
     scenario = problem.scenario
     t = np.arange(problem.steps + 1) * scenario.simulation.step
     d_hat, d_std = (np.stack(pair, axis=2).reshape(t.size, -1) for pair in ((signal.right, signal.left), (signal.right_std, signal.left_std)))
-    stds = {"x_std": signal.x_std, "d_std": d_std, "width_std": signal.width_std, "innovation_std": signal.innovation_std}
+    optional = {"x_std": signal.x_std, "d_std": d_std, "width_std": signal.width_std, "innovation_std": signal.innovation_std, "w_hat": signal.w_hat}
     truth = np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
     proof = certificate(problem)
     V = None
@@ -145,5 +145,5 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
             seconds=time.perf_counter() - began,
             units=scenario.units,
         ),
-        **{name: value for name, value in stds.items() if value.size},
+        **{name: value for name, value in optional.items() if value.size},
     )  # fmt: skip

@@ -34,12 +34,11 @@ class Crossing(NamedTuple):
     rising: Any
 
 
-class Located(NamedTuple):
-    """A step on its first branch, whether the side changed on it, and the step finished on the second branch if so."""
+class Attempt(NamedTuple):
+    """The end of a step with so many changes of side located, and whether there may be one more."""
 
-    trial: Any
-    crossed: Any
-    finished: Any
+    end: ca.SX
+    more: ca.SX
 
 
 def located_step(
@@ -48,25 +47,35 @@ def located_step(
     first: Branch,
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
-) -> Located:
-    """A step from x with the changes of side inside it located: `finished` where there may be one, else `trial`.
+) -> list[Attempt]:
+    """A step from x: as if no side changed, with one simple change of side located, with `CHANGES` of them and turns of z.
 
-    The side is right above levels[0], left below levels[1] of z. The arc from (x, 0) runs on the branch `first`, to the
-    earliest change; another runs from there on second(first, crossing), and so on: `CHANGES` of them, an excursion that
-    ends before the step does included. Branch-free, and `trial` costs little more than one arc does.
+    The first attempt that needs no more is right, or the last. The side is right above levels[0], left below levels[1]
+    of z. An arc from (x, 0) runs on the branch `first`, to the earliest change; another runs from there on second(first,
+    crossing), and so on. An excursion that ends before the step does is two changes. Branch-free, and the first attempt
+    costs little more than its arc.
     """
     whole = arc(x, 0.0, first)
-    onward = whole.output(0.0) + whole.slope(0.0) / 2
-    changed = ca.logic_or(_beyond(whole.final, levels, first.side), _beyond(onward, levels, first.side))
-    mode, now, begin, done = first, whole, ca.SX(0.0), whole.end
-    for _ in range(CHANGES):
-        crossing, c = _earliest(now, levels, mode.side)
-        split = ca.mmin(c)
-        mode = second(mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split)))
-        begin = begin + (1.0 - begin) * split
-        now = arc(now.at(split), begin, mode)
-        done = ca.if_else(ca.sum1(crossing.changed) > 0, now.end, done)
-    return Located(whole.end, ca.sum1(changed) > 0, done)
+    attempts = [Attempt(whole.end, _perhaps(whole, levels, first.side))]
+    for changes, full in ((1, False), (CHANGES, True)):
+        mode, now, begin, end, found = first, whole, ca.SX(0.0), whole.end, ca.SX(0.0)
+        for _ in range(changes):
+            crossing, c = _earliest(now, levels, mode.side, full)
+            split = ca.mmin(c)
+            mode = second(mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split)))
+            begin = begin + (1.0 - begin) * split
+            now = arc(now.at(split), begin, mode)
+            found = ca.sum1(crossing.changed) > 0
+            end = ca.if_else(found, now.end, end)
+        turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
+        more = ca.logic_or(ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side)))
+        attempts.append(Attempt(end, more))
+    return attempts
+
+
+def _perhaps(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+    """Whether the side may change on an arc: it is another at the end, or would be if z went on as it sets out for half of it."""
+    return ca.sum1(ca.logic_or(_beyond(arc.final, levels, side), _beyond(arc.onward, levels, side))) > 0
 
 
 def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
@@ -75,11 +84,14 @@ def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
     return ca.logic_or((z > above) != (side > 0), (z < below) != (side < 0))
 
 
-def _earliest(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> tuple[Crossing, ca.SX]:
-    """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none."""
+def _earliest(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool) -> tuple[Crossing, ca.SX]:
+    """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none.
+
+    full: mind where z turns; else it is taken to move one way.
+    """
     above, below = levels
     z0, z1, s0, s1 = arc.output(0.0), arc.final, arc.slope(0.0), arc.slope(1.0)
-    turns = s0 * s1 < 0
+    turns = s0 * s1 < 0 if full else ca.SX.zeros(s0.shape)
     turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
     peak = arc.output(turn)
     ends = _beyond(z1, levels, side)

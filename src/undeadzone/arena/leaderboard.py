@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Container, Sequence
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
-from undeadzone.arena.metric import Result
+from undeadzone.arena.metric import Result, Worth
 from undeadzone.arrays import Floats
 from undeadzone.ensemble.statistics import LEVEL, Interval
 
@@ -21,11 +21,14 @@ RESAMPLES: Final = 2000
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """A method's place.
 
-    median_regret, worst_regret: over scenarios, of the mean over seeds, with their intervals; estimation, width, centre, coverage, cost:
-    medians (coverage: mean) over the runs that have one; diverged, not_applicable: shares of all runs.
+    median_regret, worst_regret: over scenarios, of the mean over seeds, with 95 % intervals; worst_scenario: where. Of the runs that
+    did not diverge: tracking: mean rms of z - r [z]; estimation: mean rms of z - z^ [z]; width, centre: median errors where identifiable;
+    coverage: mean; None where no run has one. settled, diverged, not_applicable: shares of all runs. cost: of a step, in those of
+    the naive observer, median over scenarios.
     """
 
     method: str
+    reference: bool
     median_regret: float
     median_interval: tuple[float, float]
     worst_regret: float
@@ -33,11 +36,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     worst_scenario: str
     diverged: float
     not_applicable: float
+    settled: float
+    tracking: float | None
     estimation: float | None
     width: float | None
     centre: float | None
     coverage: float | None
-    settled: float
+    effort: float | None
+    slew: float | None
     cost: float | None
 
 
@@ -53,41 +59,51 @@ def regrets(results: Sequence[Result]) -> dict[str, Floats]:
         return {name: np.where(np.isnan(own), np.nan, np.fmin((own - full) / (naive - full), CAP)) for name, own in J.items()}
 
 
-def leaderboard(results: Sequence[Result], seed: int = 0) -> list[Row]:
-    """The methods by median regret. Where one is not applicable its regret counts REFUSED."""
-    by_method: dict[str, list[Result]] = {}
-    for result in results:
-        by_method.setdefault(result.method, []).append(result)
+def leaderboard(results: Sequence[Result], references: Container[str] = (), seed: int = 0) -> list[Row]:
+    """The methods by median regret, of equals by the worst. Where one is not applicable its regret counts REFUSED."""
     found = regrets(results)
-    scenarios = list(dict.fromkeys(r.scenario for r in results))
-    return sorted((_row(name, found[name], own, scenarios, by_method[FRAME[1]], seed) for name, own in by_method.items()), key=lambda row: row.median_regret)
+    scenarios = list(dict.fromkeys(result.scenario for result in results))
+    times = {name: _times(results, name) for name in found}
+    rows = []
+    for name, regret in found.items():
+        own = [result for result in results if result.method == name]
+        counted = np.where(np.isnan(regret), REFUSED, regret)
+        median, worst = intervals(counted, seed)
+        done = [result.worth for result in own if result.worth is not None]
+        kept = [worth for worth in done if not worth.diverged]
+        ratios = [times[name][scenario] / times[FRAME[1]][scenario] for scenario in times[name]]
+        rows.append(
+            Row(
+                method=name,
+                reference=name in references,
+                median_regret=median.value,
+                median_interval=(median.low, median.high),
+                worst_regret=worst.value,
+                worst_interval=(worst.low, worst.high),
+                worst_scenario=scenarios[int(counted.mean(axis=1).argmax())],
+                diverged=(len(done) - len(kept)) / len(own),
+                not_applicable=1 - len(done) / len(own),
+                settled=sum(worth.settling is not None for worth in kept) / len(own),
+                cost=float(np.median(ratios)) if ratios else None,
+                **{field: _over(kept, field, np.mean) for field in ("tracking", "estimation", "coverage")},
+                **{field: _over(kept, field, np.median) for field in ("width", "centre", "effort", "slew")},
+            )
+        )
+    return sorted(rows, key=lambda row: (row.median_regret, row.worst_regret))
 
 
-def _row(name: str, regret: Floats, own: Sequence[Result], scenarios: list[str], naive: Sequence[Result], seed: int) -> Row:
-    counted = np.where(np.isnan(regret), REFUSED, regret)
-    each = counted.mean(axis=1)
-    done = [r.worth for r in own if r.worth is not None]
+def _over(kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]) -> float | None:
+    values = [value for worth in kept if (value := getattr(worth, field)) is not None]
+    return float(statistic(values)) if values else None
 
-    def typical(field: str) -> float | None:
-        values = [value for worth in done if not worth.diverged and (value := getattr(worth, field)) is not None]
-        return None if not values else float(np.mean(values) if field == "coverage" else np.median(values))
 
-    costs = {(r.scenario, r.seed): r.worth.cost for r in naive if r.worth is not None}
-    ratios = [r.worth.cost / costs[r.scenario, r.seed] for r in own if r.worth is not None]
-    median, worst = intervals(counted, seed)
-    return Row(
-        method=name,
-        median_regret=median.value,
-        median_interval=(median.low, median.high),
-        worst_regret=worst.value,
-        worst_interval=(worst.low, worst.high),
-        worst_scenario=scenarios[int(each.argmax())],
-        diverged=sum(worth.diverged for worth in done) / len(own),
-        not_applicable=1 - len(done) / len(own),
-        settled=sum(worth.settling is not None for worth in done) / len(own),
-        cost=float(np.median(ratios)) if ratios else None,
-        **{field: typical(field) for field in ("estimation", "width", "centre", "coverage")},
-    )
+def _times(results: Sequence[Result], name: str) -> dict[str, float]:
+    """Seconds per step by scenario: the least of the seeds, since other work on the machine only adds."""
+    found: dict[str, float] = {}
+    for result in results:
+        if result.method == name and result.worth is not None:
+            found[result.scenario] = min(result.worth.cost, found.get(result.scenario, np.inf))
+    return found
 
 
 def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:

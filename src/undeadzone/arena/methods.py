@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import difflib
-import functools
 import math
-import tomllib
 from collections.abc import Callable, Mapping
-from importlib.resources import files
+from importlib.resources import as_file, files
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, get_args
 
@@ -15,6 +14,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.arena.situation import UNITS, Ground, Situation, situation
+from undeadzone.arena.tuned import load
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
 from undeadzone.design.passivity import passive_gain
 from undeadzone.errors import InputError
@@ -45,6 +45,7 @@ from undeadzone.observers import (
 from undeadzone.scenario import Scenario
 
 Options = dict[str, Any]
+Numbers = Mapping[str, Mapping[str, float]]  # of the knobs, by method and address
 NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
@@ -95,7 +96,7 @@ def _readable(s: Situation, k: Mapping[str, float]) -> Options:
 
 
 def _bounded(s: Situation, k: Mapping[str, float]) -> Options:
-    return {"observer.disturbance": SURELY * np.hypot(s.declared.disturbance, s.declared.bias)}
+    return {"observer.disturbance": SURELY * math.hypot(s.gusts, s.bias)}
 
 
 NAIVE: Final = 2.0  # poles of the naive observer, in those of the closed loop
@@ -162,12 +163,12 @@ def require(name: str) -> str:
     return name
 
 
-@functools.cache
-def tuned() -> Mapping[str, Mapping[str, float]]:
-    """The numbers that `undeadzone arena --tune` found, by method and knob."""
-    path = files("undeadzone.arena").joinpath("tuned.toml")
-    found = tomllib.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return MappingProxyType({name: MappingProxyType(entry["knobs"]) for name, entry in found.get("methods", {}).items()})
+def numbers(path: Path | None = None) -> Numbers:
+    """Of the knobs, by method, as `undeadzone arena --tune` found them: in a file of one's own, or those that come with the package. Raises FileError."""
+    if path is None:
+        with as_file(files("undeadzone.arena") / "tuned.toml") as own:
+            return numbers(own)
+    return {name: entry.knobs for name, entry in load(path).methods.items()}
 
 
 def middle(method: Method) -> dict[str, float]:
@@ -199,6 +200,6 @@ def _declared(part: str, names: set[str], s: Situation) -> Options:
     p = s.model.p
     claims = {name: value for name, value in msgspec.structs.asdict(s.declared).items() if value is not None}
     if "correlation_time" not in names:
-        del claims["disturbance"]  # of another colour there
+        claims.pop("disturbance", None)  # of another colour there
     guess, most = s.widths.mean(axis=1).reshape(2, p).T, s.widths[:, 1].reshape(2, p).max(axis=0)
     return claims | {"widths0": guess, "width_max": most, "reach": s.reach if part == "controller" else s.reach[0], "scale": s.reach[0]}

@@ -15,7 +15,8 @@ import numpy as np
 from undeadzone import inputs, live, tree
 from undeadzone.arena.grounds import scenarios as scenarios_of
 from undeadzone.arena.leaderboard import FRAME
-from undeadzone.arena.methods import NOTHING, Method, catalogue, entered, require, tuned
+from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, entered, require
+from undeadzone.arena.methods import numbers as built_in
 from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.situation import Ground, situation
 from undeadzone.arrays import Floats
@@ -80,27 +81,27 @@ def score(
     scenarios: Mapping[str, Scenario] | None = None,
     seeds: Sequence[int] = (0, 1, 2),
     *,
-    numbers: Mapping[str, Mapping[str, float]] | None = None,
+    numbers: Numbers | None = None,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Result]:
     """The results of methods (default: all) on scenarios (default: those held out), with the two lines that make a regret (FRAME).
 
     methods: names in the catalogue, or methods of one's own by name, which run in this process. numbers: of their knobs
-    (default: `tuned`). processes: default one per processor. progress: told of the runs just done. Raises InputError and its kinds.
+    (default: those that come with the package). processes: default one per processor. progress: told of the runs just done. Raises InputError and its kinds.
     """
     own = methods if isinstance(methods, Mapping) else {}
     named = list(catalogue()) if methods is None else [] if own else [require(name) for name in methods]
     names = list(dict.fromkeys([*FRAME, *named, *own]))
-    values = tuned() if numbers is None else numbers
+    values = built_in() if numbers is None else numbers
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
     jobs = [Job(name, own.get(name), title, given, tuple(seeds), dict(values.get(name, {}))) for title, given in grounds.items() for name in names]
-    found = dict.fromkeys(range(len(jobs)), list[Result]())
+    found: list[list[Result]] = [[] for _ in jobs]
     for k, results in _done(jobs, 1 if own else processes):
         found[k] = results
         if progress is not None:
             progress(len(results))
-    return [result for results in found.values() for result in results]
+    return [result for results in found for result in results]
 
 
 def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, list[Result]]]:

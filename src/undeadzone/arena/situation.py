@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.arrays import Floats
-from undeadzone.declared import Declared
+from undeadzone.errors import InputError
+from undeadzone.observers.claims import Claims
 from undeadzone.observers.filtering import declared as ranges
 from undeadzone.observers.injection import fast_gain, fastest_pole
-from undeadzone.observers.joint import quarter_period
-from undeadzone.plant import System
+from undeadzone.observers.unknowns import time_scale
+from undeadzone.plant import Matrices, System, sampled_noise
 from undeadzone.problem import Problem, resolve_scenario
 from undeadzone.scenario import Scenario
 
 VAGUE: Final = 3.0  # largest width of the scenario's own sensor, in which its widths are taken to lie where nothing is declared
-
-
 MARGIN: Final = 1.2  # beyond what the reference asks for
+SWING: Final = 0.5  # rms, in largest widths, by which a disturbance of which nothing is declared moves z in a quarter period
 
 
 class Situation(NamedTuple):
@@ -32,7 +32,7 @@ class Situation(NamedTuple):
     """
 
     kind: str
-    declared: Declared
+    declared: Claims
     model: System
     widths: Floats
     reach: Floats
@@ -49,16 +49,41 @@ class Situation(NamedTuple):
         return fastest_pole(self.model)
 
     @property
+    def flow(self) -> Matrices:
+        """The model in continuous time."""
+        return self.model.linear if self.model.flow is None else self.model.flow
+
+    @property
+    def quarter(self) -> float:
+        """A quarter period of the plant; 1 s of one that only integrates [s]."""
+        try:
+            return time_scale(self.flow)
+        except InputError:
+            return 1.0
+
+    @property
     def correlation(self) -> float:
-        """The declared correlation time of the disturbance [s]."""
-        given = self.declared.correlation_time
-        return quarter_period(self.model) if given is None else given
+        """The correlation time of the disturbance [s]."""
+        return self.quarter if self.declared.correlation_time is None else self.declared.correlation_time
+
+    @property
+    def bias(self) -> float:
+        """The rms of a constant input disturbance [u]."""
+        return 0.0 if self.declared.bias is None else float(np.max(self.declared.bias))
+
+    @property
+    def gusts(self) -> float:
+        """The rms of the input disturbance [u]."""
+        if self.declared.disturbance is not None:
+            return float(np.max(self.declared.disturbance))
+        A, B, C = self.flow
+        reached = float(np.diag(C @ sampled_noise(A, B @ B.T, self.quarter)[1] @ C.T).max())
+        return SWING * self.width / math.sqrt(2 * self.correlation * reached)
 
     @property
     def white(self) -> float:
-        """The rms of a disturbance that is new at every sample and moves the state as far as the declared one, bias included [u]."""
-        rms = np.hypot(np.max(self.declared.disturbance), np.max(self.declared.bias))
-        return float(rms * np.sqrt(2 * self.correlation / (self.model.Ts or 1e-3)))
+        """The rms of a disturbance that is new at every sample and moves the state as far as bias and gusts do [u]."""
+        return math.hypot(self.gusts, self.bias) * math.sqrt(2 * self.correlation / (self.model.Ts or self.correlation))
 
     def gain(self, speed: float) -> Floats:
         """L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
@@ -74,7 +99,7 @@ UNITS: Final[Mapping[str, Callable[[Situation], float]]] = MappingProxyType(
         "1/s^2": lambda s: s.pole**2,
         "z/s": lambda s: s.width * s.pole,
         "z/s^n": lambda s: s.width * s.pole ** (s.model.n / s.model.p),
-        "u": lambda s: max(float(np.max(s.declared.disturbance)), float(np.max(s.declared.bias))),
+        "u": lambda s: math.hypot(s.gusts, s.bias),
         "white u": lambda s: s.white,
     }
 )
@@ -95,18 +120,17 @@ def situation(scenario: Scenario) -> Ground:
     return Ground(scenario, Situation(scenario.sensor.kind, given, problem.model, widths, _reach(problem, float(widths.max())), _tempo(problem)))
 
 
-def declaration(scenario: Scenario) -> Declared:
+def declaration(scenario: Scenario) -> Claims:
     """What the scenario declares; else what its observer is told; else that widths lie between 0 and VAGUE times the largest."""
     if scenario.declared is not None:
         return scenario.declared
     observer = scenario.observer
-    names = {field.name for field in msgspec.structs.fields(Declared)}
-    told = {name: value for name in names if (value := getattr(observer, name, None)) is not None and not isinstance(value, dict)}
+    told = {name: value for name in Claims.__struct_fields__ if (value := getattr(observer, name, None)) is not None}
     if "right" in told:
-        return Declared(**told)
+        return Claims(**told)
     most = getattr(observer, "width_max", None)
-    limit = VAGUE * np.max([np.max(scenario.sensor.right), np.max(scenario.sensor.left)]) if most is None else np.max(most)
-    return Declared(right=np.array([0.0, float(limit)]))
+    limit = VAGUE * max(np.max(scenario.sensor.right), np.max(scenario.sensor.left)) if most is None else np.max(most)
+    return Claims(right=np.array([0.0, float(limit)]))
 
 
 def _reach(problem: Problem, width: float) -> Floats:

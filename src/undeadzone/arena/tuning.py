@@ -3,49 +3,26 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import msgspec
 import numpy as np
 
-from undeadzone import toml
 from undeadzone.arena.leaderboard import FRAME, REFUSED, regrets
 from undeadzone.arena.methods import Method, catalogue, middle
 from undeadzone.arena.metric import Result
 from undeadzone.arena.run import trial
 from undeadzone.arena.situation import Ground, situation
+from undeadzone.arena.tuned import Found, Tuned
 from undeadzone.arrays import Floats
 from undeadzone.design.search import evolve
-from undeadzone.files import write_text
 from undeadzone.scenario import Scenario
 
 BUDGET: Final = 60  # candidates of a method
 SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
 SPREAD: Final = 0.25  # first steps of the search, as a share of a range
-
-
-class Found(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one method: numbers of its knobs, in the units of `situation.UNITS`; mean regret over the tuning scenarios, with them and before."""
-
-    regret: float
-    before: float
-    candidates: int
-    knobs: dict[str, float]
-
-
-class Tuned(msgspec.Struct, frozen=True, kw_only=True):
-    """How the numbers were found, and they. seeds: of the runs; search: of the evolution."""
-
-    budget: int
-    seeds: list[int]
-    search: int
-    scenarios: list[str]
-    methods: dict[str, Found]
 
 
 def tune(
@@ -104,16 +81,3 @@ def mean_regret(method: Method, grounds: Mapping[str, Ground], frame: list[Resul
     own = [result for title, ground in grounds.items() for result in trial("own", method, title, ground, seeds, numbers)]
     found = regrets([*frame, *own])["own"]
     return float(np.where(np.isnan(found), REFUSED, found).mean())
-
-
-def save(found: Tuned, path: Path) -> Path:
-    """Write the numbers as TOML; of methods that were not tuned now, those already in the file stay. Raises FileError."""
-    kept = load(path)["methods"] if path.is_file() else {}
-    methods = kept | {name: msgspec.structs.asdict(each) for name, each in found.methods.items()}
-    text = toml.dumps(msgspec.structs.replace(found, methods={name: Found(**methods[name]) for name in sorted(methods)}))
-    return write_text(f"# Written by undeadzone arena --tune. Numbers are in the units that arena/methods.py names.\n{text}", path)
-
-
-def load(path: Path) -> dict[str, Any]:
-    """What `save` wrote."""
-    return tomllib.loads(path.read_text(encoding="utf-8"))

@@ -9,6 +9,7 @@ import sys
 import click
 
 import undeadzone
+from undeadzone.cli.arena import arena
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ensemble import ensemble
@@ -35,13 +36,14 @@ def group() -> None:
     undeadzone design mine.toml       find gains with a proof, and the trade between rate and noise
     undeadzone ensemble mine.toml     run it thousands of times with what may vary
     undeadzone tune mine.toml         find the gains that do best over such runs
+    undeadzone arena mine.toml        compare all methods on it
     undeadzone watch mine.toml < log  estimate from samples as they come
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable); 2 bad input.
     """
 
 
-for command in (paper, run, ensemble, tune, check, design, init, watch):
+for command in (paper, run, ensemble, tune, arena, check, design, init, watch):
     group.add_command(command)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 NAMES = (
     "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
-    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "side",
+    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "w_hat", "side",
 )  # fmt: skip
 
 

@@ -36,13 +36,13 @@ class Measured(NamedTuple):
     """
 
     step: ca.Function
-    rare: ca.Function | None
+    rare: tuple[ca.Function, ...]
     tally: Tally
 
 
 def measured(loop: Loop, tracked: list[int]) -> Measured:
     """The loop with its metrics."""
-    step, rare = (loop.step, None) if loop.parts is None else loop.parts
+    step, rare = (loop.step, ()) if loop.parts is None else loop.parts
     zero = Tally(*np.zeros((6, 1)), *np.zeros((2, loop.outputs.right.size)))
     kept = tree.size(zero)
     s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1))))
@@ -55,7 +55,7 @@ def measured(loop: Loop, tracked: list[int]) -> Measured:
         tree.unpack(zero, s[-kept:]), outputs, params.scale.reference * instant.target.r, tracked, w[-2], w[-1], p[-1] * ca.fabs(params.scale.reference)
     )
     results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
-    parts = None if rare is None else ca.Function("rare", [s, w, p], [rare(*given)])
+    parts = tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)
     return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
 
 

@@ -68,7 +68,8 @@ def _recorded(fleet: Fleet, runs: Integers, values: Floats, outputs: list[int], 
 
 def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     """The kernel called for `every` steps at a time, which records its states and own inputs before each call."""
-    states, own, width = kernel.sizes[0], len(kernel.exogenous), kernel.width
+    shape = kernel.shape
+    states, own, width = shape.sizes[0], len(shape.exogenous), shape.width
 
     def block(steps: int, work: Floats, exogenous: Floats, params: Floats, inputs: Floats, outputs: Floats) -> None:
         now, nothing = work.reshape(kernel.rows, -1)[:states, :width], np.empty(0)
@@ -77,7 +78,7 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
             outputs[k, :states], outputs[k, states:] = now, inputs[k]
             kernel.block(min(every, steps - k), work, exogenous[k : k + every].ravel(), params, inputs[k : k + every].ravel(), nothing)
 
-    return kernel._replace(block=block, record=tuple(range(states + own)))
+    return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))
 
 
 def _problem(fleet: Fleet, values: Floats, what: str) -> Problem:

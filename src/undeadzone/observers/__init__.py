@@ -1,6 +1,7 @@
 """The catalogue of observers: one file each. To add one, write its file and name its options class here."""
 
 from undeadzone.observers.adaptive_inverse import AdaptiveInverse
+from undeadzone.observers.auto import Auto
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.ekf import EKF
@@ -24,13 +25,13 @@ from undeadzone.observers.ukf import UKF
 from undeadzone.observers.walcott_zak import WalcottZak
 
 ObserverOptions = (
-    Certified | Kalman | Censored | Luenberger | Oracle | FullState | Printed | EKF | UKF | ParticleFilter | MovingHorizon
+    Auto | Certified | Kalman | Censored | Luenberger | Oracle | FullState | Printed | EKF | UKF | ParticleFilter | MovingHorizon
     | WalcottZak | SuperTwisting | HighGain | Interval
     | AdaptiveInverse | RobustGradient | FuzzyResidual | RBFResidual | TaylorResidual | InverseNetwork
 )  # fmt: skip
 
 __all__ = [
-    "EKF", "UKF", "AdaptiveInverse", "Censored", "Certified", "Estimate", "FullState", "FuzzyResidual", "HighGain", "Interval",
+    "EKF", "UKF", "AdaptiveInverse", "Auto", "Censored", "Certified", "Estimate", "FullState", "FuzzyResidual", "HighGain", "Interval",
     "InverseNetwork", "Kalman", "Luenberger", "MovingHorizon", "NumericObserver", "Observer", "ObserverOptions",
     "Oracle", "ParticleFilter", "Printed", "RBFResidual", "Reading", "RobustGradient", "SuperTwisting",
     "TaylorResidual", "WalcottZak",

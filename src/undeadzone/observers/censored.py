@@ -2,54 +2,67 @@
 
 from __future__ import annotations
 
-import msgspec
+import numpy as np
 
-from undeadzone.arrays import Array, nonnegative, scalar
+from undeadzone.arrays import nonnegative, scalar
 from undeadzone.errors import InputError
+from undeadzone.observers.bank import bank
+from undeadzone.observers.claims import Claims
 from undeadzone.observers.filtering import measured_filter, prior
 from undeadzone.observers.interface import Observer
-from undeadzone.observers.unknowns import coloured, time_scale, tolerances, unknowns
+from undeadzone.observers.joint import agitation, quarter_period
+from undeadzone.observers.unknowns import coloured, tolerances, unknowns
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
+BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is given
+SWING = 0.5  # rms, in largest widths, by which the disturbance moves z in a quarter period, unless it is given
+OFFSET = 0.25  # bias, in disturbances, unless it is given
+WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is given
+FALL = 4.0  # from one level of the disturbance to the next
 
-class Censored(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="censored"):
+
+class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="censored"):
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong; sampled time.
 
-    right, left, noise, x_std, drift: as for `Kalman`. disturbance: rms of a coloured input disturbance [u], one or one
-    per input: first-order noise of that correlation_time [s] (default: a quarter period of the plant), or with a
-    washout_time [s] one without constant part. bias: rms of an unknown constant at the input [u], one or one
-    per input; calibrated: probability that it is only a tenth of that. tolerance: relative rms error of the model: of every
-    entry of A and B but in rows that only say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a
-    nonlinear plant. silence: false ignores the silent samples.
+    right, left, noise, x_std, drift: as for `Kalman`. disturbance: rms that a coloured input disturbance may have [u], one
+    or one per input: first-order noise of that correlation_time [s] (default: a 16th of the plant's period; 1/4 s if it
+    only integrates), or with a washout_time [s] one without constant part. levels: how many rms are weighed by what the readings say,
+    each a quarter of the one before; 1 takes the given one. bias: rms of an unknown constant at the input [u], one or one
+    per input; calibrated: probability that there is none. tolerance: relative rms error of the model: of every entry of A and B but
+    in rows that only say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear plant.
+    silence: false ignores the silent samples, and the ranges but as a prior. Defaults doubt: the disturbance moves z by half of the largest width in a
+    quarter period, rms, the bias is a quarter of it, widths walk by a 400th of the largest in 1 s; 0 is a claim.
     """
 
-    right: Array
-    left: Array | None = None
-    noise: Array | None = None
-    x_std: Array | None = None
-    drift: float = 0.0
-    disturbance: Array = 0.0
-    correlation_time: float | None = None
     washout_time: float | None = None
-    bias: Array = 0.0
-    calibrated: float = 0.0
-    tolerance: float | dict[str, float] = 0.0
+    levels: int = 3
     silence: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
-        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
-        assert model.Ts is not None
-        assert model.flow is not None
-        correlation = time_scale(model.flow) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
+        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR)
+        Ts = model.Ts
+        assert Ts is not None
+        correlation = BRIEF * quarter_period(model) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
         washout = None if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
         for key, value in (("correlation_time", correlation), ("washout_time", washout)):
-            if value is not None and not 0.1 * model.Ts <= value <= 1e6 * model.Ts:
-                raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {model.Ts:g} s, found {value:.4g} s")
+            if value is not None and not 0.1 * Ts <= value <= 1e6 * Ts:
+                raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {value:.4g} s")
+        if not 1 <= self.levels <= 10:
+            raise InputError(f"observer.levels: expected 1 to 10, found {self.levels}")
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
-        rms, bias = (nonnegative(f"observer.{key}", getattr(self, key), model.m, "one per input") for key in ("disturbance", "bias"))
-        if calibrated >= 1 or (calibrated and not bias.any()):
-            raise InputError(f"observer.calibrated: must be a probability below 1, and bias must be given, found {calibrated:g} with bias {bias.tolist()}")
-        extension = unknowns(model, coloured(correlation, washout, model.Ts), rms, bias, calibrated, tolerances(model, self.tolerance))
-        return measured_filter(model, sensor, believed, extension, max(1.0, correlation / model.Ts), self.silence)
+        if calibrated >= 1:
+            raise InputError(f"observer.calibrated: must be a probability below 1, found {calibrated:g}")
+        usual = agitation(model, SWING * believed.ranges.max()) * np.sqrt(Ts / 2 / correlation)  # as strong as the white one at low frequencies
+        rms, bias = (
+            default if given is None else nonnegative(f"observer.{key}", given, model.m, "one per input")
+            for key, given, default in (("disturbance", self.disturbance, usual), ("bias", self.bias, OFFSET * usual))
+        )
+        colour, tolerance = coloured(correlation, washout, Ts), tolerances(model, self.tolerance)
+        lasting = max(1.0, correlation / Ts)
+        members = [
+            measured_filter(model, sensor, believed, unknowns(model, colour, rms / FALL**level, bias, calibrated, tolerance), lasting, self.silence)
+            for level in range(self.levels if rms.any() else 1)
+        ]
+        return members[0] if len(members) == 1 else bank(members)

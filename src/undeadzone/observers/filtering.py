@@ -11,9 +11,9 @@ import numpy as np
 
 from undeadzone.arrays import Array, Floats, array, nonnegative, scalar
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.gaussian import Gaussian, cut, linearise, predict, symmetric, triangle, update
+from undeadzone.gaussian import Gaussian, cut, linearise, mix, predict, symmetric, triangle, update, within
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.plant import System
+from undeadzone.plant import System, held
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
 
 DOUBT = 1.6448536269514722  # a silent sensor is heard where the belief contradicts it with more than 5 %
@@ -24,7 +24,7 @@ class Prior(NamedTuple):
     """What is believed before the first reading of [x; d_r; d_l] (n + 2p), and of the sensor (p each).
 
     R: variance of a reading on an active side [z^2]; gate: |y| that is surely not silent [y]; drift: variance that the
-    widths gain each step (2p) [z^2].
+    widths gain each step (2p) [z^2]; ranges: declared ones of all d_r, then all d_l (2p x 2) [z].
     """
 
     mean: Floats
@@ -32,24 +32,27 @@ class Prior(NamedTuple):
     R: Floats
     gate: Floats
     drift: Floats
+    ranges: Floats
 
 
 class Extension(NamedTuple):
     """The model's motion with E further unknowns beside [x; d], of mean 0 and covariance cov (E x E) at first.
 
     move(q, x, extra, u): (x+, extra+); noise(q, x, u): covariances (n x n, E x E) that a step adds to them; q: Params.
-    read(q, belief): the belief that is shown in place of the filter's own.
+    small(q, belief): the belief if some claim is stronger than the filter takes it, and the log of its odds; None: there is none.
+    bend(q, x, extra, u): (G (n x M), b (M)) as for `predict`; None: x+ itself.
     """
 
     params: Any
     cov: Floats
     move: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
-    read: Callable[[Any, Gaussian], Gaussian] = lambda q, belief: belief
+    small: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
+    bend: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
 
 
 class Params(NamedTuple):
-    """Numbers of the filter; mean and cov (a `triangle`) are those it starts from."""
+    """Numbers of the filter; mean and cov (a `triangle`) are those it starts from; rate (n x n): from a change of x+ to what held makes it [1/s]."""
 
     model: Any
     extension: Any
@@ -59,22 +62,28 @@ class Params(NamedTuple):
     drift: Floats
     mean: Floats
     cov: Floats
+    ranges: Floats
+    rate: Floats
 
 
 class State(NamedTuple):
-    """Mean and covariance (its `triangle`) before the reading, the last two readings, steps to wait per edge (2p)."""
+    """Mean and covariance (its `triangle`) before the reading, the last two readings, steps to wait per edge (2p), the last input."""
 
     mean: Any
     cov: Any
     last: Any
     previous: Any
     wait: Any
+    u: Any
 
 
-def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array, floor: float = FLOOR) -> Prior:
+def prior(
+    model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array | None,
+    floor: float = FLOOR, wear: float = 0.0,
+) -> Prior:  # fmt: skip
     """The prior from declared ranges [lo, hi] of the widths: mean of the range, std of a uniform distribution over it.
 
-    noise: default the sensor's, but at least `floor` of a range; x_std: default five times the largest width.
+    noise: default the sensor's, but at least `floor` of a range; x_std: default five times the largest width; drift: default `wear` times it.
     Raises InputError, ShapeError.
     """
     Ts, p = sample_time(model), model.p
@@ -89,13 +98,14 @@ def prior(model: System, sensor: Zone, right: Array, left: Array | None, noise: 
             raise InputError("observer.noise: must be positive, found 0; leave it out for a sensor without noise")
         least = np.zeros(p)
     spread = np.full(model.n, 5 * most) if x_std is None else nonnegative("observer.x_std", x_std, model.n, "one per state")
-    growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
+    growth = scalar("observer.drift", wear * most if drift is None else drift, least=0.0) ** 2 * Ts
     return Prior(
         np.concatenate([np.zeros(model.n), ranges.mean(axis=1)]),
         np.concatenate([spread, span / np.sqrt(12)]),
         np.maximum(rms, least) ** 2,
         np.maximum(sensor.threshold, 4 * rms * sensor.slope),
         np.full(2 * p, growth),
+        ranges,
     )
 
 
@@ -121,19 +131,21 @@ def _ranges(key: str, value: Array, p: int) -> Floats:
     return found
 
 
-def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, silence: bool = False) -> Observer:
+def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, bounds: bool = False) -> Observer:
     """The filter as an observer.
 
     lasting: steps for which a linearisation error keeps its sign, and for which a silent edge is not heard again;
-    silence: hear that a silent sensor bounds z.
+    bounds: hear what bounds: a silent sensor, and the declared ranges.
     """
     n, p = model.n, model.p
     jump = sensor.kind == "jump"
+    if bounds:  # flatter than the uniform distribution that the prior stands for, since `inside` cuts it
+        prior = prior._replace(std=np.concatenate([prior.std[:n], np.diff(prior.ranges).ravel() / 2]))
     params = numbers(model, sensor, prior, extension)
     size = params.mean.size
 
     def init(q: Params) -> State:
-        return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p))
+        return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(model.m))
 
     def beyond(q: Params, i: int, side: Any, X: Any) -> Any:
         """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
@@ -164,19 +176,48 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
                 waits.append(ca.if_else(used, lasting, wait[len(waits)] - 1))
         return belief, ca.vertcat(*waits)
 
+    def bent(q: Params, u: Any, X: Any) -> tuple[Any, Any]:
+        assert extension.bend is not None
+        G, b = extension.bend(q, X[:n], X[n + 2 * p :], u)
+        return ca.vertcat(G, ca.SX(size - n, b.shape[0])), b
+
     def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         seen = present(reading.y)
         y = ca.if_else(seen, reading.y, 0.0)
         side = reading.side if jump else sure_side(y, s.last, s.previous, q.gate)
         belief, e, e_std = correct(q, Gaussian(s.mean, symmetric(s.cov, size)), y, side)
         wait = s.wait
-        if silence:
+        if bounds:
             belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
-        after = predict(belief, *motion(model, q, extension, belief, u), lasting)
-        found = shown(model, sensor, q, extension.read(q, belief), reading, e, e_std)
-        return State(after.mean, triangle(after.cov), y, s.last, wait), found
+        after = predict(belief, *motion(model, q, extension, belief, u), lasting, None if extension.bend is None else partial(bent, q, u))
+        told = claimed(q, n, extension, belief, bounds)
+        found = shown(model, sensor, q, told, reading, e, e_std)
+        if len(extension.cov):
+            x, extra = told.mean[:n], told.mean[n + 2 * p :]
+            found = found._replace(w=q.rate @ (extension.move(q, x, extra, s.u)[0] - model.move(q.model, x, s.u)))
+        return State(after.mean, triangle(after.cov), y, s.last, wait, u), found
 
     return Observer(params, init, step)
+
+
+def claimed(q: Params, n: int, extension: Extension, belief: Gaussian, bounds: bool) -> Gaussian:
+    """The belief that is shown: widths inside their declared ranges, and the mixture of both if some claim may be stronger."""
+    limited = partial(inside, q, n) if bounds else lambda belief: (belief, 0.0)
+    found, chance = limited(belief)
+    if extension.small is None:
+        return found
+    small, odds = extension.small(q, belief)
+    small, likelier = limited(small)
+    return mix(small, found, 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0))))
+
+
+def inside(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """(the belief given that every width lies in its declared range, the log of the chance of that)."""
+    log = 0.0
+    for i in range(q.ranges.shape[0]):
+        belief, chance = within(belief, n + i, q.ranges[i, 0], q.ranges[i, 1])
+        log += chance
+    return belief, log
 
 
 def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> Params:
@@ -185,7 +226,10 @@ def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> 
     first = np.zeros((known + len(extension.cov),) * 2)
     first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
     mean = np.concatenate([prior.mean, np.zeros(len(extension.cov))])
-    return Params(model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[np.tril_indices(len(first))])
+    return Params(
+        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[np.tril_indices(len(first))],
+        prior.ranges, np.linalg.inv(held(model)),
+    )  # fmt: skip
 
 
 def motion(model: System, q: Params, extension: Extension, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:

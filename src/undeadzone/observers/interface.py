@@ -30,8 +30,8 @@ NONE = ca.SX(0, 1)
 class Estimate(NamedTuple):
     """x^ (n), z^ = C x^ (p), widths d_r^, d_l^ (p each), the deadzone inverse y + chi_bar d^ of (26) (p), innovation (p).
 
-    Where the observer knows how sure it is, the standard deviations of x^, d_r^, d_l^, d_r^ + d_l^ and the innovation;
-    else these are empty.
+    Where the observer knows how sure it is, the standard deviations of x^, d_r^, d_l^, d_r^ + d_l^ and the innovation; where it
+    estimates what its model leaves out, that as w^ (n), x' = f(x, u) + w; else these are empty.
     """
 
     x: Any
@@ -45,6 +45,7 @@ class Estimate(NamedTuple):
     left_std: Any = NONE
     width_std: Any = NONE
     innovation_std: Any = NONE
+    w: Any = NONE
 
 
 class Observer(NamedTuple):
@@ -96,4 +97,4 @@ def numeric_estimate(X: Floats, z: Floats, reading: Reading, sensor: Zone, e: Fl
     ends = [X.size - 2 * z.size, X.size - z.size]
     (x, right, left), (x_std, right_std, left_std) = np.split(X, ends), np.split(std, ends)
     inverted = np.where(np.isfinite(reading.y), inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind), z)
-    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std)
+    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std, np.zeros(0))

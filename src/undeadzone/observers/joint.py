@@ -12,7 +12,6 @@ import numpy as np
 
 from undeadzone import sensor as sensors
 from undeadzone.arrays import Array, Floats, nonnegative, scalar
-from undeadzone.errors import InputError
 from undeadzone.gaussian import Gaussian, symmetric, triangle
 from undeadzone.observers.filtering import Extension, Params, Prior, declared, motion, numbers, prior, sample_time, shown, white
 from undeadzone.observers.interface import Estimate, Observer, Reading
@@ -87,12 +86,9 @@ def agitation(model: System, rms: float) -> Floats:
 
 
 def quarter_period(model: System) -> float:
-    """`time_scale` [s] of a sampled model; 1 s of one that only integrates."""
+    """`time_scale` [s] of a sampled model."""
     assert model.flow is not None
-    try:
-        return time_scale(model.flow)
-    except InputError:
-        return 1.0
+    return time_scale(model.flow)
 
 
 class State(NamedTuple):

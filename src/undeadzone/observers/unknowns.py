@@ -9,11 +9,11 @@ import numpy as np
 
 from undeadzone.arrays import Floats, scalar
 from undeadzone.errors import InputError
-from undeadzone.gaussian import Gaussian, mix, update
+from undeadzone.gaussian import Gaussian, update
 from undeadzone.observers.filtering import Extension, Params
-from undeadzone.plant import Matrices, System, sampled_noise
+from undeadzone.plant import Matrices, System, held, sampled_noise
 
-SMALL = 0.1  # bias of a calibrated input, relative to that of another
+SMALL = 0.01  # bias of a calibrated input, relative to that of another
 
 
 class Colour(NamedTuple):
@@ -28,14 +28,16 @@ class Colour(NamedTuple):
 class Numbers(NamedTuple):
     """Run-time numbers.
 
-    F, Q, variance: of the disturbances; slopes: `Tolerance.slopes`; rest: the state under each unit bias (n x biases);
-    bias: their rms; odds: that they are `SMALL`.
+    F, Q, variance: of the disturbances; slopes, values, held: as in `Tolerance`; rest: the state under each unit bias (n x biases);
+    bias: their rms; odds: the log of those that they are `SMALL`.
     """
 
     F: Floats
     Q: Floats
     variance: Floats
     slopes: Floats
+    values: Floats
+    held: Floats
     rest: Floats
     bias: Floats
     odds: Any
@@ -57,22 +59,24 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
 
 
 def time_scale(flow: Matrices) -> float:
-    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators. Raises InputError if all are."""
+    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators; 1 s if all are."""
     rates = np.abs(np.linalg.eigvals(flow.A))
     moving = rates[rates > 1e-6 * np.linalg.norm(flow.A, 2)]
-    if not moving.size:
-        raise InputError("observer.correlation_time: missing; a chain of integrators has no time scale of its own, give one in seconds")
-    return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
+    return float(np.pi / 2 * np.exp(-np.log(moving).mean())) if moving.size else 1.0
 
 
 class Tolerance(NamedTuple):
     """Relative standard deviations (K) of what is uncertain, and d[Ad, Bd] per relative change of each (Kn x (n + m)).
 
-    For a nonlinear plant these are its parameters, and there is no matrix.
+    entries: their rows and columns in [A, B], values: themselves; held: `plant.held`. For a
+    nonlinear plant what is uncertain are its parameters, and there is no matrix.
     """
 
     std: Floats
     slopes: Floats
+    entries: tuple[tuple[int, int], ...] = ()
+    values: Floats = np.zeros(0)
+    held: Floats = np.zeros((0, 0))
 
 
 def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
@@ -102,7 +106,10 @@ def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
 
     square = np.vstack([AB, np.zeros((m, n + m))]) * model.Ts
     slopes = [expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n] for _, at in found]
-    return Tolerance(np.array([std for std, _ in found]), np.concatenate([np.zeros((0, n + m)), *slopes]))
+    entries = tuple(at for _, at in found)
+    return Tolerance(
+        np.array([std for std, _ in found]), np.concatenate([np.zeros((0, n + m)), *slopes]), entries, np.array([AB[at] for at in entries]), held(model)
+    )
 
 
 def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
@@ -134,20 +141,31 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
             after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
         return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta)
 
+    def bend(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        """theta_i a_i [x; u] in the rows of A and B, held over the step."""
+        constant, shaped, theta = ca.vertsplit(extra, ends)
+        moved = ca.vertcat(x - q.extension.rest @ constant, u + disturbing @ shaped)
+        rows = sorted({row for row, _ in tolerance.entries})
+        b = ca.SX(len(rows), 1)
+        for k, (row, column) in enumerate(tolerance.entries):
+            b[rows.index(row)] += theta[k] * q.extension.values[k] * moved[column]
+        return q.extension.held[:, rows], b
+
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         static = [ca.SX(size, size) for size in (biased.shape[1], count)]
         return ca.SX(n, n), ca.diagcat(static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1])
 
-    def read(q: Params, belief: Gaussian) -> Gaussian:
-        """The mixture of beliefs under both claims about the bias: from the smaller one by a reading of it as 0 (docs/filters.md)."""
-        odds, small = q.extension.odds, belief
+    def small(q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+        """(the belief if the bias is `SMALL`, the log of its odds): what a reading of it as 0 leaves (docs/filters.md)."""
+        odds = q.extension.odds
         for i in range(ends[1]):
             at, R = n + 2 * model.p + i, q.extension.bias[i] ** 2 / (1 / SMALL**2 - 1)
-            e = -small.mean[at]
-            small, S = update(small, ca.SX.eye(small.mean.shape[0])[at, :], e, R, 1.0)
-            odds = odds * ca.sqrt(R / S) * ca.exp(-(e**2) / S / 2) / SMALL
-        return mix(small, belief, odds / (1 + odds))
+            e = -belief.mean[at]
+            belief, S = update(belief, ca.SX.eye(belief.mean.shape[0])[at, :], e, R, 1.0)
+            odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
+        return belief, odds
 
-    numbers = Numbers(colour.F, colour.Q, variance, tolerance.slopes, rest, bias[bias > 0], np.float64(calibrated / (1 - calibrated)))
+    odds = np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0)
+    numbers = Numbers(colour.F, colour.Q, variance, tolerance.slopes, tolerance.values, tolerance.held, rest, bias[bias > 0], odds)
     cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(colour.cov, np.diag(variance)), np.diag(tolerance.std**2))
-    return Extension(numbers, cov, move, noise, read) if calibrated else Extension(numbers, cov, move, noise)
+    return Extension(numbers, cov, move, noise, small if calibrated else None, bend if tolerance.entries else None)

@@ -1,0 +1,142 @@
+"""undeadzone arena [SCENARIO.toml ...]"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from undeadzone.arena.contest import Contest
+    from undeadzone.arena.leaderboard import Row
+    from undeadzone.arena.tuned import Tuned
+    from undeadzone.scenario import Scenario
+
+FOLDER = Path("arena-results")
+
+
+@click.command(epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html")
+@click.argument("scenarios", type=click.Path(path_type=Path), metavar="[SCENARIO.toml ...]", nargs=-1)
+@click.option("--methods", default=None, metavar="A,B,...", help="Only these (default: all), and the lines that make a regret.")
+@click.option("--seeds", type=click.IntRange(1), default=3, show_default=True, metavar="N", help="Runs of each method on each scenario.")
+@click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
+@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help=f"Folder for the files written; implies --html (default: {FOLDER}).")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
+@click.option("--tune", "tuning", is_flag=True, help="Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.")
+@click.option("--budget", type=click.IntRange(2), default=60, show_default=True, metavar="N", help="With --tune: candidates of each method.")
+@click.option("--tuned", type=click.Path(path_type=Path), default=None, metavar="FILE", help="A tuned.toml to use in the place of the built-in one.")
+@click.option("--processes", type=click.IntRange(1), default=None, metavar="N", help="At once (default: one per processor).")
+def arena(
+    scenarios: tuple[Path, ...], methods: str | None, seeds: int, html: bool, out: Path | None, as_json: bool,
+    tuning: bool, budget: int, tuned: Path | None, processes: int | None,
+) -> int:  # fmt: skip
+    """Compare methods: each in the place of the scenario's observer, told only what the scenario declares.
+
+    Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is full state feedback, 1 a
+    Luenberger observer that ignores the dead zone; the median over the scenarios, and the worst, with 95 % intervals. See docs/arena.md.
+    """
+    from undeadzone.arena.grounds import given
+    from undeadzone.arena.grounds import scenarios as built_in
+
+    names = None if methods is None else [name.strip() for name in methods.split(",") if name.strip()]
+    own = given(scenarios)
+    if tuning:
+        return _tune(names, own or built_in("tuning"), budget, processes, out or FOLDER, as_json)
+    contest = _held(names, own or built_in("held_out"), tuple(range(seeds)), tuned, processes)
+    written = _written(contest, out or FOLDER, bool(own)) if html or out else []
+    if as_json:
+        print_json(contest.summary() | {"files": [str(path) for path in written]})
+    else:
+        _print(contest, written)
+    return 0
+
+
+def _held(names: list[str] | None, grounds: dict[str, Scenario], seeds: tuple[int, ...], tuned: Path | None, processes: int | None) -> Contest:
+    from undeadzone.arena.contest import hold
+    from undeadzone.arena.methods import catalogue, numbers
+
+    runs = len(grounds) * len(seeds) * (len(catalogue()) if names is None else len(names) + 2)
+    with progress("arena", runs, "runs") as advance:
+        return hold(names, grounds, seeds, numbers(tuned), processes, advance)
+
+
+def _tune(names: list[str] | None, grounds: dict[str, Scenario], budget: int, processes: int | None, folder: Path, as_json: bool) -> int:
+    from undeadzone.arena.methods import catalogue, require
+    from undeadzone.arena.tuned import save
+    from undeadzone.arena.tuning import tune
+
+    chosen = list(catalogue()) if names is None else [require(name) for name in names]
+    with progress("tuning", len(chosen), "methods") as advance:
+        found = tune(chosen, grounds, budget, processes=processes, progress=advance)
+    path = save(found, folder / "tuned.toml")
+    if as_json:
+        import msgspec
+
+        print_json(msgspec.to_builtins(found) | {"files": [str(path)]})
+    else:
+        _print_tuned(found, path)
+    return 0
+
+
+def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
+    """Results, figures and page; of scenarios of one's own also each with the best method in it."""
+    from undeadzone import toml
+    from undeadzone.errors import InputError
+    from undeadzone.files import write_text
+    from undeadzone.report.arena_page import write_arena
+
+    written = [contest.save(folder / "results.json"), *write_arena(contest, folder)]
+    if own and contest.contestants:
+        best = contest.contestants[0].method
+        for title in contest.scenarios:
+            try:
+                text = toml.dumps(contest.scenario(best, title))
+            except InputError:
+                continue
+            written.append(write_text(text, folder / f"{title}-{best}.toml"))
+    return written
+
+
+def _print(contest: Contest, written: list[Path]) -> None:
+    rank = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
+    head = ("", "method", "median regret", "worst regret", "worst where", "diverged", "n/a", "rms z - r", "coverage")
+    refused = [row.method for row in contest.rows if row.not_applicable == 1]
+    print_table([head, *(_cells(rank.get(row.method, "-"), row) for row in contest.rows if row.method not in refused)])
+    if refused:
+        click.echo(f"\nnot applicable (--json says why): {', '.join(refused)}")
+    runs = f"{len(contest.scenarios)} scenario{'s' * (len(contest.scenarios) > 1)}, {len(contest.seeds)} run{'s' * (len(contest.seeds) > 1)} each"
+    click.echo(f"\n{runs}; - : line to compare with; 95 % intervals in ()")
+    if written:
+        click.echo(f"written: {', '.join(map(str, written))}")
+
+
+def _cells(rank: str, row: Row) -> tuple[str, ...]:
+    def regret(value: float, interval: tuple[float, float]) -> str:
+        return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+
+    def number(value: float | None, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    return (
+        rank,
+        row.method,
+        regret(row.median_regret, row.median_interval),
+        regret(row.worst_regret, row.worst_interval),
+        row.worst_scenario,
+        f"{100 * row.diverged:.0f} %" if row.diverged else "",
+        f"{100 * row.not_applicable:.0f} %" if row.not_applicable else "",
+        number(row.tracking, ".3g"),
+        number(row.coverage, ".2f"),
+    )
+
+
+def _print_tuned(found: Tuned, path: Path) -> None:
+    def knobs(values: dict[str, Any]) -> str:
+        return ", ".join(f"{address} {value:.3g}" for address, value in values.items())
+
+    rows = [(name, f"{each.before:.3f} -> {each.regret:.3f}", str(each.candidates), knobs(each.knobs)) for name, each in found.methods.items()]
+    print_table([("method", "mean regret", "candidates", "knobs"), *rows])
+    click.echo(f"\nwritten: {path}")

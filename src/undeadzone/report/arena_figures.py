@@ -1,0 +1,137 @@
+"""Figures of the arena: places with their intervals, regret by scenario, runs in the hidden output, cost against error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.arena.leaderboard import CAP, Row
+from undeadzone.arrays import Floats
+from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, shade_zone, sheet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEAST: Final = 3e-3  # regret, of logarithmic axes: below it methods are all but perfect
+SHOWN: Final = 4.0  # [s] at the end of a run
+COLOURS: Final = (ESTIMATE, READING, PRINTED, OTHER)
+
+
+class Trace(NamedTuple):
+    """A run of one method: t [s], true output, its estimate and reference (N each), and the first output's true [d_r, d_l]."""
+
+    method: str
+    t: Floats
+    z: Floats
+    z_hat: Floats
+    r: Floats
+    widths: Floats
+
+
+def places(rows: Sequence[Row], title: str) -> Figure:
+    """Median and worst regret of every method with their intervals, the best on top."""
+    figure, panels = sheet([["all"]], title, height=0.24 * len(rows) + 1.2)
+    axes = panels["all"]
+    at = np.arange(len(rows))[::-1]
+    for name, colour, marker in (("median", ESTIMATE, "o"), ("worst", PRINTED, "s")):
+        value = np.array([getattr(row, f"{name}_regret") for row in rows])
+        ends = np.array([getattr(row, f"{name}_interval") for row in rows])
+        axes.hlines(at, *np.clip(ends.T, LEAST, CAP), color=colour, alpha=0.45, linewidth=4)
+        axes.plot(np.clip(value, LEAST, CAP), at, marker, color=colour, markersize=4.5, label=f"{name} over the scenarios")
+    for x, words in ((1.0, "naive"), (CAP, "diverged")):
+        axes.axvline(x, color=ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
+        axes.text(x, len(rows) - 0.4, words, color=ZONE, fontsize=8, ha="center", va="bottom")
+    axes.set_xscale("log")
+    axes.set_xlim(0.85 * LEAST, 1.3 * CAP)
+    axes.set_ylim(-0.7, len(rows) + 0.4)
+    axes.set_yticks(at, [row.method for row in rows])
+    for tick, row in zip(axes.get_yticklabels(), rows, strict=True):
+        tick.set_color(ZONE if row.reference else TRUTH)
+    finish(axes, "", "", f"regret of the rms of z − r, with 95 % intervals; {LEAST:g} and below at the left edge", legend=0)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=2)
+    return figure
+
+
+def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence[str]) -> Figure:
+    """Regret (mean over seeds) of every method on every scenario; a dash where it is not applicable."""
+    from matplotlib.colors import LogNorm
+
+    figure, panels = sheet([["all"]], "Regret by scenario", width=2.6 + 0.52 * len(scenarios), height=0.25 * len(rows) + 1.6)
+    axes = panels["all"]
+    table = np.array([regrets[row.method].mean(axis=1) for row in rows])
+    shown = np.clip(table, 0.01, CAP)
+    axes.imshow(shown, norm=LogNorm(0.01, CAP), cmap="RdYlBu_r", aspect="auto")
+    for (i, j), value in np.ndenumerate(table):
+        dark = shown[i, j] < 0.03 or shown[i, j] > 3
+        axes.text(j, i, _cell(value), ha="center", va="center", fontsize=6.5, color="white" if dark else TRUTH)
+    axes.set_xticks(range(len(scenarios)), scenarios, rotation=60, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), [row.method for row in rows])
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    finish(axes, "0: full state, 1: naive; blue is good, red is bad, a dash: not applicable", "", "", legend=0)
+    return figure
+
+
+def _cell(value: float) -> str:
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.995 else f"{value:.2f}".replace("0.", ".", 1).replace("-", "−")
+
+
+def traces(found: Sequence[Trace], scenario: str) -> Figure:
+    """The hidden output under each method in the last seconds, and |z - r| over the whole run."""
+    rows = [[trace.method] * 2 for trace in found] + [["errors"] * 2]
+    figure, panels = sheet(rows, f"{scenario}: the hidden output", height=2.1)
+    for trace in found:
+        axes, tail = panels[trace.method], trace.t > trace.t[-1] - SHOWN
+        shade_zone(axes, *trace.widths)
+        axes.plot(trace.t[tail], trace.r[tail], color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+        axes.plot(trace.t[tail], trace.z[tail], color=TRUTH, label="output z")
+        axes.plot(trace.t[tail], trace.z_hat[tail], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+        largest = 2.5 * np.abs(trace.r).max()
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, -largest), min(high, largest))
+        finish(axes, trace.method, "z", "", legend=4)
+    axes = panels["errors"]
+    axes.set_yscale("log")
+    for trace, colour in zip(found, COLOURS, strict=False):
+        axes.plot(trace.t, _envelope(np.abs(trace.z - trace.r)), color=colour, label=trace.method)
+    axes.set_ylim(top=min(axes.get_ylim()[1], 20 * np.abs(found[0].r).max()))
+    finish(axes, "|z − r|, the largest within half a second", "|z − r|", legend=4)
+    return figure
+
+
+def _envelope(size: Floats, parts: int = 40) -> Floats:
+    """The largest value within each of `parts` spans, at every sample."""
+    spans = np.array_split(np.nan_to_num(size, nan=np.inf), parts)
+    return np.concatenate([np.full(span.size, max(span.max(), 1e-6)) for span in spans])
+
+
+def costs(rows: Sequence[Row]) -> Figure:
+    """Median regret against the cost of a step."""
+    figure, panels = sheet([["all"]], "Cost against error", height=4.6)
+    axes = panels["all"]
+    placed: list[tuple[float, float]] = []
+    for row in sorted(rows, key=lambda row: row.median_regret):
+        if row.cost is None:
+            continue
+        x, y = row.cost, float(np.clip(row.median_regret, LEAST, CAP))
+        axes.plot(x, y, "o", color=ZONE if row.reference else ESTIMATE, markersize=5)
+        axes.annotate(row.method, (x, y), (5, _offset(np.log10(x), np.log10(y), placed)), textcoords="offset points", fontsize=7.5, va="center")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_ylim(0.8 * LEAST, 1.3 * CAP)
+    axes.margins(x=0.12)
+    finish(axes, "", "median regret", "cost of a step, in those of the naive observer", legend=0)
+    return figure
+
+
+def _offset(x: float, y: float, placed: list[tuple[float, float]]) -> float:
+    """How far, in points, a label moves up so that it meets none before it."""
+    offset = 0.0
+    while any(abs(x - a) < 0.6 and abs(y + offset / 80 - b) < 0.09 for a, b in placed):
+        offset += 4.0
+    placed.append((x, y + offset / 80))
+    return offset

@@ -1,0 +1,96 @@
+"""Taylor arcs and steps with several changes of side: accuracy, order, coincidence with RK4 and with the lanes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenes import scene, slopes
+from undeadzone.errors import InputError
+from undeadzone.run import Run
+from undeadzone.simulation import simulate
+
+TWO = {
+    "plant": {"A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]], "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]], "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]},
+    "sensor": {"right": [0.6, 0.4], "left": [0.5, 0.7]},
+    "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
+    "observer": {"method": "certified", "gamma": 4.0},
+    "controller": {"method": "state_feedback", "alpha": 5.0},
+}
+GRAZING = {"reference": {"kind": "sine", "amplitude": 1.002, "frequency": 1.0}, "plant": {"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]}}
+
+
+def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:
+    return simulate(scene(**changes | {"simulation": {"duration": duration, "step": step, "order": order}}), check_step=False)
+
+
+def gap(found: Run, truth: Run) -> float:
+    """The largest difference of x, x^ and d^ at the instants that both have."""
+    every = round((len(truth.t) - 1) / (len(found.t) - 1))
+    return max(float(np.abs(getattr(found, name) - getattr(truth, name)[::every]).max()) for name in ("x", "x_hat", "d_hat"))
+
+
+@pytest.mark.parametrize("changes", [{}, TWO, GRAZING], ids=["paper", "two outputs", "grazing"])
+def test_long_taylor_steps_equal_short_runge_kutta_steps(changes: dict[str, Any]) -> None:
+    truth = run(4, 2.5e-4, **changes)
+    assert np.ptp(truth.side) > 0
+    assert gap(run(12, 1e-2, **changes), truth) < 5e-11
+    assert gap(run(4, 1e-2, **changes), truth) > 1e-8
+
+
+def test_the_order_is_the_one_that_is_asked_for() -> None:
+    truth = run(16, 1e-2)
+    steps = (0.06, 0.03)
+    for order in (5, 6, 7):
+        errors = [gap(run(order, step), truth) for step in steps]
+        assert slopes(steps, errors)[0] == pytest.approx(order, abs=0.8)
+
+
+def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> None:
+    """On a branch that is linear, with nothing from outside, RK4 is the Taylor polynomial of order 4; 5 terms more is more accurate."""
+    still = {"reference": {"kind": "step", "amplitude": 0.0}}
+    truth = run(12, 1e-2, **still)
+    assert gap(run(5, 1e-1, **still), truth) < gap(run(4, 1e-1, **still), truth) / 3
+
+
+@pytest.mark.parametrize(
+    "disturbance", [{"kind": "sine", "amplitude": 0.5, "frequency": 0.7}, {"kind": "random", "rms": 0.3, "correlation_time": 0.2}], ids=str
+)
+def test_disturbances_enter_the_series(disturbance: dict[str, Any]) -> None:
+    """A random one is a straight line over each step of its own grid, so that both must have the same."""
+    truth = run(4, 1e-2, disturbance=disturbance)
+    found = run(8, 1e-2, disturbance=disturbance)
+    assert gap(found, truth) < 2e-6
+    finer = simulate(scene(disturbance=disturbance, simulation={"duration": 3.0, "step": 1e-2, "order": 8}))
+    assert finer.info.integration_error is not None
+    assert finer.info.integration_error < 1e-9
+
+
+def test_an_excursion_within_a_step_is_seen() -> None:
+    """z passes the edge by 0.001 at its largest, and is back before a long step ends."""
+    silent = run(12, 1e-3, **GRAZING, sensor={"right": 3.0, "left": 3.0})
+    sensor = {"right": float(silent.z.max()) - 1e-3, "left": 3.0}
+    truth, coarse = run(4, 2.5e-4, **GRAZING, sensor=sensor), run(12, 5e-2, **GRAZING, sensor=sensor)
+    assert 0.0 < (truth.side == 1).mean() < 0.05
+    assert not (coarse.side == 1).any()
+    assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
+    assert gap(coarse, truth) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"simulation": {"order": 3}}, "simulation.order: expected 4 to 20, found 3"),
+        ({"simulation": {"order": 8, "time": "sampled"}}, "simulation.order: above 4 only in continuous time"),
+        ({"simulation": {"order": 8, "switching": "plain"}}, "simulation.order: above 4 only in continuous time"),
+        (
+            {"simulation": {"order": 8}, "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}}},
+            "simulation.order: above 4 only for a plant, an observer and a controller that are linear",
+        ),
+    ],
+)
+def test_what_has_no_series_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        simulate(scene(**changes))
