@@ -136,7 +136,7 @@ def censored(given: Problems, k: int) -> Censored:
     """`Censored` told the truth about problem k."""
     return Censored(
         right=RANGE, x_std=given.x_std, disturbance=given.disturbance[k], correlation_time=CORRELATION, bias=given.bias[k],
-        tolerance=given.world.tolerance,
+        calibrated=0.0, tolerance=given.world.tolerance, drift=0.0,
     )  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def observe(options: Callable[[Problems, int], Any], given: Problems) -> Verdict
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 2)
-    after, found = observer.step(params, state, w[1], Reading(w[0], side(w[0], params.gate)))
+    after, found = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
     stds = (found.right_std, found.left_std, found.width_std, found.x_std[0])
     record = ca.vertcat(found.right, found.left, found.z, *stds, found.innovation, found.innovation_std)
     step = ca.Function("observe", [s, w, p], [tree.stack(after), record], ["s", "w", "p"], ["next", "out"], {"cse": True})

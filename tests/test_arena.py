@@ -26,6 +26,7 @@ from undeadzone.arena.methods import METHODS, catalogue, entered, middle, number
 from undeadzone.arena.metric import Result, Worth
 from undeadzone.arena.run import score, trial
 from undeadzone.arena.situation import declaration, situation
+from undeadzone.arena.traces import traced
 from undeadzone.cli import group
 from undeadzone.ensemble.drawn import drawn
 from undeadzone.ensemble.variation import bind
@@ -33,7 +34,7 @@ from undeadzone.ensemble.vary import Vary
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import ObserverOptions
 from undeadzone.problem import resolve_scenario
-from undeadzone.report.arena_page import arena_page, figures, traced
+from undeadzone.report.arena_page import arena_page, figures
 from undeadzone.scenario import Scenario, read
 from undeadzone.simulation import closed, simulate
 
@@ -402,7 +403,8 @@ def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
 
 def test_the_page_shows_the_numbers_of_the_contest() -> None:
     contest = hold(["ekf", "kalman", "printed"], {"small": small(), "jump": small(sensor={"kind": "jump", "noise": 0.02})}, (0,), {}, 1)
-    drawn_ = figures(contest)
+    runs = traced(contest, "small")
+    drawn_ = figures(contest, runs)
     assert set(drawn_) == {"leaderboard", "scenarios", "trajectories", "cost"}
     table = drawn_["scenarios"].axes[0]
     shown = [text.get_text() for text in table.texts]
@@ -413,7 +415,7 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
         assert row.method in page
         assert f"{float(f'{row.worst_regret:.3g}'):.5g}" in page
     assert "'kalman' cannot use" in page.replace("&#x27;", "'")
-    for trace in traced(contest, "small"):
+    for trace in runs:
         worth = next(r.worth for r in contest.results if (r.method, r.scenario) == (trace.method, "small"))
         assert worth is not None
         tail = slice(int(0.8 * trace.t.size), None)

@@ -4,28 +4,35 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from benchmarks import coverage
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
-from undeadzone import sensor
+from undeadzone import gaussian, sensor, tree
 from undeadzone.arrays import Floats
+from undeadzone.controllers.state_feedback import rest
+from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Kalman
 from undeadzone.observers.unknowns import coloured, time_scale, tolerances
 from undeadzone.plant import Matrices, Plant, System, sampled, system, zoh
+from undeadzone.problem import resolve_scenario
+from undeadzone.run import Run
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation import prepare, simulate
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.02
 MODEL = sampled(PAPER_PLANT, TS)
 RANGE = [0.3, 2.0]
 PRIOR = 1.7 / np.sqrt(12)
+EXACT: dict[str, Any] = {"right": RANGE, "disturbance": 0.0, "bias": 0.0, "tolerance": 0.0, "drift": 0.0}  # nothing is wrong
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
@@ -63,7 +70,7 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, noise=0.02)
     common: dict[str, Any] = {"right": RANGE, "x_std": 2.0, "drift": 0.1}
-    pair = [options.build(model, where) for options in (Kalman(**common), Censored(**common, silence=False))]
+    pair = [options.build(model, where) for options in (Kalman(**common), Censored(**EXACT | common, silence=False))]
     steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
     for _ in range(30):
         y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
@@ -76,7 +83,7 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
     """Inside the zone with a state that is known to be at 0, silence is what was expected."""
     quiet = np.zeros((200, 1))
-    options = {"right": [1.0, 1.2], "x_std": 0.01}
+    options = EXACT | {"right": [1.0, 1.2], "x_std": 0.01}
     with_silence, without = (watch(Censored(**options, silence=silence), MODEL, zone(noise=0.01), quiet, np.zeros(2)) for silence in (True, False))
     assert all(np.array_equal(a, b) for a, b in zip(with_silence, without, strict=True))
 
@@ -139,7 +146,7 @@ def test_the_time_scale_is_a_quarter_period() -> None:
 
 def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
     """Twin worlds: centre 0.35 and no bias, or symmetric and a bias: the same readings, whatever is believed; the prior decides."""
-    options = Censored(right=RANGE, bias=0.35, tolerance=0.1)
+    options = Censored(**EXACT | {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1})
     u = tones(30.0, 8.0)
     shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
     biased = watch(options, MODEL, zone(right=0.95, left=0.95), u, np.array([0.15, 0.0]), bias=-0.35)
@@ -155,22 +162,23 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
     """Shown: the odds of two Gaussian beliefs about the centre c, by Bayes, for readings that show only s = c + bias; kept: as without."""
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
-        watch(Censored(right=RANGE, **options), MODEL, where, u, x) for options in ({"bias": 1.5}, {"bias": 0.15}, {"bias": 1.5, "calibrated": 0.7})
+        watch(Censored(**EXACT | options), MODEL, where, u, x)
+        for options in ({"bias": 0.8, "calibrated": 0.0}, {"bias": 0.008, "calibrated": 0.0}, {"bias": 0.8, "calibrated": 0.7})
     )
     centres = [float(found.right[0] - found.left[0]) / 2 for found in (wide, small, mixed)]
     prior = PRIOR / np.sqrt(2)
-    shown = centres[1] * (prior**2 + 0.15**2) / prior**2  # what readings show of s
-    chances = [weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms) for weight, rms in ((0.3, 1.5), (0.7, 0.15))]
+    shown = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
+    chances = [weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms) for weight, rms in ((0.3, 0.8), (0.7, 0.008))]
     share = chances[1] / sum(chances)
     assert 0.8 < share < 1
-    assert centres[2] == pytest.approx(share * centres[1] + (1 - share) * centres[0], rel=1e-3)
+    assert centres[2] == pytest.approx(share * centres[1] + (1 - share) * centres[0], rel=1e-2)  # the ranges cut a little off
     variance = share * centre_std(small) ** 2 + (1 - share) * centre_std(wide) ** 2 + share * (1 - share) * (centres[0] - centres[1]) ** 2
-    assert centre_std(mixed) ** 2 == pytest.approx(variance, rel=1e-2)
+    assert centre_std(mixed) ** 2 == pytest.approx(variance, rel=0.05)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
-    found = watch(Censored(right=RANGE, tolerance=tolerance), MODEL, zone(right=1.3, left=0.6), tones(30.0, 8.0), np.array([0.5, 0.0]))
+    found = watch(Censored(**EXACT | {"tolerance": tolerance}), MODEL, zone(right=1.3, left=0.6), tones(30.0, 8.0), np.array([0.5, 0.0]))
     assert centre_std(found) < 0.01
     assert abs((found.right - found.left) / 2 - 0.35) < 4 * centre_std(found)
 
@@ -181,7 +189,7 @@ def test_a_wrong_model_is_found_out() -> None:
     rng, u, x = np.random.default_rng(2), tones(30.0, 8.0), np.array([0.5, 0.0])
     errors = []
     for tolerance in (0.0, {"A[1,0]": 0.1}):
-        observer = Censored(right=RANGE, tolerance=tolerance).build(MODEL, where)
+        observer = Censored(**EXACT | {"tolerance": tolerance}).build(MODEL, where)
         step, state, z = on_numbers(observer, MODEL), observer.init(observer.params), x
         for drive in u:
             y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(size=1)
@@ -198,7 +206,7 @@ def test_a_wrong_model_is_found_out() -> None:
 def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
     """z swings to +-1.2 inside edges at 1.5: d_r, d_l are somewhere between there and the end of their range."""
     u = tones(20.0, 2.5)
-    t_end = watch(Censored(right=RANGE, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
+    t_end = watch(Censored(**EXACT, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
     plain = watch(Kalman(right=RANGE, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
     assert plain.right_std == pytest.approx(PRIOR)
     for width, std in ((t_end.right, t_end.right_std), (t_end.left, t_end.left_std)):
@@ -208,7 +216,7 @@ def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
 
 
 def test_a_missing_sample_is_not_a_silent_one() -> None:
-    observer = Censored(right=RANGE, x_std=0.01).build(MODEL, zone())
+    observer = Censored(**EXACT, x_std=0.01).build(MODEL, zone())
     step = on_numbers(observer, MODEL)
     state = observer.init(observer.params)
     state = state._replace(mean=np.array([1.9, 0.0, *state.mean[2:]]))
@@ -219,7 +227,7 @@ def test_a_missing_sample_is_not_a_silent_one() -> None:
 
 
 def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
-    found = watch(Censored(right=RANGE), MODEL, zone(right=1.3, left=0.6, kind="jump"), tones(20.0, 8.0), np.array([0.5, 0.0]))
+    found = watch(Censored(**EXACT), MODEL, zone(right=1.3, left=0.6, kind="jump"), tones(20.0, 8.0), np.array([0.5, 0.0]))
     for width, std, truth in ((found.right, found.right_std, 1.3), (found.left, found.left_std, 0.6)):
         assert std < 0.5 * PRIOR
         assert abs(width - truth) < 3 * std
@@ -250,7 +258,8 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
             sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
             reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
             disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
-            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2},
+            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2}
+            | {"bias": 0.0, "tolerance": 0.0, "drift": 0.0},
             controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
             simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
         )
@@ -258,6 +267,173 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
     assert run.d_std is not None
     assert (run.d_std[-1] < 0.1).all()
     assert (np.abs(run.d_hat[-1] - [0.8, 0.6, 0.5, 1.0]) < 3.5 * run.d_std[-1]).all()
+
+
+# --- Several claims at once
+
+
+def drawn(model: System, where: Zone, rms: float, seconds: float, seed: int) -> tuple[Floats, Floats]:
+    """(u, y) of the model's own motion under tones and a first-order disturbance of that rms and 0.2 s."""
+    rng, F = np.random.default_rng(seed), np.exp(-TS / 0.2)
+    u = tones(seconds, 8.0)
+    x, w, readings = np.array([0.5, 0.0]), 0.0, []
+    for drive in u:
+        readings.append(sensor.deadzone(model.linear.C @ x, where.right, where.left) + 0.01 * rng.normal(size=1))
+        w = F * w + np.sqrt(1 - F**2) * rms * rng.normal()
+        x = model.linear.A @ x + model.linear.B @ (drive + w)
+    return u, np.array(readings)
+
+
+def fed(options: Any, where: Zone, u: Floats, y: Floats) -> tuple[list[Any], list[Estimate]]:
+    """(states, estimates) of a filter along inputs and readings."""
+    observer = options.build(MODEL, where)
+    step, states, found = on_numbers(observer, MODEL), [observer.init(observer.params)], []
+    for drive, reading in zip(u, y, strict=True):
+        after, estimate = step(states[-1], drive, reading, sensor.side(reading, where.threshold))
+        states.append(after)
+        found.append(estimate)
+    return states, found
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_the_readings_tell_how_strong_the_disturbance_is(level: int) -> None:
+    where = zone(noise=0.01)
+    u, y = drawn(MODEL, where, 4.0 / 4**level, 20.0, 5)
+    states, _ = fed(Censored(**EXACT | {"disturbance": 4.0}, correlation_time=0.2), where, u, y)
+    assert states[-1].odds.argmax() == level
+
+
+def test_what_is_shown_is_the_mixture_by_bayes() -> None:
+    """Shares, means and variances from the members' own innovations, each member run by itself."""
+    where = zone(noise=0.01)
+    u, y = drawn(MODEL, where, 1.0, 2.0, 3)
+    common = EXACT | {"correlation_time": 0.2}
+    members = [fed(Censored(**common | {"disturbance": 2.0 / 4**k}, levels=1), where, u, y)[1] for k in range(2)]
+    _, mixed = fed(Censored(**common | {"disturbance": 2.0}, levels=2), where, u, y)
+    log = np.zeros((len(u), 2))
+    for k, found in enumerate(members):
+        e, std = (np.array([getattr(one, name)[0] for one in found]) for name in ("innovation", "innovation_std"))
+        log[:, k] = np.cumsum(np.where(e != 0, norm.logpdf(e, scale=std), 0.0))
+    share = np.exp(log - log.max(axis=1, keepdims=True))
+    share /= share.sum(axis=1, keepdims=True)
+    assert ((share > 0.2).all(axis=1)).any()
+    for at in (0, 20, 60, len(u) - 1):
+        x, std = (np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std"))
+        mean = share[at] @ x
+        assert mixed[at].x[0] == pytest.approx(mean, rel=1e-4, abs=1e-9)
+        assert mixed[at].x_std[0] ** 2 == pytest.approx(share[at] @ (std**2 + (x - mean) ** 2), rel=1e-3)
+
+
+@given(st.floats(-3, 3), st.floats(0.05, 5))
+def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(mean: float, std: float) -> None:
+    P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
+    found, chance = gaussian.within(gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0)
+    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*found, chance))
+    a, b = (-0.5 - mean) / std, (1.0 - mean) / std
+    if norm.cdf(b) - norm.cdf(a) < 2e-6:
+        assert log <= np.log(2e-6)
+        return
+    expected, variance = truncnorm.stats(a, b, loc=mean, scale=std)
+    assert m[0, 0] == pytest.approx(expected, abs=1e-6)
+    assert cov[0, 0] == pytest.approx(variance, rel=1e-4, abs=1e-7)
+    assert m[1, 0] == pytest.approx(0.3 / std * (expected - mean), abs=1e-5)
+    assert log == pytest.approx(np.log(norm.cdf(b) - norm.cdf(a)), abs=1e-6)
+
+
+def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
+    """Widths 2.6 and 2.4 where at most 2 is declared: the estimates leave the range, and do not stay on its edge."""
+    found = watch(Censored(**EXACT), MODEL, zone(right=2.6, left=2.4, noise=0.01), tones(30.0, 12.0), np.zeros(2), noise=np.zeros((1500, 1)))
+    assert found.right == pytest.approx(2.6, abs=0.05)
+    assert found.left == pytest.approx(2.4, abs=0.05)
+
+
+# --- In the loop
+
+
+def closed(observer: dict[str, Any], **changes: Any) -> Run:
+    tables: dict[str, Any] = {
+        "sensor": {"right": 1.3, "left": 0.9, "noise": 0.01},
+        "observer": {"method": "censored", "right": RANGE} | observer,
+        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
+        "simulation": {"time": "sampled", "step": 0.01, "duration": 20.0},
+    }
+    return simulate(scene(**tables | changes))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
+    rng = np.random.default_rng(n)
+    flow = random_plant(rng, n)
+    for model in (flow, sampled(flow, TS)):
+        found = rest(model)
+        A, B, C = flow.linear
+        assert A @ found[:n] + B @ found[n:] == pytest.approx(-np.eye(n), abs=1e-9)
+        assert C @ found[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
+
+
+def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
+    changes = {"disturbance": {"kind": "sine", "amplitude": 4.0, "frequency": 0.3}, "sensor": {"right": 1.1, "left": 1.1, "noise": 0.01}}
+    with_it, without = (
+        closed({"disturbance": 3.0, "correlation_time": 0.3}, **changes, controller={"method": "state_feedback", "poles": [-8.0, -9.0], "reject": reject})
+        for reject in (True, False)
+    )
+    assert with_it.w_hat is not None
+    truth = 4.0 * np.sin(2 * np.pi * 0.3 * with_it.t)
+    assert np.corrcoef(with_it.w_hat[500:, 1], truth[500:])[0, 1] > 0.9
+    assert with_it.rms_tracking < 0.7 * without.rms_tracking
+
+
+def test_ranges_alone_do_with_a_wrong_model() -> None:
+    """Nothing but the ranges is declared; stiffness and damping are a fifth larger than the model's."""
+    changes = {"plant": {"A": [[0.0, 1.0], [-1.2, -2.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [0.5, 0.0]}, "model": {"A": [[0.0, 1.0], [-1.0, -2.0]]}}
+    doubting, sure = closed({}, **changes), closed(dict.fromkeys(("disturbance", "bias", "tolerance", "drift"), 0.0), **changes)
+    assert doubting.rms_tracking < 0.5 * sure.rms_tracking
+    assert doubting.d_std is not None
+    assert (np.abs(doubting.d_hat[-1] - [1.3, 0.9]) < 3 * doubting.d_std[-1]).all()
+
+
+UNSTABLE = {"A": [[0.0, 1.0], [1.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+
+
+@pytest.mark.parametrize("plant", [{"integrators": 2}, UNSTABLE], ids=["integrators", "unstable"])
+def test_plants_that_are_not_stable_do_not_drift(plant: dict[str, Any]) -> None:
+    """A chain of integrators hides the centre: its estimate stays within its claim for a minute; the width is found."""
+    run = closed({}, plant=plant | {"x0": [0.3, 0.0]}, simulation={"time": "sampled", "step": 0.01, "duration": 60.0})
+    assert run.d_std is not None
+    assert run.width_std is not None
+    late = run.t > 20.0
+    right, left = run.d_hat[late].T
+    assert (np.abs(run.d_hat[late] - [1.3, 0.9]) < 2.5 * run.d_std[late]).all()
+    assert (np.abs(right + left - 2.2) < 0.2).all()
+    assert np.ptp(right - left) < 0.3
+    assert np.abs(run.z - run.z_hat)[late].max() < 0.6
+
+
+def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
+    """Little noise, long prior: the worst for rounding; and one absurd reading neither overflows nor is for ever."""
+    problem = resolve_scenario(
+        scene(
+            sensor={"right": 1.3, "left": 0.9, "noise": 1e-4},
+            observer={"method": "censored", "right": RANGE, "x_std": 100.0},
+            simulation={"time": "sampled", "step": 1e-3, "duration": 20.0},
+        )
+    )
+    loop, state, exogenous = prepare(problem)
+    noise_column = tree.names(loop.instant).index("after[0]")
+    exogenous[8_000, noise_column] = 1e8
+    out, last = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    assert np.isfinite(out).all()
+    sizes = [np.size(leaf) for _, leaf in tree.leaves(loop.state)]
+    leaves = np.split(last, np.cumsum(sizes)[:-1])
+    covariances = [leaf for leaf, (name, _) in zip(leaves, tree.leaves(loop.state), strict=True) if name.endswith(".cov")]
+    assert len(covariances) == 3
+    for column in covariances:
+        size = int(np.sqrt(2 * column.size))
+        P = np.zeros((size, size))
+        P.T[np.tril_indices(size)] = column
+        P = P + np.triu(P, 1).T
+        scale = np.sqrt(np.diag(P))
+        assert np.linalg.eigvalsh(P / np.outer(scale, scale)).min() > -1e-9
 
 
 # --- Wrong input
@@ -273,10 +449,9 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
         ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
         ({"tolerance": {"A[0,0]": 0.1}}, MODEL, InputError, r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]"),
         ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
-        ({"calibrated": 0.5}, MODEL, InputError, "observer.calibrated: must be a probability below 1, and bias"),
-        ({"calibrated": 1.0, "bias": 1.0}, MODEL, InputError, "observer.calibrated"),
+        ({"calibrated": 1.0}, MODEL, InputError, "observer.calibrated: must be a probability below 1"),
+        ({"levels": 0}, MODEL, InputError, "observer.levels: expected 1 to 10"),
         ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
-        ({}, sampled(system(Plant(integrators=2)), TS), InputError, "observer.correlation_time: missing"),
     ],
 )
 def test_wrong_options_are_named(changes: dict[str, Any], model: System, error: type[Exception], words: str) -> None:
@@ -288,5 +463,5 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
     pendulum = system(Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81}))
     with pytest.raises(InputError, match="takes one number"):
         Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sampled(pendulum, TS), zone())
-    observer = Censored(right=RANGE, tolerance=0.1).build(sampled(pendulum, TS), zone())
+    observer = Censored(**EXACT | {"tolerance": 0.1}).build(sampled(pendulum, TS), zone())
     assert len(observer.init(observer.params).mean) == 2 + 2 + 1

@@ -84,11 +84,12 @@ def _tune(names: list[str] | None, grounds: dict[str, Scenario], budget: int, pr
 def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     """Results, figures and page; of scenarios of one's own also each with the best method in it."""
     from undeadzone import toml
+    from undeadzone.arena.traces import traced
     from undeadzone.errors import InputError
     from undeadzone.files import write_text
     from undeadzone.report.arena_page import write_arena
 
-    written = [contest.save(folder / "results.json"), *write_arena(contest, folder)]
+    written = [contest.save(folder / "results.json"), *write_arena(contest, traced(contest), folder)]
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:

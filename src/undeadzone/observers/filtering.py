@@ -139,8 +139,6 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
     """
     n, p = model.n, model.p
     jump = sensor.kind == "jump"
-    if bounds:  # flatter than the uniform distribution that the prior stands for, since `inside` cuts it
-        prior = prior._replace(std=np.concatenate([prior.std[:n], np.diff(prior.ranges).ravel() / 2]))
     params = numbers(model, sensor, prior, extension)
     size = params.mean.size
 
@@ -212,12 +210,15 @@ def claimed(q: Params, n: int, extension: Extension, belief: Gaussian, bounds: b
 
 
 def inside(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """(the belief given that every width lies in its declared range, the log of the chance of that)."""
-    log = 0.0
+    """(the belief with the mean that it has if every width lies in its declared range, the log of the chance of that).
+
+    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution would claim too much.
+    """
+    found, log = belief, 0.0
     for i in range(q.ranges.shape[0]):
-        belief, chance = within(belief, n + i, q.ranges[i, 0], q.ranges[i, 1])
+        found, chance = within(found, n + i, q.ranges[i, 0], q.ranges[i, 1])
         log += chance
-    return belief, log
+    return Gaussian(found.mean, belief.cov), log
 
 
 def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> Params:

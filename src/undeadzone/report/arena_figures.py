@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from undeadzone.arena.leaderboard import CAP, Row
+from undeadzone.arena.traces import Trace
 from undeadzone.arrays import Floats
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, shade_zone, sheet
 
@@ -17,17 +18,6 @@ if TYPE_CHECKING:
 LEAST: Final = 3e-3  # regret, of logarithmic axes: below it methods are all but perfect
 SHOWN: Final = 4.0  # [s] at the end of a run
 COLOURS: Final = (ESTIMATE, READING, PRINTED, OTHER)
-
-
-class Trace(NamedTuple):
-    """A run of one method: t [s], true output, its estimate and reference (N each), and the first output's true [d_r, d_l]."""
-
-    method: str
-    t: Floats
-    z: Floats
-    z_hat: Floats
-    r: Floats
-    widths: Floats
 
 
 def places(rows: Sequence[Row], title: str) -> Figure:
@@ -80,10 +70,10 @@ def _cell(value: float) -> str:
     return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.995 else f"{value:.2f}".replace("0.", ".", 1).replace("-", "−")
 
 
-def traces(found: Sequence[Trace], scenario: str) -> Figure:
+def traces(found: Sequence[Trace]) -> Figure:
     """The hidden output under each method in the last seconds, and |z - r| over the whole run."""
     rows = [[trace.method] * 2 for trace in found] + [["errors"] * 2]
-    figure, panels = sheet(rows, f"{scenario}: the hidden output", height=2.1)
+    figure, panels = sheet(rows, f"{found[0].scenario}: the hidden output", height=2.1)
     for trace in found:
         axes, tail = panels[trace.method], trace.t > trace.t[-1] - SHOWN
         shade_zone(axes, *trace.widths)

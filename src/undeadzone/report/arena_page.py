@@ -2,62 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from undeadzone.arena.contest import Contest
 from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, Row, regrets
 from undeadzone.arena.metric import TAIL
-from undeadzone.errors import UndeadzoneError
+from undeadzone.arena.traces import Trace
 from undeadzone.files import write_text
-from undeadzone.report.arena_figures import Trace, costs, heat, places, traces
+from undeadzone.report.arena_figures import costs, heat, places, traces
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table
 from undeadzone.report.style import write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAPER = "printed"
 
-
-def write_arena(contest: Contest, folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder. Raises FileError."""
-    written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(contest).items()}
+def write_arena(contest: Contest, runs: Sequence[Trace], folder: Path) -> list[Path]:
+    """Write the figures as PNG and report.html to a folder; runs: `traces.traced`. Raises FileError."""
+    written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(contest, runs).items()}
     text = arena_page(contest, {name: path.read_bytes() for name, path in written.items()})
     return [*written.values(), write_text(text, folder / "report.html")]
 
 
-def figures(contest: Contest) -> dict[str, Figure]:
+def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """The figures by name."""
-    found = {"leaderboard": places(contest.rows, _runs(contest)), "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios))}
-    if contest.contestants:
-        title = typical(contest)
-        found["trajectories"] = traces(traced(contest, title), contest.scenarios[title].title)
-    return found | {"cost": costs(contest.rows)}
-
-
-def typical(contest: Contest) -> str:
-    """The scenario on which the winner does as it usually does: its regret there is nearest to its median."""
-    each = regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
-    distance = np.abs(each - np.nanmedian(each))
-    return list(contest.scenarios)[int(np.nanargmin(distance))] if np.isfinite(distance).any() else next(iter(contest.scenarios))
-
-
-def traced(contest: Contest, title: str) -> list[Trace]:
-    """Runs of the best, the worst that did not diverge, the paper's, and the naive one."""
-    kept = [row.method for row in contest.contestants if not row.diverged and not row.not_applicable] or [contest.contestants[0].method]
-    found = []
-    for method in dict.fromkeys([kept[0], kept[-1], *([PAPER] if any(row.method == PAPER for row in contest.rows) else []), FRAME[1]]):
-        try:
-            problem, out = contest.replay(method, title)
-        except UndeadzoneError:
-            continue
-        t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
-        widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
-        found.append(Trace(method, t, out.z[:, i], out.z_hat[:, i], problem.reference.value(t)[:, 0], widths))
-    return found
+    return {
+        "leaderboard": places(contest.rows, _runs(contest)),
+        "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
+        **({"trajectories": traces(runs)} if runs else {}),
+        "cost": costs(contest.rows),
+    }
 
 
 def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
