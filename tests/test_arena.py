@@ -264,6 +264,8 @@ def test_regret_by_hand() -> None:
     assert list(rows) == ["full_state", "good", "picky", "luenberger", "lost"]
     assert rows["good"].median_regret == pytest.approx(0.15)
     assert rows["good"].coverage == 0.5
+    assert (rows["good"].behind, rows["good"].behind_interval) == (0.0, (0.0, 0.0))
+    assert rows["lost"].behind == pytest.approx(CAP - 0.15)
     assert rows["picky"].median_regret == pytest.approx(REFUSED / 2)
     assert (rows["picky"].worst_regret, rows["picky"].worst_scenario, rows["picky"].not_applicable) == (REFUSED, "b", 0.5)
     assert (rows["lost"].diverged, rows["lost"].worst_regret) == (0.5, CAP)

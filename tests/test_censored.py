@@ -304,7 +304,7 @@ def test_the_readings_tell_how_strong_the_disturbance_is(level: int) -> None:
 
 
 def test_what_is_shown_is_the_mixture_by_bayes() -> None:
-    """Shares, means and variances from the members' own innovations, each member run by itself."""
+    """Shares, means and variances from the members' own innovations, each run by itself (but for its disturbance at the start)."""
     where = zone(noise=0.01)
     u, y = drawn(MODEL, where, 1.0, 2.0, 3)
     common = EXACT | {"correlation_time": 0.2}
@@ -320,8 +320,8 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     for at in (0, 20, 60, len(u) - 1):
         x, std = (np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std"))
         mean = share[at] @ x
-        assert mixed[at].x[0] == pytest.approx(mean, rel=1e-4, abs=1e-9)
-        assert mixed[at].x_std[0] ** 2 == pytest.approx(share[at] @ (std**2 + (x - mean) ** 2), rel=1e-3)
+        assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
+        assert mixed[at].x_std[0] ** 2 == pytest.approx(share[at] @ (std**2 + (x - mean) ** 2), rel=0.01)
 
 
 @given(st.floats(-3, 3), st.floats(0.05, 5))

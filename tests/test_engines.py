@@ -31,6 +31,7 @@ BOTH, SAMPLED, CONTINUOUS = ("continuous", "sampled"), ("sampled",), ("continuou
 PLAIN: tuple[tuple[str, ...], dict[str, Any]] = (BOTH, {})  # for a method that is not listed below
 OBSERVERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "adaptive_inverse": (BOTH, {"law": "least_squares", "gain": 50.0, "poles": [-20.0]}),
+    "auto": (BOTH, {"right": [0.1, 1.0]}),
     "censored": (SAMPLED, {"right": [0.1, 1.0]}),
     "certified": (BOTH, {"L": [1.0], "gamma": 10.0, "silence": True}),
     "ekf": (SAMPLED, {"right": [0.1, 1.0]}),

@@ -21,10 +21,11 @@ RESAMPLES: Final = 2000
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """A method's place.
 
-    median_regret, worst_regret: over scenarios, of the mean over seeds, with 95 % intervals; worst_scenario: where. Of the runs that
-    did not diverge: tracking: mean rms of z - r [z]; estimation: mean rms of z - z^ [z]; width, centre: median errors where identifiable;
-    coverage: mean; None where no run has one. settled, diverged, not_applicable: shares of all runs. cost: of a step, in those of
-    the naive observer, median over scenarios.
+    median_regret, worst_regret: over scenarios, of the mean over seeds, with 95 % intervals; worst_scenario: where. behind: median over
+    scenarios of the difference to the best contestant on the same scenario and seed, with its interval. Of the runs that did
+    not diverge: tracking: mean rms of z - r [z]; estimation: mean rms of z - z^ [z]; width, centre: median errors where
+    identifiable; coverage: mean; effort, slew: median [u]; None where no run has one. settled, diverged, not_applicable: shares
+    of all runs. cost: of a step, in those of the naive observer, median over scenarios.
     """
 
     method: str
@@ -36,6 +37,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     worst_scenario: str
     diverged: float
     not_applicable: float
+    behind: float
+    behind_interval: tuple[float, float]
     settled: float
     tracking: float | None
     estimation: float | None
@@ -61,14 +64,15 @@ def regrets(results: Sequence[Result]) -> dict[str, Floats]:
 
 def leaderboard(results: Sequence[Result], references: Container[str] = (), seed: int = 0) -> list[Row]:
     """The methods by median regret, of equals by the worst. Where one is not applicable its regret counts REFUSED."""
-    found = regrets(results)
+    counted = {name: np.where(np.isnan(regret), REFUSED, regret) for name, regret in regrets(results).items()}
     scenarios = list(dict.fromkeys(result.scenario for result in results))
-    times = {name: _times(results, name) for name in found}
+    times = {name: _times(results, name) for name in counted}
+    medians = {name: (np.median(regret.mean(axis=1)), regret.mean(axis=1).max()) for name, regret in counted.items()}
+    best = counted[min((name for name in counted if name not in references), key=medians.__getitem__, default=FRAME[0])]
     rows = []
-    for name, regret in found.items():
+    for name, regret in counted.items():
         own = [result for result in results if result.method == name]
-        counted = np.where(np.isnan(regret), REFUSED, regret)
-        median, worst = intervals(counted, seed)
+        (median, worst), (behind, _) = intervals(regret, seed), intervals(regret - best, seed)
         done = [result.worth for result in own if result.worth is not None]
         kept = [worth for worth in done if not worth.diverged]
         ratios = [times[name][scenario] / times[FRAME[1]][scenario] for scenario in times[name]]
@@ -80,7 +84,9 @@ def leaderboard(results: Sequence[Result], references: Container[str] = (), seed
                 median_interval=(median.low, median.high),
                 worst_regret=worst.value,
                 worst_interval=(worst.low, worst.high),
-                worst_scenario=scenarios[int(counted.mean(axis=1).argmax())],
+                worst_scenario=scenarios[int(regret.mean(axis=1).argmax())],
+                behind=behind.value,
+                behind_interval=(behind.low, behind.high),
                 diverged=(len(done) - len(kept)) / len(own),
                 not_applicable=1 - len(done) / len(own),
                 settled=sum(worth.settling is not None for worth in kept) / len(own),
@@ -107,7 +113,7 @@ def _times(results: Sequence[Result], name: str) -> dict[str, float]:
 
 
 def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
-    """Median and worst over scenarios of the mean over seeds (regret: scenarios x seeds), with their bootstrap intervals.
+    """Median and largest over scenarios of the mean over seeds (regret: scenarios x seeds), with their bootstrap intervals.
 
     Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that of these very
     scenarios: resampled ones could only leave it out.

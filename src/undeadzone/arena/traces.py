@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.arena.contest import Contest
-from undeadzone.arena.leaderboard import FRAME, regrets
+from undeadzone.arena.leaderboard import CAP, FRAME, regrets
 from undeadzone.arrays import Floats
 from undeadzone.errors import UndeadzoneError
 
@@ -27,9 +27,10 @@ class Trace(NamedTuple):
 
 
 def typical(contest: Contest) -> str:
-    """The scenario on which the regret of the best method is nearest to its median. There must be a contestant."""
+    """The scenario on which the regret of the best method is nearest to its median, of those with a dead zone if there are any. There must be a contestant."""
     each = regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
-    return list(contest.scenarios)[int(np.nanargmin(np.abs(each - np.nanmedian(each))))]
+    distance = np.abs(each - np.nanmedian(each)) + np.array([CAP * (scenario.sensor.kind != "deadzone") for scenario in contest.scenarios.values()])
+    return list(contest.scenarios)[int(np.nanargmin(distance))]
 
 
 def traced(contest: Contest, title: str | None = None) -> list[Trace]:

@@ -103,7 +103,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     rank = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
-    head = ("", "method", "median regret", "worst regret", "worst where", "diverged", "n/a", "rms z - r", "coverage")
+    head = ("", "method", "median regret", "behind the best", "worst regret", "worst where", "diverged", "n/a", "rms z - r", "coverage")
     refused = [row.method for row in contest.rows if row.not_applicable == 1]
     print_table([head, *(_cells(rank.get(row.method, "-"), row) for row in contest.rows if row.method not in refused)])
     if refused:
@@ -125,6 +125,7 @@ def _cells(rank: str, row: Row) -> tuple[str, ...]:
         rank,
         row.method,
         regret(row.median_regret, row.median_interval),
+        regret(row.behind, row.behind_interval),
         regret(row.worst_regret, row.worst_interval),
         row.worst_scenario,
         f"{100 * row.diverged:.0f} %" if row.diverged else "",

@@ -8,17 +8,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.observers.interface import Estimate, Observer, Reading
 
 LEAST = 1e-6  # odds of a claim against the best one, however wrong it was
-
-
-class Params(NamedTuple):
-    """Numbers of the members, and the log of their odds at first (K)."""
-
-    members: Any
-    odds: Floats
 
 
 class State(NamedTuple):
@@ -28,21 +20,23 @@ class State(NamedTuple):
     odds: Any
 
 
-def bank(members: Sequence[Observer]) -> Observer:
-    """The mixture of observers that give `innovation_std`, each as likely as the others at first (Magill 1965)."""
-    params = Params(tuple(member.params for member in members), np.zeros(len(members)))
+def bank(member: Observer, claims: Sequence[Callable[[Any], Any]]) -> Observer:
+    """The mixture of K observers that give `innovation_std`, as likely as each other at first (Magill 1965).
 
-    def init(q: Params) -> State:
-        return State(tuple(member.init(p) for member, p in zip(members, q.members, strict=True)), q.odds)
+    claims: each makes the numbers of one of them from those of `member`; all start from its state.
+    """
 
-    def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-        moved, found = zip(*(member.step(p, x, u, reading) for member, p, x in zip(members, q.members, s.members, strict=True)), strict=True)
+    def init(q: Any) -> State:
+        return State(tuple(member.init(q) for _ in claims), np.zeros(len(claims)))
+
+    def step(q: Any, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        moved, found = zip(*(member.step(claim(q), x, u, reading) for claim, x in zip(claims, s.members, strict=True)), strict=True)
         odds = s.odds + ca.vertcat(*(likelihood(one) for one in found))
         odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
         share = ca.exp(odds)
         return State(moved, odds), mixture(found, share / ca.sum1(share))
 
-    return Observer(params, init, step)
+    return Observer(member.params, init, step)
 
 
 def likelihood(found: Estimate) -> Any:

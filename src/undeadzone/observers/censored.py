@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from undeadzone.arrays import nonnegative, scalar
 from undeadzone.errors import InputError
 from undeadzone.observers.bank import bank
 from undeadzone.observers.claims import Claims
-from undeadzone.observers.filtering import measured_filter, prior
+from undeadzone.observers.filtering import Params, measured_filter, prior
 from undeadzone.observers.interface import Observer
 from undeadzone.observers.joint import agitation, quarter_period
 from undeadzone.observers.unknowns import coloured, tolerances, unknowns
@@ -60,9 +62,11 @@ class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
             for key, given, default in (("disturbance", self.disturbance, usual), ("bias", self.bias, OFFSET * usual))
         )
         colour, tolerance = coloured(correlation, washout, Ts), tolerances(model, self.tolerance)
-        lasting = max(1.0, correlation / Ts)
-        members = [
-            measured_filter(model, sensor, believed, unknowns(model, colour, rms / FALL**level, bias, calibrated, tolerance), lasting, self.silence)
-            for level in range(self.levels if rms.any() else 1)
-        ]
-        return members[0] if len(members) == 1 else bank(members)
+        extension = unknowns(model, colour, rms, bias, calibrated, tolerance)
+        found = measured_filter(model, sensor, believed, extension, max(1.0, correlation / Ts), self.silence)
+        return bank(found, [partial(weakened, level) for level in range(self.levels)]) if self.levels > 1 and rms.any() else found
+
+
+def weakened(level: int, q: Params) -> Params:
+    """The numbers of the filter with the disturbance at that level."""
+    return q._replace(extension=q.extension._replace(variance=q.extension.variance / FALL ** (2 * level)))

@@ -40,7 +40,7 @@ def places(rows: Sequence[Row], title: str) -> Figure:
     for tick, row in zip(axes.get_yticklabels(), rows, strict=True):
         tick.set_color(ZONE if row.reference else TRUTH)
     finish(axes, "", "", f"regret of the rms of z − r, with 95 % intervals; {LEAST:g} and below at the left edge", legend=0)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=2)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 
@@ -100,28 +100,20 @@ def _envelope(size: Floats, parts: int = 40) -> Floats:
 
 
 def costs(rows: Sequence[Row]) -> Figure:
-    """Median regret against the cost of a step."""
-    figure, panels = sheet([["all"]], "Cost against error", height=4.6)
-    axes = panels["all"]
-    placed: list[tuple[float, float]] = []
-    for row in sorted(rows, key=lambda row: row.median_regret):
+    """Median regret against the cost of a step; the methods are numbered by their places."""
+    figure, panels = sheet([["all"] * 3 + ["names"]], "Cost against error", height=max(4.6, 0.155 * len(rows) + 0.6))
+    axes, names = panels["all"], panels["names"]
+    for place, row in enumerate(rows, 1):
         if row.cost is None:
             continue
         x, y = row.cost, float(np.clip(row.median_regret, LEAST, CAP))
-        axes.plot(x, y, "o", color=ZONE if row.reference else ESTIMATE, markersize=5)
-        axes.annotate(row.method, (x, y), (5, _offset(np.log10(x), np.log10(y), placed)), textcoords="offset points", fontsize=7.5, va="center")
+        colour = ZONE if row.reference else ESTIMATE
+        axes.plot(x, y, "o", color=colour, markersize=11, alpha=0.25, markeredgewidth=0)
+        axes.text(x, y, str(place), color=TRUTH, fontsize=6.5, ha="center", va="center")
+        names.text(0.0, 1 - place / (len(rows) + 1), f"{place:>2}  {row.method}", color=colour if row.reference else TRUTH, fontsize=8, va="center")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_ylim(0.8 * LEAST, 1.3 * CAP)
-    axes.margins(x=0.12)
+    axes.margins(0.06)
+    names.set_axis_off()
     finish(axes, "", "median regret", "cost of a step, in those of the naive observer", legend=0)
     return figure
-
-
-def _offset(x: float, y: float, placed: list[tuple[float, float]]) -> float:
-    """How far, in points, a label moves up so that it meets none before it."""
-    offset = 0.0
-    while any(abs(x - a) < 0.6 and abs(y + offset / 80 - b) < 0.09 for a, b in placed):
-        offset += 4.0
-    placed.append((x, y + offset / 80))
-    return offset

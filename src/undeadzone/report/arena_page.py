@@ -50,8 +50,9 @@ def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
             shown("leaderboard", "Dots: median over the scenarios; squares: the worst of them; bars: 95 % intervals. Grey names are lines to compare with."),
             table(_HEAD, [_cells(row) for row in contest.rows]),
             paragraph(
-                "Regret in parentheses: its interval. Width, centre: median errors of d_r + d_l and d_r − d_l relative to d_r + d_l, where readings can tell. "
-                "Coverage: of claimed 95 % intervals of the widths. Cost: of a step, in those of the naive observer.",
+                "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on the same scenario and seed. Width, centre: median "
+                "errors of d_r + d_l and d_r − d_l relative to d_r + d_l, where readings can tell. Coverage: of claimed 95 % intervals of the widths. Cost: of "
+                "a step, in those of the naive observer.",
                 "note",
             ),
         ),
@@ -63,7 +64,7 @@ def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
 
 
 _HEAD = (
-    "method", "median regret", "", "worst regret", "", "where",
+    "method", "median regret", "", "behind the best", "", "worst regret", "", "where",
     "rms z − r", "rms z − z^", "width", "centre", "coverage", "settled", "rms u", "cost", "diverged", "n/a",
 )  # fmt: skip
 
@@ -77,7 +78,8 @@ def _cells(row: Row) -> tuple[Any, ...]:
 
     return (
         row.method if not row.reference else Html(f'<span class="note">{row.method}</span>'),
-        rounded(row.median_regret), interval(row.median_interval), rounded(row.worst_regret), interval(row.worst_interval), row.worst_scenario,
+        rounded(row.median_regret), interval(row.median_interval), rounded(row.behind), interval(row.behind_interval),
+        rounded(row.worst_regret), interval(row.worst_interval), row.worst_scenario,
         *map(rounded, (row.tracking, row.estimation, row.width, row.centre, row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)),
     )  # fmt: skip
 
@@ -96,8 +98,8 @@ def _verdict(contest: Contest) -> Html:
         f"its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     )
     if rest:
-        apart = first.median_interval[1] < rest[0].median_regret
-        text += f" Next: {rest[0].method}, {rest[0].median_regret:.3f}, {'beyond' if apart else 'within'} that interval."
+        text += f" Next: {rest[0].method}, {rest[0].median_regret:.3f}; on the same scenario it is {rest[0].behind:.3f} behind in the median"
+        text += f" ({rest[0].behind_interval[0]:.3f} to {rest[0].behind_interval[1]:.3f})."
         steady = min(contest.contestants, key=lambda row: row.worst_regret)
         text += f" Least worst regret: {steady.method}, {steady.worst_regret:.3f}."
     return paragraph(text)
