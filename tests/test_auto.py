@@ -15,7 +15,7 @@ from undeadzone.arena.leaderboard import regrets
 from undeadzone.arena.methods import Method
 from undeadzone.arena.run import score
 from undeadzone.errors import InputError
-from undeadzone.observers import AdaptiveInverse, Auto, Censored, Certified
+from undeadzone.observers import Auto, Censored, Certified, HighGain
 from undeadzone.plant import Plant, System, sampled, system
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation import simulate
@@ -39,13 +39,14 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
         (NOTHING_ELSE, MODEL, "deadzone", Censored),
         ({}, sampled(PENDULUM, 0.01), "deadzone", Censored),
         ({}, sampled(INTEGRATORS, 0.01), "deadzone", Censored),
-        ({}, PAPER_PLANT, "deadzone", AdaptiveInverse),
+        ({}, PAPER_PLANT, "deadzone", HighGain),
         (NOTHING_ELSE, PAPER_PLANT, "deadzone", Certified),
-        (NOTHING_ELSE | {"tolerance": {"A[1,0]": 0.1}}, PAPER_PLANT, "deadzone", AdaptiveInverse),
-        (NOTHING_ELSE | {"bias": [0.2]}, PAPER_PLANT, "deadzone", AdaptiveInverse),
-        (NOTHING_ELSE, INTEGRATORS, "deadzone", AdaptiveInverse),
-        (NOTHING_ELSE, PENDULUM, "deadzone", AdaptiveInverse),
-        ({}, PAPER_PLANT, "jump", Certified),
+        (NOTHING_ELSE | {"tolerance": {"A[1,0]": 0.1}}, PAPER_PLANT, "deadzone", HighGain),
+        (NOTHING_ELSE | {"bias": [0.2]}, PAPER_PLANT, "deadzone", HighGain),
+        (NOTHING_ELSE, INTEGRATORS, "deadzone", HighGain),
+        (NOTHING_ELSE, PENDULUM, "deadzone", HighGain),
+        ({}, PAPER_PLANT, "jump", HighGain),
+        (NOTHING_ELSE, PAPER_PLANT, "jump", Certified),
     ],
 )
 def test_which_observer_is_chosen(claims: dict[str, Any], model: System, kind: str, expected: type) -> None:

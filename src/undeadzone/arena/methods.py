@@ -104,7 +104,7 @@ SURELY: Final = 3.0  # bound of a disturbance, in its rms
 RATE, GAIN = Knob(2.0, 100.0, "1/s"), Knob(0.3, 300.0, "1/s")
 NOISE, SHAKE, DRIFT = Knob(1e-3, 0.3, "z"), Knob(0.03, 10.0, "white u"), Knob(1e-4, 0.1, "z")
 CLAIMS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
-BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(3e-3, 1.0, "z"), "observer.disturbance": Knob(0.1, 100.0, "white u")}
+BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(0.01, 1.0, "z")}
 COLOURED = {"observer.disturbance": Knob(0.1, 10.0, "u"), "observer.drift": DRIFT, "observer.tolerance": Knob(0.01, 0.2)}
 LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}
 SLIDING = {"observer.speed": RATE, "observer.rho": Knob(0.01, 30.0, "z/s"), "observer.boundary": Knob(0.03, 3.0, "z"), "observer.gamma": GAIN}
@@ -116,14 +116,14 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType({
     "oracle": Method(Oracle, {"speed": Knob(0.1, 100.0, "1/s")}, told=_by_speed, reference=True),
     "open_loop": Method(Luenberger, told=_deaf, reference=True),
     "luenberger": Method(Luenberger, told=_naive, reference=True),
-    "printed": Method(Printed, {"speed": Knob(2.0, 1e3, "1/s"), "observer.sigma": Knob(1e-3, 10.0)}, told=_by_speed, continuous=True),
+    "printed": Method(Printed, {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)}, told=_by_speed, continuous=True),
     "printed_fed": Method(Printed, {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)}, {"observer.feed_input": True}, _by_speed, continuous=True),
     "certified": Method(Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, told=_passive),
     "kalman": Method(Kalman, CLAIMS),
     "censored": Method(Censored, COLOURED),
     "ekf": Method(EKF, CLAIMS),
     "ekf_measured": Method(EKF, CLAIMS, {"observer.mode": "measured", "observer.pseudo": False}),
-    "ukf": Method(UKF, BLURRED),
+    "ukf": Method(UKF, BLURRED | {"observer.disturbance": Knob(0.1, 100.0, "white u"), "observer.drift": Knob(3e-3, 1.0, "z")}),
     "particle_filter": Method(ParticleFilter, BLURRED),
     "moving_horizon": Method(MovingHorizon, CLAIMS),
     "interval": Method(Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, told=_bounded),
@@ -131,7 +131,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType({
     "walcott_zak": Method(WalcottZak, SLIDING, told=_readable),
     "super_twisting": Method(SuperTwisting, TWISTING, told=_readable),
     "sliding_mode": Method(WalcottZak, SLIDING | {"controller.gain": Knob(0.1, 30.0, "u")}, told=_readable, controller=SlidingMode),
-    "robust_gradient": Method(RobustGradient, {"observer.speed": RATE, "observer.gamma": GAIN, "observer.rho": Knob(1e-4, 0.1, "z")}),
+    "robust_gradient": Method(RobustGradient, {"observer.speed": RATE, "observer.gamma": Knob(0.03, 30.0, "1/s"), "observer.rho": Knob(1e-5, 0.1, "z")}),
     "adaptive_inverse": Method(AdaptiveInverse, LEARNING),
     "adaptive_inverse_ls": Method(AdaptiveInverse, LEARNING | {"observer.forgetting": Knob(0.003, 30.0)}, {"observer.law": "least_squares"}),
     "adaptive_inverse_literal": Method(AdaptiveInverse, LEARNING, {"observer.silent": "zero"}),

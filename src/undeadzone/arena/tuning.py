@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.arena.leaderboard import FRAME, REFUSED, regrets
+from undeadzone.arena.leaderboard import CAP, FRAME, regrets
 from undeadzone.arena.methods import Method, catalogue, middle
 from undeadzone.arena.metric import Result
 from undeadzone.arena.run import trial
@@ -77,7 +77,7 @@ def best(method: Method, cost: Callable[[Mapping[str, float]], float], budget: i
 
 
 def mean_regret(method: Method, grounds: Mapping[str, Ground], frame: list[Result], seeds: Sequence[int], numbers: Mapping[str, float]) -> float:
-    """Over scenarios and seeds; REFUSED where the method is not applicable."""
+    """Over scenarios and seeds; CAP where the method is not applicable with these numbers, lest it be tuned to refuse what is hard."""
     own = [result for title, ground in grounds.items() for result in trial("own", method, title, ground, seeds, numbers)]
     found = regrets([*frame, *own])["own"]
-    return float(np.where(np.isnan(found), REFUSED, found).mean())
+    return float(np.where(np.isnan(found), CAP, found).mean())

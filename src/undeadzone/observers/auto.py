@@ -4,39 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.observers.adaptive_inverse import AdaptiveInverse
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.claims import Claims
 from undeadzone.observers.filtering import declared
-from undeadzone.observers.injection import fast_gain, fastest_pole
+from undeadzone.observers.high_gain import HighGain
+from undeadzone.observers.injection import fastest_pole
 from undeadzone.observers.interface import Observer
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
-SPEED, GAIN = 6.0, 3.0  # of the adaptive inverse, in fastest poles of the plant: best of a grid on the arena's tuning scenarios
+EPSILON, GAMMA = 0.25, 4.5  # of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them
 
 
 class Auto(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="auto"):
     """The observer that suits what is claimed; claims as for `Censored`.
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed to be 0 and the model is
-    linear and stable, so that there is a proof; a jump sensor, which shows z itself, with a fast L and fixed widths; else `adaptive_inverse`.
+    linear and stable, so that there is a proof; else `high_gain`.
     """
 
-    def chosen(self, model: System, sensor: Zone) -> Censored | Certified | AdaptiveInverse:
-        """The options of the chosen observer. Raises InputError, ShapeError, StructureError."""
+    def chosen(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
+        """The options of the chosen observer. Raises InputError, ShapeError."""
         if model.Ts is not None:
             return Censored(**self.claims())
         ranges = declared(self.right, self.left, model.p)
         guess, most = ranges.mean(axis=1).reshape(2, model.p).T, ranges[:, 1].reshape(2, model.p).max(axis=0)
-        speed = SPEED * fastest_pole(model)
-        if sensor.kind == "jump":
-            return Certified(L=fast_gain(model.linear, speed, None), gamma=0.0, widths0=guess)
         stable = np.linalg.eigvals(model.linear.A).real.max() < 0
         if stable and not model.nonlinear and self.exact:
             return Certified(widths0=guess, width_max=most)
-        return AdaptiveInverse(speed=speed, gain=GAIN * fastest_pole(model), widths0=guess, width_max=most)
+        pole = fastest_pole(model)
+        return HighGain(epsilon=EPSILON / pole, gamma=0.0 if sensor.kind == "jump" else GAMMA * pole, widths0=guess, width_max=most)
 
     @property
     def exact(self) -> bool:
@@ -45,5 +43,5 @@ class Auto(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fi
         return not any(value is None or np.any(value) for value in (self.disturbance, self.bias, *tolerance))
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The chosen observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
+        """The chosen observer for a model, continuous or sampled. Raises InputError and its kinds."""
         return self.chosen(model, sensor).build(model, sensor)

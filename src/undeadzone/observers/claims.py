@@ -20,7 +20,7 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     disturbance: Array | None = None
     correlation_time: float | None = None
     bias: Array | None = None
-    calibrated: float = 0.5
+    calibrated: float = 0.7
     tolerance: float | dict[str, float] = 0.05
 
     def claims(self) -> dict[str, Any]:

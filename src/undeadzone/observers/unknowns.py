@@ -168,4 +168,4 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
     odds = np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0)
     numbers = Numbers(colour.F, colour.Q, variance, tolerance.slopes, tolerance.values, tolerance.held, rest, bias[bias > 0], odds)
     cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(colour.cov, np.diag(variance)), np.diag(tolerance.std**2))
-    return Extension(numbers, cov, move, noise, small if calibrated else None, bend if tolerance.entries else None)
+    return Extension(numbers, cov, move, noise, small if calibrated and bias.any() else None, bend if tolerance.entries else None)
