@@ -109,7 +109,7 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
     scenario = scene(**tables)
     loop, state, exogenous = prepare(resolve_scenario(scenario))
     instants = 3 if time == "continuous" else 1
-    after = np.arange(1, instants + 1) * (exogenous.shape[1] // instants) - 1  # standard normal draws
+    after = tree.names(loop.instant).index("after[0]") + np.arange(instants) * tree.size(loop.instant)  # standard normal draws
     exogenous[:, after] = np.random.default_rng(0).uniform(-6, 6, (len(exogenous), 1))
     return run_loop(loop, state, exogenous), scenario
 
