@@ -126,9 +126,12 @@ def run(
         finals[start:end] = work[:states_each, : end - start].T
 
     starts = range(0, lanes, shape.width)
-    with ThreadPoolExecutor(min(threads or os.cpu_count() or 1, len(starts))) as pool:
-        for _ in pool.map(block, starts):  # a failure or Ctrl-C here drops the blocks that have not begun
-            pass
+    if len(starts) == 1:
+        block(0)  # a pool of threads would cost more than a short run
+    else:
+        with ThreadPoolExecutor(min(threads or os.cpu_count() or 1, len(starts))) as pool:
+            for _ in pool.map(block, starts):  # a failure or Ctrl-C here drops the blocks that have not begun
+                pass
     return outputs, finals
 
 
