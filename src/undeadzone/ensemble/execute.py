@@ -49,8 +49,10 @@ def keeping(store: journal.Store) -> Iterator[None]:
         raise KeyboardInterrupt(_leave(store)) from None
     except UndeadzoneError as error:
         raise type(error)("; ".join(filter(None, (str(error), _leave(store))))) from None
-    except BaseException:
-        _leave(store)
+    except BaseException as error:
+        kept = _leave(store)
+        if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C within a lock of the thread pool ends as a RuntimeError
+            raise KeyboardInterrupt(kept) from None
         raise
 
 
