@@ -72,7 +72,7 @@ class Run:
     @property
     def last(self) -> slice:
         """The samples of the last 2 s (all of a shorter run)."""
-        return slice(int(np.searchsorted(self.t, self.t[-1] - LAST - 1e-12)), None)
+        return last_samples(self.t)
 
     @property
     def diverged_at(self) -> float | None:
@@ -222,6 +222,11 @@ class Run:
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
 REQUIRED = tuple(field.name for field in dataclasses.fields(Run) if field.name in ARRAYS and field.default is dataclasses.MISSING)
 EDGES = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}  # names of columns
+
+
+def last_samples(t: Floats) -> slice:
+    """The samples at times t [s] over which errors are measured: of the last 2 s (all of a shorter run)."""
+    return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
 def _read_csv(path: Path) -> dict[str, Any]:

@@ -35,7 +35,7 @@ class Crossing(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """The end of a step with so many changes of side located, and whether there may be one more."""
+    """The end of a step with so many changes of side located, and whether there may be more that the next attempt finds."""
 
     end: ca.SX
     more: ca.SX
@@ -67,8 +67,11 @@ def located_step(
             now = arc(now.at(split), begin, mode)
             found = ca.sum1(crossing.changed) > 0
             end = ca.if_else(found, now.end, end)
-        turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
-        more = ca.logic_or(ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side)))
+        if full:
+            more = ca.SX(0.0)
+        else:
+            turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
+            more = ca.logic_or(ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side)))
         attempts.append(Attempt(end, more))
     return attempts
 

@@ -52,9 +52,14 @@ def steady(nodes: list[Node]) -> set[int]:
     """The nodes that depend on constants and on inputs named p alone, which are finite numbers."""
     found: set[int] = set()
     for k, node in enumerate(nodes):
-        if all(operand in found for operand in node.operands) if node.operands else node.op == ca.OP_CONST or node.text.startswith("p"):
+        if _is_steady(node, found):
             found.add(k)
     return found
+
+
+def _is_steady(node: Node, found: set[int]) -> bool:
+    """Whether a node is steady, `found` being those among its operands that are."""
+    return all(operand in found for operand in node.operands) if node.operands else node.op == ca.OP_CONST or node.text.startswith("p")
 
 
 def shortened(graph: Graph) -> Graph:
@@ -123,7 +128,7 @@ class _Rewriting(NamedTuple):
         node = Node(op, operands, text)
         if node not in self.places:
             self.places[node] = len(self.nodes)
-            if all(operand in self.steady for operand in operands) if operands else op == ca.OP_CONST or text.startswith("p"):
+            if _is_steady(node, self.steady):
                 self.steady.add(len(self.nodes))
             self.nodes.append(node)
         return self.places[node]

@@ -19,7 +19,7 @@ from undeadzone.ensemble.variation import Binding, Lanes
 from undeadzone.ensemble.vary import Vary
 from undeadzone.loop import Loop
 from undeadzone.problem import Problem, resolve_scenario
-from undeadzone.run import LAST
+from undeadzone.run import last_samples
 from undeadzone.scenario import Scenario
 from undeadzone.simulation import closed
 
@@ -46,7 +46,8 @@ class Fleet(NamedTuple):
 
     def block(self, index: int, threads: int | None = None) -> Floats:
         """The rows of one block, on that many threads (default: one per processor)."""
-        runs = np.arange(self.layout.runs)[self.layout.within(index)]
+        within = self.layout.within(index)
+        runs = np.arange(within.start, within.stop)
         return self.rows(runs, self.binding.draw(int(runs[0]), runs.size, self.layout.runs), threads)
 
     def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
@@ -75,7 +76,8 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
     measured = metrics.measured(loop, problem.tracked)
     shared = inputs.exogenous(problem, run=None)
     t = np.arange(len(shared)) * scenario.simulation.step
-    tail = t >= t[-1] - LAST - 1e-12
+    tail = np.zeros(t.size)
+    tail[last_samples(t)] = 1.0
     largest = np.abs(problem.reference.value(t)).max()
     params = np.append(binding.params, vary.tolerance * largest)
     own = drawn(problem, loop, binding)

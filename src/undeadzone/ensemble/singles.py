@@ -15,7 +15,7 @@ from undeadzone.ensemble.vary import Vary
 from undeadzone.loop import Outputs
 from undeadzone.observers.interface import NumericObserver, graph_of
 from undeadzone.problem import Problem
-from undeadzone.run import LAST
+from undeadzone.run import last_samples
 
 
 class Singles(NamedTuple):
@@ -55,7 +55,7 @@ def singles(problem: Problem) -> Singles:
 def row(problem: Problem, out: Outputs) -> Floats:
     """The metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the loop."""
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
-    tail = t >= t[-1] - LAST - 1e-12
+    tail = last_samples(t)
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     worst = np.abs(error).max(axis=1)
@@ -71,4 +71,4 @@ def row(problem: Problem, out: Outputs) -> Floats:
         left=out.left[-1:],
     )
     states = np.hstack([out.x, out.x_hat, out.right, out.left])[-1:]
-    return metrics.rows(tally, states, t.size, int(tail.sum()), len(problem.tracked))
+    return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))

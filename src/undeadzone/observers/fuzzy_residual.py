@@ -7,10 +7,8 @@ import numpy as np
 
 from undeadzone.arrays import Array, scalar
 from undeadzone.basis import gaussians
-from undeadzone.observers.injection import hiding, in_poles, injection
 from undeadzone.observers.interface import Observer
 from undeadzone.observers.learning import residual
-from undeadzone.observers.weights import gradient
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
@@ -37,7 +35,5 @@ class FuzzyResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
         overlap = scalar("observer.overlap", self.overlap, above=0.0)
-        L = injection(model, self.L, self.poles, self.speed, hiding(model, 6.0))
-        gain = in_poles(model, "observer.gain", self.gain, 30.0)
         basis = gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
-        return residual(model, sensor, L, self.reach, basis, gradient(model, gain, self.leak, basis.size), self.filtered)
+        return residual(model, sensor, self, basis)

@@ -6,7 +6,7 @@ Adaptive deadzone inverse, inverse network and residual networks differ in psi, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -15,8 +15,9 @@ from undeadzone.arrays import Array, Floats, positive
 from undeadzone.basis import Basis
 from undeadzone.errors import InputError
 from undeadzone.gaussian import linearise
+from undeadzone.observers.injection import hiding, in_poles, injection
 from undeadzone.observers.interface import Estimate, Observer, Reading
-from undeadzone.observers.weights import Law
+from undeadzone.observers.weights import Law, gradient
 from undeadzone.plant import System
 from undeadzone.sensor import Zone, present
 
@@ -112,8 +113,29 @@ def learning(
     return Observer(params, init, step, project)
 
 
-def residual(model: System, sensor: Zone, L: Floats, reach: Array, basis: Basis, law: Law, filtered: bool) -> Observer:
-    """`learning` of W'phi(z^ / reach), a function of the estimate, for |z| up to reach (p) [z]. Raises InputError, ShapeError."""
-    scale = positive("observer.reach", reach, model.p, "one per output")
+class Residual(Protocol):
+    """The options that networks of the estimate share; reach: |z| up to which they hold (p) [z]."""
+
+    @property
+    def reach(self) -> Array: ...  # noqa: D102
+    @property
+    def L(self) -> Array | None: ...  # noqa: D102
+    @property
+    def poles(self) -> Array | None: ...  # noqa: D102
+    @property
+    def speed(self) -> float | None: ...  # noqa: D102
+    @property
+    def gain(self) -> float | None: ...  # noqa: D102
+    @property
+    def leak(self) -> float: ...  # noqa: D102
+    @property
+    def filtered(self) -> bool: ...  # noqa: D102
+
+
+def residual(model: System, sensor: Zone, given: Residual, basis: Basis) -> Observer:
+    """`learning` of W'phi(z^ / reach), a function of the estimate, by the normalised gradient. Raises InputError, ShapeError, StructureError."""
+    L = injection(model, given.L, given.poles, given.speed, hiding(model, 6.0))
+    gain = in_poles(model, "observer.gain", given.gain, 30.0)
+    scale = positive("observer.reach", given.reach, model.p, "one per output")
     compensator = Compensator(basis.params, lambda params, y, side, z: basis.phi(params, z), basis.size, False, scale)
-    return learning(model, sensor, L, compensator, law, filtered=filtered)
+    return learning(model, sensor, L, compensator, gradient(model, gain, given.leak, basis.size), filtered=given.filtered)
