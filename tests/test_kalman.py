@@ -32,6 +32,7 @@ TS = 0.05
 MODEL = sampled(PAPER_PLANT, TS)
 OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0]}
 NOTHING = float("nan")
+UPPER = ca.Sparsity.upper(4)
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
@@ -58,7 +59,7 @@ def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
 @given(seeds)
 def test_covariance_and_triangle_are_inverse(seed: int) -> None:
     square = np.random.default_rng(seed).normal(size=(4, 4))
-    (found,) = evaluate(lambda P: [gaussian.symmetric(gaussian.triangle(P), 4)], square + square.T)
+    (found,) = evaluate(lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T)
     assert (found == square + square.T).all()
 
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.arrays import Floats
-from undeadzone.ensemble.sampling import BITS, ROUNDS, permuted, points
+from undeadzone.ensemble.sampling import ROUNDS, permuted, points
+from undeadzone.ensemble.sobol import BITS, DIMENSIONS, _directions
 from undeadzone.errors import InputError
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -78,11 +79,19 @@ def test_a_latin_hypercube_of_many_runs_needs_no_table() -> None:
     assert ((u > 0) & (u < 1)).all()
 
 
-def test_sobol_points_are_those_of_scipy() -> None:
-    engine = stats.qmc.Sobol(3, bits=BITS, rng=11)
+@pytest.mark.parametrize(("seed", "entries"), [(11, 1), (2**62, 3), (0, 300)])
+def test_sobol_points_are_those_of_scipy(seed: int, entries: int) -> None:
+    engine = stats.qmc.Sobol(entries, bits=BITS, rng=seed)
     expected = engine.random(256) + 2.0 ** -(BITS + 1)
-    assert np.array_equal(points("sobol", 11, 0, 256, 3, 256), expected)
-    assert np.array_equal(points("sobol", 11, 100, 50, 3, 256), expected[100:150])
+    assert np.array_equal(points("sobol", seed, 0, 256, entries, 256), expected)
+    assert np.array_equal(points("sobol", seed, 100, 50, entries, 256), expected[100:150])
+    far = engine.fast_forward(10**6).random(10) + 2.0 ** -(BITS + 1)
+    assert np.array_equal(points("sobol", seed, 10**6 + 256, 10, entries, 256), far)
+
+
+def test_direction_numbers_are_those_of_scipy() -> None:
+    assert stats.qmc.Sobol.MAXDIM == DIMENSIONS
+    assert np.array_equal(_directions(2000), stats.qmc.Sobol(2000, bits=BITS, scramble=False)._sv)
 
 
 def test_no_warning_escapes_from_blocks_of_any_size() -> None:

@@ -186,7 +186,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     ({"units": {"state": ["m"]}}, ShapeError, "units.state: expected one unit, or 2 .one per state., found 1"),
     ({"model": {"B": [[1.0]]}}, ShapeError, "model.B: expected a matrix with 2 rows"),
     ({"model": {"B": [[0.0, 1.0], [1.0, 0.0]]}}, InputError, "model: expected 2 states, 1 inputs, 1 outputs like the plant, found 2, 2, 1"),
-    ({"model": {"parameters": {"g": 9.0}}}, InputError, "model.parameters: only a plant given by formulas has parameters"),
+    ({"model": {"parameters": {"g": 9.0}}}, InputError, "model.parameters: only a plant given by formulas or an arm has parameters"),
     ({"plant": PENDULUM, "model": {"parameters": {"mass": 9.0}}}, InputError, "model.parameters.mass: unknown parameter; the plant has g, b"),
     ({"plant": PENDULUM, "model": {"A": [[1.0]]}}, InputError, "model.A: the plant is given by formulas"),
     ({"tracked": [1]}, InputError, r"tracked: expected different output numbers from 0 to 0, found \[1\]"),

@@ -1,5 +1,8 @@
+from .controllers import LQR as LQR
 from .controllers import PD as PD
+from .controllers import ComputedTorque as ComputedTorque
 from .controllers import FuzzyFeedback as FuzzyFeedback
+from .controllers import GravityPD as GravityPD
 from .controllers import RBFFeedback as RBFFeedback
 from .controllers import Robust as Robust
 from .controllers import SlidingMode as SlidingMode
@@ -58,6 +61,9 @@ from .observers.adaptation import LeastSquares as LeastSquares
 from .observers.adaptation import Normalised as Normalised
 from .observers.adaptation import Sigma as Sigma
 from .online import Online as Online
+from .paths import Circle as Circle
+from .paths import FigureEight as FigureEight
+from .paths import Quintic as Quintic
 from .plant import Plant as Plant
 from .plant import SecondOrder as SecondOrder
 from .plant import TransferFunction as TransferFunction

@@ -15,11 +15,12 @@ from undeadzone.signals import Exosystem
 
 
 class Target(NamedTuple):
-    """What to follow at one instant: r (tracked outputs), x_ref (n), u_ff (m)."""
+    """What to follow at one instant: r (tracked outputs), x_ref (n), u_ff (m); plan: what the controller computed ahead for it (`controllers.Plan`)."""
 
     r: Floats
     x_ref: Floats
     u_ff: Floats
+    plan: Floats = np.empty(0)
 
 
 def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, float]:
@@ -139,3 +140,15 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
         raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {when:g} s (Newton's method finds no state and input)")
     solution = found.full().T
     return Target(exo.value(t), solution[:, : model.n], solution[:, model.n :])
+
+
+def flat_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
+    """Targets at times t [s] for a continuous model with `flat` coordinates, whose path is exo; r: the tracked outputs on it."""
+    assert model.flat is not None
+    orders = range(model.flat.order + 1)
+    path = ca.SX.sym("path", exo.Q.shape[0], len(orders))
+    params = ca.SX(model.params)
+    x, u = model.flat.solve(params, path)
+    solve = ca.Function("flat", [path], [model.output(params, x)[tracked], x, u], {"cse": True})
+    paths = np.stack([exo.value(t, order) for order in orders], axis=2)
+    return Target(*(part.full().T for part in solve.map(t.size)(np.hstack(list(paths)))))

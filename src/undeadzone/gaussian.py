@@ -16,14 +16,14 @@ class Gaussian(NamedTuple):
     cov: Any
 
 
-def triangle(cov: Any) -> Any:
-    """The upper triangle of a symmetric N x N matrix, column by column (N (N + 1) / 2)."""
-    return ca.vertcat(*(cov[: column + 1, column] for column in range(cov.shape[1])))
+def triangle(cov: Any, entries: ca.Sparsity) -> Any:
+    """Those entries of a symmetric matrix, of its upper triangle, column by column."""
+    return ca.project(cov, entries).nz[:]
 
 
-def symmetric(column: Any, size: int) -> Any:
-    """The symmetric size x size matrix whose `triangle` is given."""
-    return ca.triu2symm(ca.SX(ca.Sparsity.upper(size), column))
+def symmetric(column: Any, entries: ca.Sparsity) -> Any:
+    """The symmetric matrix whose `triangle` is given: 0, and known to be 0, outside these entries."""
+    return ca.triu2symm(ca.SX(entries, column))
 
 
 def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
@@ -52,6 +52,12 @@ def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.
         for column, other in zip(rows, products, strict=True):
             excess[row, column] = lasting * ca.dot(M, other.T) / 2
     return Gaussian(mean + spread @ shift, _from_upper(F @ P @ F.T + Q + spread @ excess @ spread.T))
+
+
+def advance(belief: Gaussian, f: Callable[[Any], Any], Q: Any, F: Any = None) -> Gaussian:
+    """The belief after x+ = f(x) + w, cov w = Q (N x N), to first order; F: the Jacobian to take (default: that of f at the mean)."""
+    mean, slope = linearise(f, belief.mean) if F is None else (f(belief.mean), F)
+    return Gaussian(mean, _from_upper(slope @ belief.cov @ slope.T + Q))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
@@ -109,4 +115,4 @@ def hazard(alpha: Any) -> Any:
 
 
 def _from_upper(cov: Any) -> Any:
-    return ca.triu2symm(ca.triu(ca.densify(cov)))
+    return ca.triu2symm(ca.triu(cov))

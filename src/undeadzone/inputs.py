@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone import noise, signals
 from undeadzone.arrays import Floats, Integers, vector
-from undeadzone.feedforward import Target, inverted_targets, linear_targets
+from undeadzone.feedforward import Target, flat_targets, inverted_targets, linear_targets
 from undeadzone.loop import HELD, RUNGE_KUTTA
 from undeadzone.problem import Problem
 
@@ -61,7 +61,7 @@ def _coefficients(problem: Problem, starts: Integers, refine: int, knots: Floats
             w = scale * problem.disturbance.value(t, k)
         else:
             w = between(knots[lower], knots[lower + 1], rest) if k == 0 else (knots[lower + 1] - knots[lower]) * (k == 1) / refine
-        parts.append(np.hstack([*(scale * part for part in targets), w, held if k == 0 else np.zeros_like(held)]))
+        parts.append(np.hstack([*(scale * part for part in targets[:3]), w, held if k == 0 else np.zeros_like(held)]))
     for k in range(len(parts) - 1):
         parts[k] = parts[k] - (k + 1) * NUDGE * parts[k + 1]  # from the nudged instant back to the step's start
     return parts
@@ -118,12 +118,18 @@ def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
 
 
 def _targets(problem: Problem, t: Floats) -> Target:
+    """Targets at times t [s], with what the controller plans along them; u_ff of a sampled nonlinear model is that of the middle of the step."""
+    target, plan = _followed(problem, t), problem.controller.plan
+    if problem.model.nonlinear and problem.model.Ts is not None:
+        target = target._replace(u_ff=_followed(problem, t + problem.model.Ts / 2).u_ff)
+    return target._replace(plan=np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target))
+
+
+def _followed(problem: Problem, t: Floats) -> Target:
     if not problem.model.nonlinear:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
+    if problem.path is not None:
+        return flat_targets(problem.flow, problem.path, problem.tracked, t)
     eq = problem.scenario.plant.x_eq
     start = np.zeros(problem.model.n) if eq is None else vector("plant.x_eq", eq, problem.model.n)
-    target = inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)
-    if problem.model.Ts is not None:
-        held = inverted_targets(problem.flow, problem.reference, problem.tracked, t + problem.model.Ts / 2, start)
-        target = target._replace(u_ff=held.u_ff)
-    return target
+    return inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)

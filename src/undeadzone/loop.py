@@ -16,7 +16,7 @@ from undeadzone.feedforward import Target
 from undeadzone.integrate import rk4
 from undeadzone.observers import Observer, Reading
 from undeadzone.plant import System
-from undeadzone.sensor import Zone, branch, edges, zone
+from undeadzone.sensor import Zone, branch, edges, quantised, side, zone
 from undeadzone.switching import Attempt, Crossing, located_step
 
 RUNGE_KUTTA = 4  # the order that needs no Taylor series
@@ -39,12 +39,13 @@ class Exogenous(NamedTuple):
 
 
 class SensorParams(NamedTuple):
-    """d_r, d_l at t = 0, m and the silence threshold (p each)."""
+    """d_r, d_l at t = 0, m, the silence threshold and the quantum of the reading (p each; no quantum where nothing is quantised)."""
 
     right: Any
     left: Any
     slope: Any
     threshold: Any
+    quantum: Any
 
 
 class Scale(NamedTuple):
@@ -137,10 +138,11 @@ def close(plant: System, sensor: Zone, observer: Observer, controller: Controlle
     step instead of three instants. Raises InputError where a loop is not linear on its branches.
     """
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
-    widths = SensorParams(sensor.right, sensor.left, sensor.slope, sensor.threshold)
+    widths = SensorParams(sensor.right, sensor.left, sensor.slope, sensor.threshold, sensor.quantum if sensor.quantum.any() else np.empty(0))
     params = Params(plant.params, widths, observer.params, controller.params, scale, np.float64(step))
     state = State(np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params))
-    instant = Exogenous(Target(np.zeros(tracked), np.zeros(plant.n), np.zeros(plant.m)), np.zeros(plant.m), *np.zeros((HELD, plant.p)))
+    target = Target(np.zeros(tracked), np.zeros(plant.n), np.zeros(plant.m), np.zeros(controller.planned))
+    instant = Exogenous(target, np.zeros(plant.m), *np.zeros((HELD, plant.p)))
     p_column, p = tree.symbols(params, "p")
     s_column, s = tree.symbols(state, "s")
     wires = _Wires(plant, sensor.kind, observer, controller, p)
@@ -185,8 +187,7 @@ class _Wires(NamedTuple):
 
     def levels(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
         """The side is right where z, noise ahead of the zone included, lies above the first, left below the second."""
-        _, _, slope, threshold = self.p.sensor
-        above, below = edges(*self.widths(w), slope, self.kind, threshold, w.after)
+        above, below = edges(*self.widths(w), self.p.sensor.slope, self.kind, self.p.sensor.threshold, w.after)
         return above, -below
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
@@ -196,7 +197,7 @@ class _Wires(NamedTuple):
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
         """The exogenous inputs of one instant, scaled; a missing reading is noise that is not a number, whose side is silent."""
         w: Exogenous = tree.unpack(instant, column)
-        target = Target(*(part * self.p.scale.reference for part in w.target))
+        target = Target(*(part * self.p.scale.reference for part in w.target[:3]), plan=w.target.plan)
         scale = self.p.scale
         return w._replace(target=target, w=w.w * scale.disturbance, before=w.before * scale.before, after=w.after * scale.after + w.lost)
 
@@ -204,12 +205,18 @@ class _Wires(NamedTuple):
         """The state's derivative (or next value) and the outputs, on a given branch of the sensor."""
         z = self.plant.output(self.p.plant, s.plant)
         y = branch(z + w.before, mode.zone, *self.widths(w), self.p.sensor.slope, self.kind) + w.after
-        reading = Reading(y, mode.side, s.plant)
+        read = mode.side
+        if self.p.sensor.quantum.numel():
+            y = quantised(y, self.p.sensor.quantum)
+            read = side(y, self.p.sensor.threshold)
+        reading = Reading(y, read, s.plant)
         _, estimate = self.observer.step(self.p.observer, s.observer, ca.SX.sym("unused", self.plant.m), reading)
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
+        if self.plant.limit is not None:
+            u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
         plant = self.plant.move(self.p.plant, s.plant, u + w.w)
-        return State(plant, observer, controller), Outputs(s.plant, z, y, mode.side, u, *estimate)
+        return State(plant, observer, controller), Outputs(s.plant, z, y, read, u, *estimate)
 
     def admissible(self, like: State, column: ca.SX) -> ca.SX:
         """The admissible state nearest to a column."""

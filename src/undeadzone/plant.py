@@ -13,6 +13,8 @@ from undeadzone import expression
 from undeadzone.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.integrate import rk4
+from undeadzone.robots.arm import Arm
+from undeadzone.robots.options import ArmOptions
 
 
 class Matrices(NamedTuple):
@@ -23,12 +25,24 @@ class Matrices(NamedTuple):
     C: Floats
 
 
+class Flat(NamedTuple):
+    """Coordinates that, with their derivatives up to `order`, say what state and input are (flatness: Fliess and others 1995).
+
+    solve(params, derivatives (coordinates x order + 1)): (x, u) in continuous time.
+    """
+
+    order: int
+    solve: Callable[[Any, Any], tuple[Any, Any]]
+
+
 class System(NamedTuple):
     """Dynamics as pure functions on CasADi expressions, and their numbers.
 
     move(params, x, u): the derivative of x, or its next value when Ts [s] is set; output(params, x): z.
     linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant; flow: those in continuous
-    time of a sampled plant.
+    time of a sampled plant. Of robots: arm: links and joints, of rigid ones x = [q; q'];
+    flat: the state and input along a path of the joints; limit: largest |u| (m), infinite where there is none.
+    names: of the parameters of a nonlinear plant, in the order of params; rate: what `move` was before it was sampled.
     """
 
     params: Any
@@ -38,6 +52,11 @@ class System(NamedTuple):
     nonlinear: bool
     Ts: float | None = None
     flow: Matrices | None = None
+    arm: Arm | None = None
+    flat: Flat | None = None
+    limit: Floats | None = None
+    names: tuple[str, ...] = ()
+    rate: Callable[[Any, Any, Any], Any] | None = None
 
     @property
     def n(self) -> int:
@@ -71,12 +90,12 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A plant in exactly one form: A, B, C; second_order; companion; integrators; transfer_function; or f, h.
+    """A plant in exactly one form: A, B, C; second_order; companion; integrators; transfer_function; f, h; or arm.
 
     A (n x n), B (n x m), C (p x n); companion: [a_0, ..., a_{n-1}] of the last row -a of (15) with C = e_1;
     integrators: n, the chain (15) itself. f, h: formulas (or Python callables f(x, u), h(x) on CasADi vectors) in
     the names of `states`, `inputs` and `parameters`; x_eq, u_eq: where a nonlinear plant is linearised for gains.
-    x0: initial state (default 0).
+    arm: a robot arm, whose numbers `parameters` changes by name (docs/robots.md). x0: initial state (default 0).
     """
 
     A: Array | None = None
@@ -90,6 +109,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     h: Any = None
     states: list[str] | None = None
     inputs: list[str] | None = None
+    arm: ArmOptions | None = None
     parameters: dict[str, float] = {}
     x_eq: Array | None = None
     u_eq: Array | None = None
@@ -104,6 +124,7 @@ _FORMS = {
     "integrators": (),
     "transfer_function": (),
     "f": ("h", "states", "inputs", "parameters", "x_eq", "u_eq"),
+    "arm": ("parameters", "x_eq", "u_eq"),
 }
 
 
@@ -141,7 +162,7 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
         return companion(np.zeros(plant.integrators))
     if plant.transfer_function is not None:
         return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
-    if plant.f is not None:
+    if plant.f is not None or plant.arm is not None:
         raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
     for name in "ABC":
         if getattr(plant, name) is None:
@@ -168,6 +189,10 @@ def system(plant: Plant, key: str = "plant") -> System:
         raise InputError(f"{key}.{unused[0]}: has no meaning for a plant given by {given[0]}; remove one of them")
     if plant.f is not None:
         return _nonlinear(plant, key)
+    if plant.arm is not None:
+        from undeadzone.robots.plants import robot
+
+        return robot(plant, plant.arm, key)
     linear = matrices(plant, key)
     if not all(np.abs(part).max() < LARGEST**2 for part in linear):
         raise InputError(f"{key}.{given[0]}: its numbers are too far apart to compute with")
@@ -231,11 +256,12 @@ def _nonlinear(plant: Plant, key: str) -> System:
     params = np.array([scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names])
     x_eq = np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n, "one per state")
     u_eq = np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m, "one per input")
-    linear = _linearise(key, move, output, params, x_eq, u_eq)
-    return System(params, move, output, linear, nonlinear=True)
+    linear = linearise(key, move, output, params, x_eq, u_eq)
+    return System(params, move, output, linear, nonlinear=True, names=tuple(names))
 
 
-def _linearise(key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats) -> Matrices:
+def linearise(key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats) -> Matrices:
+    """The linearisation of a continuous plant. Raises ShapeError, InputError."""
     x, u = ca.SX.sym("x", x_eq.size), ca.SX.sym("u", u_eq.size)
     dx, z = move(ca.SX(params), x, u), output(ca.SX(params), x)
     if dx.shape != x.shape:
@@ -258,7 +284,7 @@ def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
             x = rk4(lambda state, _: plant.move(params, state, u), x, Ts / substeps)
         return x
 
-    return plant._replace(move=move, linear=linear, Ts=Ts, flow=plant.linear)
+    return plant._replace(move=move, linear=linear, Ts=Ts, flow=plant.linear, rate=plant.move)
 
 
 def zoh(linear: Matrices, Ts: float) -> Matrices:

@@ -13,8 +13,10 @@ from undeadzone.arrays import Floats, nonnegative, scalar
 from undeadzone.controllers import Controller
 from undeadzone.design.structure import require_structure
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
+from undeadzone.feedforward import flat_targets
 from undeadzone.observers import NumericObserver, Observer
 from undeadzone.plant import Plant, System
+from undeadzone.robots import path as paths
 from undeadzone.scenario import Scenario
 from undeadzone.sensor import Zone, resolve
 from undeadzone.signals import Exosystem
@@ -23,7 +25,10 @@ MEMORY = 4e9  # [bytes] of signals that one run may hold
 
 
 class Problem(NamedTuple):
-    """The checked parts of a scenario. plant and model are sampled when the simulation is; flow is the continuous model."""
+    """The checked parts of a scenario. plant and model are sampled when the simulation is; flow is the continuous model.
+
+    reference: of the tracked outputs; path: of the coordinates of a model that is flat, a robot's joints.
+    """
 
     scenario: Scenario
     plant: System
@@ -37,6 +42,7 @@ class Problem(NamedTuple):
     tracked: list[int]
     x0: Floats
     steps: int
+    path: Exosystem | None = None
 
 
 def resolve_scenario(scenario: Scenario) -> Problem:
@@ -45,12 +51,18 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     step, steps = _time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step)
     tracked = _tracked(scenario, true)
-    reference = signals.exosystem("reference", scenario.reference, len(tracked))
-    _require_resolved("reference", reference, step)
+    if flow.flat is None:
+        path, reference = None, signals.exosystem("reference", scenario.reference, len(tracked))
+    else:
+        path = paths.followed(scenario, flow, step)
+        reference = Exosystem(np.zeros((len(tracked),) * 2), np.eye(len(tracked)), lambda t: flat_targets(flow, path, tracked, t).r)
+    _require_resolved("reference", reference if path is None else path, step)
     disturbance = _disturbance(scenario, true.m)
     if disturbance is not None:
         _require_resolved("disturbance", disturbance, step)
     plant, model = true, flow
+    if scenario.simulation.time == "continuous" and sensor.quantum.any():
+        raise InputError('sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"')
     if scenario.simulation.time == "sampled":
         substeps = scenario.simulation.substeps
         if not 1 <= substeps <= 1000:
@@ -62,7 +74,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         _require_fine_step(plant, model, observer, controller, step)
-    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps)
+    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps, path)
 
 
 def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
@@ -79,14 +91,20 @@ def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     """(the plant, the model, x(0)) in continuous time, checked against each other. Raises InputError and its kinds."""
     plant = plants.system(scenario.plant)
-    require_structure(plant.linear, "plant")
+    _require_structure(plant, "plant")
     model = plant
     if scenario.model is not None:
         model = plants.system(believed_plant(scenario), "model")
-        require_structure(model.linear, "model")
+        _require_structure(model, "model")
         if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
             raise InputError(f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}")
     return plant, model, plants.initial_state(scenario.plant, plant.n)
+
+
+def _require_structure(system: System, key: str) -> None:
+    """`require_structure`; of an arm, whose structure changes with its posture, a run's own verdict tells."""
+    if system.flat is None:
+        require_structure(system.linear, key)
 
 
 def believed_plant(scenario: Scenario) -> Plant:
@@ -95,14 +113,14 @@ def believed_plant(scenario: Scenario) -> Plant:
     if model is None:
         return plant
     matrices = {name: getattr(model, name) for name in "ABC" if getattr(model, name) is not None}
-    if plant.f is not None:
+    if plant.f is not None or plant.arm is not None:
         if matrices:
-            raise InputError(f"model.{min(matrices)}: the plant is given by formulas; its model can change parameters only")
-        if unknown := sorted(set(model.parameters) - set(plant.parameters)):
+            raise InputError(f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can change parameters only")
+        if plant.f is not None and (unknown := sorted(set(model.parameters) - set(plant.parameters))):
             raise InputError(f"model.parameters.{unknown[0]}: unknown parameter; the plant has {', '.join(plant.parameters) or 'none'}")
         return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
     if model.parameters:
-        raise InputError("model.parameters: only a plant given by formulas has parameters; use A, B, C")
+        raise InputError("model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C")
     linear = plants.matrices(plant)
     return Plant(**{**linear._asdict(), **matrices})
 

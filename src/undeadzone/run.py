@@ -19,11 +19,12 @@ from undeadzone.files import reason, replacing
 from undeadzone.scenario import Units
 
 LAST = 2.0  # [s] over which errors are measured
+FRAMES = 25  # per second, of an arm's poses
 LIMIT = 1e12  # beyond this a state has diverged
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What a run knows besides its signals; widths: the true [right, left] of each output."""
+    """What a run knows besides its signals; widths: the true [right, left] of each output; joints: names, of an arm."""
 
     title: str
     method: str
@@ -37,6 +38,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     identifiable: list[dict[str, Any]]
     seconds: float
     units: Units = Units()
+    joints: list[str] = []
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +48,9 @@ class Run:
     x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
     output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
     x_std, d_std, width_std, innovation_std: standard deviations of x_hat, d_hat, d_r^ + d_l^ and innovation, where the
-    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that.
+    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that. Of an arm: tip,
+    tip_hat, tip_r: where its tip is, is believed to be and should be [m] (2 or 3); poses (F x K x 3): where base, joints and tip are at
+    FRAMES instants per second, from t = 0 on [m] (in `.npz` files only).
     """
 
     t: Floats
@@ -68,6 +72,10 @@ class Run:
     width_std: Floats | None = None
     innovation_std: Floats | None = None
     w_hat: Floats | None = None
+    tip: Floats | None = None
+    tip_hat: Floats | None = None
+    tip_r: Floats | None = None
+    poses: Floats | None = None
 
     @property
     def last(self) -> slice:
@@ -92,9 +100,22 @@ class Run:
         return _rms((self.z - self.z_hat)[self.last])
 
     @property
+    def rms_tip(self) -> float | None:
+        """Root mean square distance of an arm's tip from where it should be over the last 2 s [m]; None without an arm."""
+        if self.tip is None or self.tip_r is None:
+            return None
+        return float(np.sqrt(np.sum((self.tip - self.tip_r)[self.last] ** 2, axis=1).mean()))
+
+    @property
     def widths(self) -> Floats:
         """The final width estimates (p x 2): [d_r^, d_l^] of each output."""
         return self.d_hat[-1].reshape(-1, 2)
+
+    @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: those of an arm's joints where it has one for each, else their numbers."""
+        several = len(self.info.joints) == self.z.shape[1]
+        return list(self.info.joints) if several else [str(i) for i in range(self.z.shape[1])]
 
     @property
     def silent_fraction(self) -> float:
@@ -134,6 +155,7 @@ class Run:
             "step": self.info.step,
             "rms_tracking": self.rms_tracking,
             "rms_estimation": self.rms_estimation,
+            **({} if self.tip is None else {"rms_tip": self.rms_tip}),
             "d_right": right,
             "d_left": left,
             "d_right_std": None if self.d_std is None else each(self.d_std[-1, 0::2]),
@@ -154,7 +176,7 @@ class Run:
         found = {"t": self.t}
         for name in ARRAYS[1:]:
             value = getattr(self, name)
-            if value is None:
+            if value is None or value.ndim > 2:
                 continue
             if value.ndim == 1:
                 found[name] = value
@@ -170,7 +192,7 @@ class Run:
         if signal in ("x", "x_hat", "x_std", "w_hat"):
             state = units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
             return f"{state}/s" if signal == "w_hat" else state
-        return {"t": "s", "u": units.input, "side": "1", "V": "1"}.get(signal, units.output)
+        return {"t": "s", "u": units.input, "side": "1", "V": "1", "tip": "m", "tip_hat": "m", "tip_r": "m"}.get(signal, units.output)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write `.npz` or `.csv` (17 digits, units in the header, the info as a first line after #). Raises FileError, InputError."""

@@ -21,6 +21,7 @@ from undeadzone.files import reason
 from undeadzone.observers import ObserverOptions
 from undeadzone.observers.claims import Claims
 from undeadzone.plant import Plant
+from undeadzone.region import Region
 from undeadzone.sensor import Sensor
 from undeadzone.signals import Disturbance, Signal
 
@@ -65,6 +66,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     tracked: outputs that follow the reference (default: the first min(inputs, outputs)). ensemble: what varies among many runs. tune:
     what `undeadzone tune` may change, and to what end. declared: what the methods of `undeadzone arena` are told.
+    compare: another observer, whose run `undeadzone run` shows beside the first. region: on which `undeadzone check` certifies a nonlinear model.
     """
 
     plant: Plant
@@ -80,6 +82,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ensemble: Vary | None = None
     tune: Tune | None = None
     declared: Claims | None = None
+    compare: ObserverOptions | None = None
+    region: Region | None = None
     title: str = "Untitled"
 
 
@@ -120,7 +124,9 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
 
 def anchored(scenario: Scenario, folder: Path) -> Scenario:
     """The scenario with the files that it names taken from `folder`."""
-    return msgspec.structs.replace(scenario, **{part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer")})
+    plant = msgspec.structs.replace(scenario.plant, arm=_anchor(scenario.plant.arm, folder))
+    parts = {part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer", "compare")}
+    return msgspec.structs.replace(scenario, plant=plant, **parts)
 
 
 def _anchor(part: Any, folder: Path) -> Any:

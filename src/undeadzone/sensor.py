@@ -63,6 +63,14 @@ def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
     return (1.0 + sign) / 2.0, (1.0 - sign) / 2.0
 
 
+def quantised(y: Any, quantum: Any) -> Any:
+    """The reading rounded to a multiple of its quantum (an encoder's), itself where that is 0."""
+    ops = _ops(y, quantum)
+    step = quantum + (quantum == 0)
+    rounded = step * ops.floor(y / step + 0.5)
+    return y * (quantum == 0) + rounded * (quantum != 0)
+
+
 def offset(side: Any, right: Any, left: Any) -> Any:
     """chi_bar d of (12) with chi_bar = [chi_r, -chi_l]: what the deadzone takes off z on that side."""
     return right * (side > 0) - left * (side < 0)
@@ -113,6 +121,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     right, left: d_r, d_l [z]; slope: m [y/z]; noise: rms added after the deadzone [y]; noise_before: rms added to z
     ahead of it [z]; threshold: |y| that counts as silent [y] (default: from noise and false_alarm_rate [1/s]).
+    quantum: of the reading, which is rounded to its multiples [y], as an encoder's; sampled time only.
     drift [1/sqrt(s)]: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms; dropout: probability
     that a reading is missing, below 1.
     """
@@ -125,6 +134,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     noise_before: Array = 0.0
     threshold: Array | None = None
     false_alarm_rate: float = 0.01
+    quantum: Array = 0.0
     drift: Array = 0.0
     dropout: Array = 0.0
 
@@ -141,6 +151,12 @@ class Zone(msgspec.Struct, frozen=True):
     threshold: Floats
     drift: Floats
     dropout: Floats
+    quantum: Floats
+
+    @property
+    def rms(self) -> Floats:
+        """What a reading on an active side is off by, rms (p) [z]: noise ahead of and after the zone, rounding."""
+        return np.hypot(np.hypot(self.noise / self.slope, self.noise_before), self.quantum / self.slope / np.sqrt(12))
 
 
 def resolve(sensor: Sensor, p: int, step: float) -> Zone:
@@ -152,12 +168,12 @@ def resolve(sensor: Sensor, p: int, step: float) -> Zone:
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
     noise = nonnegative("sensor.noise", sensor.noise, p, why)
     before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
-    drift, dropout = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("drift", "dropout"))
+    drift, dropout, quantum = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("drift", "dropout", "quantum"))
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
     rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
     if sensor.threshold is None:
-        threshold = noise_threshold(noise, step, rate)
+        threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
     else:
         threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
-    return Zone(sensor.kind, right, left, slope, noise, before, threshold, drift, dropout)
+    return Zone(sensor.kind, right, left, slope, noise, before, threshold, drift, dropout, quantum)

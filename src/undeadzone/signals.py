@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.arrays import Array, Floats, scalar, vector
 from undeadzone.errors import FileError, InputError
 from undeadzone.files import reason
+from undeadzone.paths import Circle, FigureEight, Path, Quintic, curve
 
 
 class Exosystem(NamedTuple):
@@ -31,6 +32,15 @@ class Exosystem(NamedTuple):
     def value(self, t: Floats, derivative: int = 0) -> Floats:
         """r, or its derivative of the given order, at times t [s] (len(t) x channels)."""
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
+
+
+def seen(exo: Exosystem, order: int, offset: Floats, channels: list[int]) -> Exosystem:
+    """The exosystem of some channels of its derivative of that order, less an offset each (of all channels)."""
+    k = exo.S.shape[0]
+    S = np.zeros((k + 1, k + 1))
+    S[:k, :k] = exo.S
+    Q = np.hstack([exo.Q @ np.linalg.matrix_power(exo.S, order), -offset[:, None]])[channels]
+    return exo._replace(S=S, Q=Q, state=lambda t: np.hstack([exo.state(t), np.ones((t.size, 1))]))
 
 
 class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -87,12 +97,15 @@ class Random(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     correlation_time: float
 
 
-Signal = Sine | Sines | Step | Trapezoid | Samples
+Signal = Sine | Sines | Step | Trapezoid | Samples | Path
 Disturbance = Sine | Sines | Step | Trapezoid | Samples | Random
 
 
-def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
-    """The exosystem of a signal with that many channels. Raises InputError, ShapeError, FileError."""
+def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Exosystem:
+    """The exosystem of a signal with that many channels; task: these are coordinates of an arm's tip.
+
+    Raises InputError, ShapeError, FileError.
+    """
     why = f"one per channel, there are {channels}"
     match signal:
         case Sines():
@@ -109,7 +122,12 @@ def exosystem(key: str, signal: Signal, channels: int) -> Exosystem:
             return _trapezoid(key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why))
         case Samples():
             t, values = read_csv(key, signal.path, channels)
-            return _piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)._replace(corners=t)
+            return piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)._replace(corners=t)
+        case Quintic() | Circle() | FigureEight():
+            if signal.space == "task" and not task:
+                raise InputError(f"{key}.space: task, the coordinates of an arm's tip, needs a plant with an arm (plant.arm); use space = 'joint'")
+            derivatives, closure, corners, period = curve(key, signal, channels)
+            return piecewise(derivatives, channels, closure)._replace(corners=corners, period=period)
 
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
@@ -145,12 +163,18 @@ def _common_period(frequencies: list[float]) -> float | None:
     return float(cycles) / frequencies[0]
 
 
-def _piecewise(derivatives: Callable[[Floats], Floats], channels: int) -> Exosystem:
-    """An exosystem of polynomials: derivatives(t) gives len(t) x order x channels, the value and its derivatives."""
+def piecewise(derivatives: Callable[[Floats], Floats], channels: int, closure: Floats | None = None) -> Exosystem:
+    """An exosystem of derivatives: derivatives(t) gives len(t) x order x channels, the value and its derivatives.
+
+    closure: the derivative that follows the last, as a combination of those (order); default: 0, as of polynomials.
+    """
     order = derivatives(np.zeros(1)).shape[1]
     identity = np.eye(channels)
+    shift = np.eye(order, k=1)
+    if closure is not None:
+        shift[-1] = closure
     return Exosystem(
-        np.kron(np.eye(order, k=1), identity),
+        np.kron(shift, identity),
         np.kron(np.eye(order)[:1], identity),
         lambda t: derivatives(t).reshape(t.size, order * channels),
     )
@@ -169,7 +193,7 @@ def _trapezoid(key: str, signal: Trapezoid, amplitude: Floats) -> Exosystem:
         value = levels[piece] + slopes[piece] * (phase - corners[piece])
         return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
 
-    return _piecewise(derivatives, amplitude.size)._replace(period=float(corners[-1]), corners=corners)
+    return piecewise(derivatives, amplitude.size)._replace(period=float(corners[-1]), corners=corners)
 
 
 def _lines(t: Floats, values: Floats) -> Callable[[Floats], Floats]:

@@ -17,10 +17,12 @@ from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import recorded
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
+from undeadzone.feedforward import flat_targets
 from undeadzone.loop import Loop, Outputs, close
 from undeadzone.observers.interface import NumericObserver, graph_of
 from undeadzone.problem import Problem, constant_gains, resolve_scenario
-from undeadzone.run import Info, Run
+from undeadzone.robots.arm import along
+from undeadzone.run import FRAMES, Info, Run
 from undeadzone.scenario import Scenario
 
 Engine = Literal["interpret", "lanes"]
@@ -99,6 +101,24 @@ def named(loop: Loop, outputs: Floats) -> Outputs:
     return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
 
 
+def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
+    """Where an arm's tip is, is believed to be, and should be (N x 2 or 3 each) [m]; nothing without an arm."""
+    body = problem.plant.arm
+    if body is None or problem.path is None:
+        return {}
+    x_ref = flat_targets(problem.flow, problem.path, problem.tracked, t).x_ref
+    places = {"tip": (problem.plant, x), "tip_hat": (problem.model, x_hat), "tip_r": (problem.model, x_ref)}
+    return {name: along(body.tip, system.params, q[:, : body.size]) for name, (system, q) in places.items()}
+
+
+def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
+    body = problem.plant.arm
+    if body is None:
+        return {}
+    frames = np.searchsorted(t, np.arange(0, t[-1] + 1e-9, 1 / FRAMES) - 1e-9)
+    return {"poses": along(body.points, problem.plant.params, x[frames, : body.size])}
+
+
 def _difference(coarse: Outputs, fine: Outputs) -> float:
     """The largest difference of x, x^, d^ between a run and its twin of half the step."""
     gaps = [np.abs(getattr(coarse, name) - getattr(fine, name)).max() for name in ("x", "x_hat", "right", "left")]
@@ -144,6 +164,9 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
             identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in found],
             seconds=time.perf_counter() - began,
             units=scenario.units,
+            joints=[] if problem.plant.arm is None else list(problem.plant.arm.chain.joints),
         ),
+        **tips(problem, signal.x, signal.x_hat, t),
+        **_poses(problem, signal.x, t),
         **{name: value for name, value in optional.items() if value.size},
     )  # fmt: skip

@@ -41,7 +41,7 @@ def pack(tree: Any) -> Floats:
 
 def stack(tree: Any) -> ca.SX:
     """All entries of a CasADi tree as one column."""
-    return ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.SX(leaf)) for _, leaf in leaves(tree)))
+    return ca.vertcat(ca.SX(0, 1), *(ca.densify(ca.vec(ca.SX(leaf))) for _, leaf in leaves(tree)))
 
 
 def size(tree: Any) -> int:

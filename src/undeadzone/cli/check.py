@@ -24,7 +24,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
 
     Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G fails, and the nearest
     certified gains), how fast the error dies along the reference, and which widths its readings can tell, how well,
-    and what would help. Writes check.json, figures and report.html to DIR (default: NAME-check); with --no-figures and
+    and what would help. A nonlinear model is judged on the scenario's [region]. Writes check.json, figures and report.html to DIR (default: NAME-check); with --no-figures and
     no --out it writes nothing. Exit code 1: not certified (observers without constant gains need not be), or not every
     width can be identified.
     """
@@ -58,11 +58,16 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
 def in_words(summary: dict[str, Any], problem: Scenario) -> dict[str, Any]:
     """What the judge found, for `print_pairs`."""
     shown: dict[str, Any] = {"scenario": summary["title"], "observer": f"{problem.observer.__struct_config__.tag}, {problem.simulation.time} time"}
-    if summary["certified"]:
+    if summary["certified"] and problem.region is not None:
+        shown["certified"] = f"yes on the region, margin {summary['margin']:.4g}: V never rises while x, x^ and u stay in it, whatever the sides do"
+    elif summary["certified"]:
         frequency = "for large frequencies" if summary["frequency"] is None else f"at {summary['frequency']:.4g} rad/s"
         shown["certified"] = f"yes, margin {summary['margin']:.4g} {frequency}: V never rises, whatever the sides do"
     elif summary["certified"] is False:
         shown["certified"] = "NO: " + "; ".join(reason.removeprefix(REFUSED) for reason in summary["reasons"] if reason.startswith(REFUSED))
+    if problem.region is not None and summary["certified"] is not None:
+        left = summary["left_region"]
+        shown["region"] = "a run of the scenario stays in it" if left is None else f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
     if near := summary.get("nearest"):
         shown["nearest certified"] = f"L = {plain(near['L'])}, gamma = {plain(near['gamma'])}: margin {near['margin']:.3g}, rate {near['rate']:.4g} 1/s"
         shown["faster ones"] = "undeadzone design finds certified gains by their rate and what they trade for it"

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 METRICS = {
     "rms_tracking": "rms z - r, last 2 s",
     "rms_estimation": "rms z - z^, last 2 s",
+    "rms_tip": "rms distance of the tip from its path, last 2 s",
     "d_error": "largest |d^ - d|, at the end",
     "settling_time": "settling time",
     "peak_tracking": "peak |z - r|",
@@ -110,7 +111,7 @@ def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: lis
     }
     print_pairs(shares)
     if summary["metrics"]:
-        found = ((label(name, result.unit(key)), summary["metrics"][key]) for key, name in METRICS.items())
+        found = ((label(name, result.unit(key)), summary["metrics"][key]) for key, name in METRICS.items() if key in summary["metrics"])
         rows = [(name, *(_interval(metric[column]) for column in ("median", "p95", "p99"))) for name, metric in found]
         click.echo()
         print_table([("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below"), *rows])

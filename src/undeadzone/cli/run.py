@@ -13,12 +13,16 @@ from undeadzone.cli.common import common, print_json, print_pairs, progress, yes
 if TYPE_CHECKING:
     from undeadzone.run import Run
 
+TIP = "The tip against its path, its distance from it, and the torques."
+PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
+
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option("--replay", type=int, default=None, metavar="NUMBER", help="Show a run of an ensemble, whose file stands for SCENARIO.toml.")
+@click.option("--animation", type=click.Path(path_type=Path), default=None, metavar="FILE", help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.")
 @common
-def run(scenario: Path, replay: int | None, out: Path | None, as_json: bool, no_figures: bool) -> int:
+def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | None, as_json: bool, no_figures: bool) -> int:
     """Simulate a scenario: its plant behind its dead zone, watched by its observer, driven by its controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a certificate
@@ -28,20 +32,25 @@ def run(scenario: Path, replay: int | None, out: Path | None, as_json: bool, no_
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default folder:
     run-NUMBER-results), computed again with its own numbers and noise, and says whether it met them to the last bit.
     """
-    result, apart = (_simulated(scenario), None) if replay is None else _replayed(scenario, replay)
+    (result, rival), apart = (_simulated(scenario), None) if replay is None else _replayed(scenario, replay)
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = out if out is not None else None if no_figures else Path(f"{name}-results")
-    written = write(result, folder, not no_figures) if folder is not None else []
-    summary = result.summary()
+    written = write(result, folder, not no_figures, rival) if folder is not None else []
+    if animation is not None:
+        written.append(_animated(result, rival, animation))
+    summary = result.summary() | ({} if rival is None else {"compare": rival.summary()})
     if as_json:
         again = {} if replay is None else {"replayed": {"run": replay, "deviation": apart}}
         print_json(summary | again | {"files": [str(path) for path in written]})
     else:
-        _print(result, written, apart)
+        _print(result, written, apart, rival)
     return 0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
 
 
-def _simulated(path: Path) -> Run:
+def _simulated(path: Path) -> tuple[Run, Run | None]:
+    """The run of a scenario, and of the same with the observer that it is to be compared with."""
+    import msgspec
+
     from undeadzone.ensemble.variation import require_bound
     from undeadzone.errors import InputError
     from undeadzone.scenario import read
@@ -49,24 +58,34 @@ def _simulated(path: Path) -> Run:
 
     if path.suffix in (".npz", ".parquet"):
         raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
-    problem = read(path)
-    require_bound(problem)
-    runs = 3 if problem.simulation.time == "continuous" else 1
-    with progress("simulating", round(runs * problem.simulation.duration / max(problem.simulation.step, 1e-12))) as advance:
-        return simulate(problem, progress=advance)
+    scenario = read(path)
+    require_bound(scenario)
+    both = [scenario] if scenario.compare is None else [scenario, msgspec.structs.replace(scenario, observer=scenario.compare)]
+    each = 3 if scenario.simulation.time == "continuous" else 1
+    with progress("simulating", round(len(both) * each * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))) as advance:
+        runs = [simulate(one, progress=advance) for one in both]
+    return runs[0], runs[1] if len(runs) > 1 else None
 
 
-def _replayed(path: Path, number: int) -> tuple[Run, float]:
+def _replayed(path: Path, number: int) -> tuple[tuple[Run, None], float]:
     """A run of an ensemble, and how far it lies from what it was there."""
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.ensemble.whole import deviation, replay_run
 
     ensemble = Ensemble.load(path)
-    return replay_run(ensemble, number), deviation(ensemble, number)
+    return (replay_run(ensemble, number), None), deviation(ensemble, number)
 
 
-def write(result: Run, folder: Path, figures: bool) -> list[Path]:
-    """The files of a run: signals always, figure and page where wanted."""
+def _animated(result: Run, rival: Run | None, path: Path) -> Path:
+    from undeadzone.report.animation import movie
+
+    frames = 0 if result.poses is None else len(result.poses)
+    with progress("drawing", frames, "frames") as advance:
+        return movie(result, rival, path, advance)
+
+
+def write(result: Run, folder: Path, figures: bool, rival: Run | None = None) -> list[Path]:
+    """The files of a run: signals always, figure and page where wanted, with a rival's run beside it if there is one."""
     written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
     if figures:
         from undeadzone.files import write_text
@@ -76,11 +95,21 @@ def write(result: Run, folder: Path, figures: bool) -> list[Path]:
 
         figure = overview(result)
         written.append(write_figure(figure, folder / "figure.png"))
-        written.append(write_text(run_page(result, [figure]), folder / "report.html"))
+        first: list[Any] = []
+        if result.poses is not None:
+            from undeadzone.report.animation import animated
+            from undeadzone.report.arm_figures import phase, tip
+            from undeadzone.report.html import picture
+            from undeadzone.report.style import png
+
+            drawn = {"tip": tip(result, rival), "phase": phase(result)}
+            written += [write_figure(panel, folder / f"{name}.png") for name, panel in drawn.items()]
+            first = [animated(result, rival), picture(png(drawn["tip"]), TIP), picture(png(drawn["phase"]), PHASE)]
+        written.append(write_text(run_page(result, [figure], rival, first), folder / "report.html"))
     return written
 
 
-def _print(result: Run, written: list[Path], apart: float | None) -> None:
+def _print(result: Run, written: list[Path], apart: float | None, rival: Run | None) -> None:
     summary = result.summary()
     unit = result.info.units.output
     shown: dict[str, Any] = {
@@ -88,6 +117,7 @@ def _print(result: Run, written: list[Path], apart: float | None) -> None:
         "observer": f"{summary['method']}, {summary['time']} time, step {summary['step']:g} s",
         "rms z - r": f"{result.rms_tracking:.4g} {unit} (last 2 s)",
         "rms z - z^": f"{result.rms_estimation:.4g} {unit} (last 2 s)",
+        **({} if result.rms_tip is None else {"rms tip": f"{result.rms_tip:.4g} m from its path (last 2 s)"}),
         "d_right": _widths(result, 0),
         "d_left": _widths(result, 1),
         "silent": f"{100 * result.silent_fraction:.1f} % of the time",
@@ -100,9 +130,11 @@ def _print(result: Run, written: list[Path], apart: float | None) -> None:
         shown["certificate"] = holds if summary["certified"] else "none found for these gains; undeadzone check says why"
     if summary["integration_error"] is not None:
         shown["integration"] = f"error {summary['integration_error']:.2g} (against half the step)"
-    for output, verdict in enumerate(result.info.identifiable):
-        where = f" of output {output}" if len(result.info.identifiable) > 1 else ""
+    for output, verdict in zip(result.outputs, result.info.identifiable, strict=True):
+        where = f" of {'' if result.info.joints else 'output '}{output}" if len(result.info.identifiable) > 1 else ""
         shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
+    if rival is not None:
+        shown["compared"] = _compared(rival)
     if result.diverged_at is not None:
         shown["DIVERGED"] = f"at {result.diverged_at:g} s"
     if apart is not None:
@@ -110,6 +142,14 @@ def _print(result: Run, written: list[Path], apart: float | None) -> None:
     if written:
         shown["written"] = ", ".join(map(str, written))
     print_pairs(shown)
+
+
+def _compared(rival: Run) -> str:
+    """What a rival's run came to."""
+    if rival.diverged_at is not None:
+        return f"{rival.info.method} diverges at {rival.diverged_at:g} s"
+    tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
+    return f"{rival.info.method}: rms z - r {rival.rms_tracking:.4g} {rival.info.units.output}{tip}"
 
 
 def _widths(result: Run, edge: int) -> str:

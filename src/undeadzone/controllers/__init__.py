@@ -1,13 +1,19 @@
 """The catalogue of controllers: one file each. To add one, write its file and name its options class here."""
 
+from undeadzone.controllers.computed_torque import ComputedTorque
 from undeadzone.controllers.fuzzy_feedback import FuzzyFeedback
-from undeadzone.controllers.interface import Controller
+from undeadzone.controllers.gravity_pd import GravityPD
+from undeadzone.controllers.interface import Controller, Plan
+from undeadzone.controllers.lqr import LQR
 from undeadzone.controllers.pd import PD
 from undeadzone.controllers.rbf_feedback import RBFFeedback
 from undeadzone.controllers.sliding_mode import SlidingMode
 from undeadzone.controllers.state_feedback import Robust, StateFeedback
 from undeadzone.controllers.taylor_feedback import TaylorFeedback
 
-ControllerOptions = StateFeedback | PD | SlidingMode | FuzzyFeedback | RBFFeedback | TaylorFeedback
+ControllerOptions = StateFeedback | PD | SlidingMode | FuzzyFeedback | RBFFeedback | TaylorFeedback | ComputedTorque | GravityPD | LQR
 
-__all__ = ["PD", "Controller", "ControllerOptions", "FuzzyFeedback", "RBFFeedback", "Robust", "SlidingMode", "StateFeedback", "TaylorFeedback"]
+__all__ = [
+    "LQR", "PD", "ComputedTorque", "Controller", "ControllerOptions", "FuzzyFeedback", "GravityPD", "Plan", "RBFFeedback", "Robust", "SlidingMode",
+    "StateFeedback", "TaylorFeedback",
+]  # fmt: skip

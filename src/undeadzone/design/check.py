@@ -15,7 +15,9 @@ from undeadzone.design.information import deviations
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.robust import l2_gain
 from undeadzone.design.schedule import Schedule, planned, recorded
+from undeadzone.design.vertices import certify_on
 from undeadzone.problem import Problem, constant_gains, resolve_scenario
+from undeadzone.region import Box, box
 from undeadzone.scenario import Scenario
 from undeadzone.signals import Random
 
@@ -39,18 +41,25 @@ def check(scenario: Scenario) -> dict[str, Any]:
     BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w
     at the input and v on y (each the least with the other absent; None if not proved); rate [1/s], time_constant [s],
     never: errors that stay; states: which are determined; identifiable {right, left, width, centre}, std of the same
-    [z]; reasons for every 'no', cures. Numbers that are not finite are None. Raises InputError and its kinds, as `simulate` does.
+    [z]; reasons for every 'no', cures. A nonlinear model is certified on the scenario's region; left_region [s]: when a run of the
+    scenario first leaves that, None if it does not. Numbers that are not finite are None. Raises InputError and its kinds, as `simulate` does.
     """
     problem = resolve_scenario(scenario)
     schedule = plan(problem)
     known = knowledge(problem, schedule)
-    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "l2_gain", "rate", "time_constant"))
+    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region"))
     summary = {"title": scenario.title, **absent, "never": [], "states": determined(problem, schedule)}
     reasons = []
     gains = constant_gains(problem.observer, problem.model)
-    if gains is None or problem.model.nonlinear:
-        what = "the model is nonlinear" if problem.model.nonlinear else "the observer has no constant gains L, gamma"
-        reasons.append(f"no certificate and no rate: {what}")
+    if gains is None:
+        reasons.append("no certificate and no rate: the observer has no constant gains L, gamma")
+    elif problem.model.nonlinear and scenario.region is None:
+        reasons.append("no certificate and no rate: the model is nonlinear; certificates of such models hold on a declared [region]")
+    elif problem.model.nonlinear:
+        within = box(scenario.region, problem.model)
+        proof = certify_on(problem.model, *gains, within)
+        summary |= {"certified": proof.certified, "margin": proof.margin, "left_region": _left(scenario, within)}
+        reasons += [f"not certified: {proof.reason}"] * (not proof.certified)
     else:
         proof = certify(problem.model.linear, *gains, problem.model.Ts)
         speed = rates(problem.model.linear, *gains, schedule, problem.sensor.kind == "jump")
@@ -85,6 +94,15 @@ def _bounded(proof: Certificate, problem: Problem) -> dict[str, float] | None:
     return {"disturbance": push.disturbance, "noise": noisy.noise} if push.check.proved and noisy.check.proved else None
 
 
+def _left(scenario: Scenario, within: Box) -> float | None:
+    """The time [s] at which state, estimate or input first leave a box; None if they stay."""
+    from undeadzone.simulation import simulate
+
+    run = simulate(scenario, check_step=False)
+    outside = np.flatnonzero(within.left(run.x, run.x_hat, run.u))
+    return float(run.t[outside[0]]) if outside.size else None
+
+
 def plan(problem: Problem) -> Schedule:
     """The sides along the reference where the controller makes z follow it, else along a simulated run."""
     if isinstance(problem.scenario.controller, StateFeedback):
@@ -107,10 +125,9 @@ def knowledge(problem: Problem, schedule: Schedule) -> list[Known]:
     if isinstance(scenario.disturbance, Random):
         density = 2 * np.asarray(scenario.disturbance.rms, float) ** 2 * scenario.disturbance.correlation_time
         process = linear.B * np.broadcast_to(density, model.m) @ linear.B.T / (1.0 if model.Ts is None else model.Ts)
-    noise = np.hypot(sensor.noise_before, sensor.noise / sensor.slope)
     found = verdicts(linear, schedule, bias, jump)
     help_ = cures(linear, schedule, bias, jump)
-    std = [{} for _ in found] if jump else deviations(linear, schedule, noise, scenario.simulation.step, scenario.simulation.duration, bias, process).widths
+    std = [{} for _ in found] if jump else deviations(linear, schedule, sensor.rms, scenario.simulation.step, scenario.simulation.duration, bias, process).widths
     return [
         Known(**verdict._asdict() | {"reasons": list(verdict.reasons)}, cures=[cure.text for cure in help_ if cure.output == i], std=std[i])
         for i, verdict in enumerate(found)

@@ -19,10 +19,12 @@ class Riccati(NamedTuple):
     residual: float
 
 
-def weight(key: str, Q: Array, n: int) -> Floats:
-    """Q as a symmetric positive definite n x n matrix; a number q means q I. Raises InputError, ShapeError."""
+def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
+    """Q as a symmetric positive definite n x n matrix; a number q means q I, n numbers its diagonal. Raises InputError, ShapeError."""
     found = array(key, Q)
-    found = float(found) * np.eye(n) if found.ndim == 0 else matrix(key, found, n, n, "states x states")
+    if found.ndim == 0 or found.shape == (n,):
+        found = np.diag(np.broadcast_to(found, n))
+    found = matrix(key, found, n, n, why)
     if not np.allclose(found, found.T):
         raise InputError(f"{key}: must be symmetric")
     if (least := np.linalg.eigvalsh(found)[0]) <= 0:
@@ -67,6 +69,17 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
             break
         P, (relative, off, K) = (trial + trial.T) / 2, judged
     return Riccati(P, K, relative)
+
+
+def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
+    """K (N x m x n) of the sampled equation backwards along A (N x n x n), B (N x n x m), from P (n x n) after the last sample."""
+    K = np.empty(B.swapaxes(1, 2).shape)
+    for k in reversed(range(len(A))):
+        gain = P @ B[k]
+        K[k] = np.linalg.solve(R + B[k].T @ gain, gain.T @ A[k])
+        P = Q + A[k].T @ P @ (A[k] - B[k] @ K[k])
+        P = (P + P.T) / 2
+    return K
 
 
 def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:

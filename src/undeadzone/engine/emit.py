@@ -19,7 +19,7 @@ import math
 from math import inf, nan
 
 import numpy as np
-from numba import njit, types
+from numba import carray, njit, types
 from numba.extending import intrinsic
 
 remainder = types.ExternalFunction("remainder", types.float64(types.float64, types.float64))

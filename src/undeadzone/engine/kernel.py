@@ -10,6 +10,7 @@ import casadi as ca
 
 from undeadzone.engine.emit import HELPERS, Code, straight_line
 
+KINDS = ("int64", *["float64*"] * 5)  # of the arguments of a kernel
 GROUP = 8  # lanes whose rare part is computed together
 
 
@@ -26,6 +27,7 @@ class Shape(NamedTuple):
 class Rows(NamedTuple):
     """The first row of each part of a kernel's work array: states, own params, own inputs, outputs, states before the step, flag.
 
+    If there are rare parts, the numbers of the lanes that need them follow, and all these rows again for a few such lanes.
     A lane's numbers stand in one array at constant distances: LLVM need not ask whether they overlap, and vectorises
     whatever their number.
     """
@@ -36,6 +38,9 @@ class Rows(NamedTuple):
     out: int
     before: int
     flag: int
+    chosen: int
+    few: int
+    end: int
 
     def at(self, row: int) -> str:
         """Where lane j has its number of a row."""
@@ -55,8 +60,8 @@ def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapp
     usual = straight_line(_graph(columns, [following, out[list(shape.record)], *flag]), fused)
     codes = [straight_line(_graph(columns, [ca.densify(ca.SX(value)) for value in part(*given)]), fused) for part in rare]
     saved = max((1 + max(code.reads[0], default=-1) for code in codes), default=0)
-    starts = list(itertools.accumulate((shape.sizes[0], len(shape.params), len(shape.exogenous), len(shape.record), saved)))
-    rows = Rows(shape.width, *starts)
+    sizes = [shape.sizes[0], len(shape.params), len(shape.exogenous), len(shape.record), saved]
+    rows = Rows(shape.width, *itertools.accumulate([*sizes, *((1, 1, sum(sizes) + 1) if codes else (0, 0, 0))]))
     lane = [
         *_inputs(usual, shape, rows, 0),
         *usual.statements,
@@ -65,36 +70,43 @@ def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapp
         *(f"{rows.at(rows.out + i)} = {name}" for i, name in enumerate(usual.results[1])),
     ]
     loop = [*_shared(usual, shape), *_copied(shape, rows.own, "own", len(shape.exogenous)), f"for j in range({shape.width}):"]
-    head = ["def block(steps, work, exogenous, params, own, outputs):", *_indented(_steady(usual, shape))]
-    signature = f'@njit("void(int64, {", ".join(["float64[::1]"] * 5)})", error_model="numpy", nogil=True, cache="__file__" in globals())'
+    arrays = {
+        "work": rows.end * stride(shape.width),
+        "exogenous": f"steps * {shape.sizes[1]}",
+        "params": shape.sizes[2],
+        "own": f"steps * {len(shape.exogenous) * shape.width}",
+        "outputs": f"steps * {len(shape.record) * shape.width}",
+    }
+    shaped = [f"{name} = carray({name}, {size})" for name, size in arrays.items()]
+    head = [f"def block(steps, {', '.join(arrays)}):", *_indented([*shaped, *_steady(usual, shape)])]
     helpers = [HELPERS]
     if codes:
         numbers = rows._asdict() | {"apart": stride(shape.width), "group": min(shape.width, GROUP), "next": len(codes[0].results[0])}
         helpers += [_rare(k, code, shape, rows) for k, code in enumerate(codes)]
         calls = [_AGAIN.format(part=k, **numbers) if k else f"        rare{k}(k, few, exogenous, params)" for k in range(len(codes))]
         helpers.append(_FINISH.format(calls="\n".join(calls), **numbers))
-        head += _indented(["few = np.zeros_like(work)", f"chosen = np.zeros({shape.width}, np.int64)"])
         lane.append(f"{rows.at(rows.flag)} = {usual.results[2][0]}")
     loop += _indented(lane)
     if codes:
-        loop.append("finish(k, work, few, chosen, exogenous, params)")
+        loop.append("finish(k, work, exogenous, params)")
     loop += _copied(shape, rows.out, "outputs", len(shape.record))
-    return "\n".join([*helpers, signature, *head, "    for k in range(steps):", *_indented(loop, 2)]), rows.flag + bool(codes)
+    return "\n".join([*helpers, *head, "    for k in range(steps):", *_indented(loop, 2)]), rows.end
 
 
 _FINISH = """
-@njit(error_model="numpy", nogil=True)
-def finish(k, work, few, chosen, exogenous, params):
+@njit(error_model="numpy")
+def finish(k, work, exogenous, params):
     flags = work[{flag} * {apart} : {flag} * {apart} + {width}]
     count = 0
     for j in range({width}):
         count += flags[j] != 0.0
     if count:
-        rarely(k, work, few, flags, chosen, exogenous, params)
+        rarely(k, work, flags, exogenous, params)
 
 
-@njit(error_model="numpy", nogil=True)
-def rarely(k, work, few, flags, chosen, exogenous, params):
+@njit(error_model="numpy")
+def rarely(k, work, flags, exogenous, params):
+    chosen, few = work[{chosen} * {apart} : {few} * {apart}], work[{few} * {apart} :]
     count = 0
     for j in range({width}):
         chosen[count] = j
@@ -103,11 +115,11 @@ def rarely(k, work, few, flags, chosen, exogenous, params):
         some = chosen[first : min(first + {group}, count)]
         for row in range({params}, {flag} + 1):
             for m in range(some.size):
-                few[row * {apart} + m] = work[row * {apart} + some[m]]
+                few[row * {apart} + m] = work[row * {apart} + int(some[m])]
 {calls}
         for row in range({next}):
             for m in range(some.size):
-                work[row * {apart} + some[m]] = few[row * {apart} + m]
+                work[row * {apart} + int(some[m])] = few[row * {apart} + m]
 
 """
 
@@ -129,7 +141,7 @@ def _rare(part: int, code: Code, shape: Shape, rows: Rows) -> str:
         f"for j in range({min(shape.width, GROUP)}):",
         *_indented([*lane, *chosen, f"{rows.at(rows.flag)} = {flag}"]),
     ]
-    return "\n".join(['@njit(error_model="numpy", nogil=True)', f"def rare{part}(k, work, exogenous, params):", *_indented(body), ""])
+    return "\n".join(['@njit(error_model="numpy")', f"def rare{part}(k, work, exogenous, params):", *_indented(body), ""])
 
 
 def _steady(code: Code, shape: Shape) -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from undeadzone.arrays import Floats, Integers
 from undeadzone.engine import cache
-from undeadzone.engine.kernel import Shape, source, stride
+from undeadzone.engine.kernel import KINDS, Shape, source, stride
 from undeadzone.errors import InputError, ShapeError
 
 WIDTH = 128
@@ -71,7 +71,7 @@ def build(
             raise InputError(f"{name}: expected entries from 0 to {size - 1}, found {outside[0]}")
     shape = Shape(width, sizes, tuple(exogenous), tuple(params), tuple(recorded))
     text, rows = source(step, rare, shape, known_exogenous, known_params, fused)
-    return Kernel(cache.load(text), shape, rows)
+    return Kernel(cache.load(text, KINDS), shape, rows)
 
 
 def run(

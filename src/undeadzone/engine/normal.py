@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,19 @@ from undeadzone.arrays import Floats, Integers
 from undeadzone.engine import cache, philox
 from undeadzone.errors import ShapeError
 
+
+class Template(NamedTuple):
+    """The text of a function and the kinds of its arguments (`cache.load`)."""
+
+    kinds: tuple[str, ...]
+    text: str
+
+
 # A loop is vectorised for the widest number that it loads or stores: where that is 32 bits, twice as many lanes go at once.
-_FILL = '''{philox}
-from numba import njit, types
+_FILL = Template(
+    ("int64", "int64", "float64*", "int64", "uint64", "uint32*", "uint64*", "uint32*", "float32*"),
+    '''{philox}
+from numba import carray, njit, types
 from numba.extending import intrinsic
 
 
@@ -29,14 +39,16 @@ philox = njit(forceinline=True)(philox)
 box_muller = njit(forceinline=True, error_model="numpy")(box_muller)
 
 
-@njit("void(float64[:, :, ::1], int64, uint64, uint32[::1], uint64[::1])", error_model="numpy", nogil=True, cache="__file__" in globals())
-def block(numbers, first, key, words, runs):
-    low, high, drawn = np.empty({width}, np.uint32), np.empty({width}, np.uint32), np.empty((4, {width}), np.float32)
+def block(steps, channels, numbers, first, key, words, runs, halves, drawn):
+    numbers = carray(numbers, (steps, channels, {width}))
+    words, runs = carray(words, channels), carray(runs, {width})
+    halves, drawn = carray(halves, (2, {width})), carray(drawn, (4, {width}))
+    low, high = halves[0], halves[1]
     for j in range({width}):
         low[j], high[j] = np.uint32(runs[j] & LOW), np.uint32(runs[j] >> HALF)
-    last = first + len(numbers)
+    last = first + steps
     for four in range(first // 4, (last + 3) // 4):
-        for channel in range(len(words)):
+        for channel in range(channels):
             word = np.uint64(words[channel])
             for j in range({width}):
                 a, b, c, d = philox(np.uint64(four), word, np.uint64(low[j]), np.uint64(high[j]), key)
@@ -46,23 +58,27 @@ def block(numbers, first, key, words, runs):
                 row, new = numbers[k - first, channel], drawn[k - 4 * four]
                 for j in range({width}):
                     row[j] = new[j]
-'''
+''',
+)
 
-_COLOUR = """
-from numba import njit
+_COLOUR = Template(
+    ("int64", "int64", "int64", "float64*", "float64*", "int64", "int64", "float64", "float64"),
+    """
+from numba import carray
 
 
-@njit("void(float64[:, :, ::1], float64[:, ::1], int64, int64, float64, float64)", nogil=True, cache="__file__" in globals())
-def block(numbers, state, first, start, memory, drive):
-    for k in range(len(numbers)):
-        for channel in range(len(state)):
+def block(steps, channels, coloured, numbers, state, first, start, memory, drive):
+    numbers, state = carray(numbers, (steps, channels, {width})), carray(state, (coloured, {width}))
+    for k in range(steps):
+        for channel in range(coloured):
             row, last = numbers[k, start + channel], state[channel]
             if first + k > 0:
                 for j in range({width}):
                     row[j] = memory * last[j] + drive * row[j]
             for j in range({width}):
                 last[j] = row[j]
-"""
+""",
+)
 
 
 def fill(numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Sequence[int] | Integers) -> None:
@@ -73,7 +89,8 @@ def fill(numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Seq
     found = len(words), len(runs)
     if numbers.shape[1:] != found:
         raise ShapeError(f"numbers: expected steps x {found[0]} channels x {found[1]} lanes, found {' x '.join(map(str, numbers.shape))}")
-    _kernel(_FILL, len(runs))(numbers, first, np.uint64(seed), np.asarray(words, np.uint32), np.asarray(runs, np.uint64))
+    scratch = np.empty((2, len(runs)), np.uint32), np.empty((4, len(runs)), np.float32)
+    _kernel(_FILL, len(runs))(*numbers.shape[:2], numbers, first, seed, np.asarray(words, np.uint32), np.asarray(runs, np.uint64), *scratch)
 
 
 def colour(numbers: Floats, state: Floats, first: int, start: int, memory: float, drive: float) -> None:
@@ -82,12 +99,12 @@ def colour(numbers: Floats, state: Floats, first: int, start: int, memory: float
     state: the last numbers (coloured channels x lanes), overwritten; at step 0 it is not read. memory, drive: `noise.colour`.
     Raises ShapeError.
     """
-    _, channels, width = numbers.shape
+    steps, channels, width = numbers.shape
     if state.shape[1:] != (width,) or not 0 <= start <= start + len(state) <= channels:
         raise ShapeError(f"state: expected at most {channels - start} channels x {width} lanes, found {' x '.join(map(str, state.shape))}")
-    _kernel(_COLOUR, width)(numbers, state, first, start, memory, drive)
+    _kernel(_COLOUR, width)(steps, channels, len(state), numbers, state, first, start, memory, drive)
 
 
 @functools.lru_cache(maxsize=16)
-def _kernel(template: str, width: int) -> Any:
-    return cache.load(template.format(width=width, philox=inspect.getsource(philox)))
+def _kernel(template: Template, width: int) -> cache.Block:
+    return cache.load(template.text.format(width=width, philox=inspect.getsource(philox)), template.kinds)

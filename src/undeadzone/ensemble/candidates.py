@@ -96,18 +96,22 @@ def _rows(given: Bench, candidates: list[Problem], threads: int | None) -> Float
 
 
 def graph(problem: Problem) -> str:
-    """Observer and controller without their numbers: equal for problems that one kernel serves. Raises InputError if there is no graph."""
+    """Observer and controller without their numbers, but with those of a plan: equal for problems that one kernel serves.
+
+    Raises InputError if there is no graph.
+    """
     observer, controller, model = graph_of(problem.observer), problem.controller, problem.model
     p_column, p = tree.symbols((observer.params, controller.params), "p")
     like = observer.init(observer.params), controller.init(controller.params)
     s_column, s = tree.symbols(like, "s")
-    instant = Target(np.zeros(len(problem.tracked)), np.zeros(model.n), np.zeros(model.m))
+    instant = Target(np.zeros(len(problem.tracked)), np.zeros(model.n), np.zeros(model.m), np.zeros(controller.planned))
     t_column, target = tree.symbols(instant, "t")
     u, y, side, x = (ca.SX.sym(name, size) for name, size in (("u", model.m), ("y", model.p), ("side", model.p), ("x", model.n)))
     moved, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
     results = moved, estimate, observer.project(p[0], s[0]), observer.init(p[0]), controller.step(p[1], s[1], estimate, target), controller.init(p[1])
     inputs = [p_column, s_column, t_column, u, y, side, x]
-    return str(ca.Function("graph", inputs, [tree.stack(result) for result in results]).serialize()) + str(tree.names((observer.params, like)))
+    plan = () if controller.plan is None else tree.pack(controller.plan.params).tolist()
+    return str(ca.Function("graph", inputs, [tree.stack(result) for result in results]).serialize()) + str((tree.names((observer.params, like)), plan))
 
 
 def _numbers(loop: Loop, candidate: Problem) -> tuple[Floats, Floats]:

@@ -73,7 +73,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
     binding = variation.bind(problem, loop)
     binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
     vary = problem.scenario.ensemble or Vary()
-    measured = metrics.measured(loop, problem.tracked)
+    measured = metrics.measured(loop, problem)
     shared = inputs.exogenous(problem, run=None)
     t = np.arange(len(shared)) * scenario.simulation.step
     tail = np.zeros(t.size)
@@ -91,7 +91,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
         known_params=known_params(params, binding.indices),
         fused=True,
     )
-    names = (*binding.names, *metrics.columns(problem.plant.p))
+    names = (*binding.names, *metrics.columns(problem.plant))
     exogenous = np.column_stack([shared, t, tail])
     digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
     layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})

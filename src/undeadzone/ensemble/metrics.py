@@ -10,13 +10,16 @@ import numpy as np
 from undeadzone import tree
 from undeadzone.arrays import Floats
 from undeadzone.loop import Exogenous, Loop, Outputs, Params
+from undeadzone.plant import System
+from undeadzone.problem import Problem
+from undeadzone.robots.arm import Arm
 from undeadzone.run import LIMIT
 
 
 class Tally(NamedTuple):
     """Sums of (z - r)^2 and (z - z^)^2 over the tail, the largest |z - r|, the last time at which it was too large [s], silent samples, sum of u^2.
 
-    right, left: the latest d_r^, d_l^ (p each).
+    right, left: the latest d_r^, d_l^ (p each). tip: of an arm, the sum of squared distances of its tip from its path over the tail.
     """
 
     tracking: Any
@@ -27,6 +30,7 @@ class Tally(NamedTuple):
     effort: Any
     right: Any
     left: Any
+    tip: Any
 
 
 class Measured(NamedTuple):
@@ -40,10 +44,11 @@ class Measured(NamedTuple):
     tally: Tally
 
 
-def measured(loop: Loop, tracked: list[int]) -> Measured:
-    """The loop with its metrics."""
+def measured(loop: Loop, problem: Problem) -> Measured:
+    """The loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    zero = Tally(*np.zeros((6, 1)), *np.zeros((2, loop.outputs.right.size)))
+    one, each = np.zeros(1), np.zeros(problem.plant.p)
+    zero = Tally(one, one, one, one, one, one, each, each, np.zeros(0 if problem.plant.arm is None else 1))
     kept = tree.size(zero)
     s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1))))
     given = (s[:-kept], w[:-2], p[:-1])
@@ -51,33 +56,41 @@ def measured(loop: Loop, tracked: list[int]) -> Measured:
     outputs: Outputs = tree.unpack(loop.outputs, out)
     instant: Exogenous = tree.unpack(loop.instant, w[: tree.size(loop.instant)])
     params: Params = tree.unpack(loop.params, given[2])
-    tally = _add(
-        tree.unpack(zero, s[-kept:]), outputs, params.scale.reference * instant.target.r, tracked, w[-2], w[-1], p[-1] * ca.fabs(params.scale.reference)
-    )
+    error = outputs.z[problem.tracked] - params.scale.reference * instant.target.r
+    tally = _add(tree.unpack(zero, s[-kept:]), outputs, error, w[-2], w[-1], p[-1] * ca.fabs(params.scale.reference))
+    if problem.plant.arm is not None:
+        tally = tally._replace(tip=tally.tip + w[-1] * ca.sumsqr(_astray(problem.plant.arm, problem.model, params, outputs, instant)))
     results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
     parts = tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)
     return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
 
 
-def _add(tally: Tally, out: Outputs, r: ca.SX, tracked: list[int], t: ca.SX, tail: ca.SX, tolerance: ca.SX) -> Tally:
-    error = out.z[tracked] - r
+def _astray(body: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
+    """An arm's tip less where the model's would be on the path."""
+    x_ref = params.scale.reference * instant.target.x_ref
+    return body.tip(params.plant, out.x[: body.size]) - body.tip(model.params, x_ref[: body.size])
+
+
+def _add(tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX) -> Tally:
+    """The tally with one sample more, but for the tip."""
     worst = ca.norm_inf(error)
-    return Tally(
-        tally.tracking + tail * ca.sumsqr(error),
-        tally.estimation + tail * ca.sumsqr(out.z - out.z_hat),
-        ca.fmax(worst, tally.peak),
-        ca.if_else(worst > tolerance, t, tally.settled),
-        tally.silent + ca.sum1(out.side == 0),
-        tally.effort + ca.sumsqr(out.u),
-        out.right,
-        out.left,
+    return tally._replace(
+        tracking=tally.tracking + tail * ca.sumsqr(error),
+        estimation=tally.estimation + tail * ca.sumsqr(out.z - out.z_hat),
+        peak=ca.fmax(worst, tally.peak),
+        settled=ca.if_else(worst > tolerance, t, tally.settled),
+        silent=tally.silent + ca.sum1(out.side == 0),
+        effort=tally.effort + ca.sumsqr(out.u),
+        right=out.right,
+        left=out.left,
     )
 
 
-def columns(p: int) -> tuple[str, ...]:
-    """The names of the metrics, p being the number of outputs."""
-    widths = (f"d_{edge}[{i}]" for edge in ("right", "left") for i in range(p))
-    return ("rms_tracking", "rms_estimation", "peak_tracking", "settling_time", "silent_fraction", "rms_input", *widths, "diverged")
+def columns(plant: System) -> tuple[str, ...]:
+    """The names of the metrics of a plant."""
+    widths = (f"d_{edge}[{i}]" for edge in ("right", "left") for i in range(plant.p))
+    tip = () if plant.arm is None else ("rms_tip",)
+    return ("rms_tracking", "rms_estimation", "peak_tracking", "settling_time", "silent_fraction", "rms_input", *widths, *tip, "diverged")
 
 
 def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) -> Floats:
@@ -93,4 +106,4 @@ def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) ->
             tally.silent / (samples * p),
             np.sqrt(tally.effort / samples),
         )
-    return np.hstack([*found, tally.right, tally.left, diverged[:, None]])
+    return np.hstack([*found, tally.right, tally.left, np.sqrt(tally.tip / tail), diverged[:, None]])

@@ -109,7 +109,7 @@ def statistic(name: str, lost: Floats) -> Floats:
 def losses(metric: str, given: Bench | Singles, found: Floats) -> Floats:
     """The size of a metric in rows of metrics (... x columns); above LIMIT, but finite, for runs that diverged: the faster, the more."""
     problem = given.problem
-    column = {name: found[..., i] for i, name in enumerate(metrics.columns(problem.plant.p))}
+    column = {name: found[..., i] for i, name in enumerate(metrics.columns(problem.plant))}
     if metric in column:
         size = column[metric]
     else:
@@ -141,6 +141,6 @@ def _possible(scenario: Scenario) -> Problem | None:
 
 def _check_metric(metric: str, problem: Problem) -> None:
     errors = [f"d_{edge}_error[{i}]" for i in range(problem.plant.p) for edge in EDGES]
-    known = [name for name in metrics.columns(problem.plant.p) if name != "diverged" and not name.startswith("d_")] + errors
+    known = [name for name in metrics.columns(problem.plant) if name != "diverged" and not name.startswith("d_")] + errors
     if metric not in known:
         raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")

@@ -52,14 +52,13 @@ def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
     """Every quantity of a problem, by address, in the order of the loop's packed numbers."""
     found: dict[str, Quantity] = {}
     slots = dict(zip(tree.names(loop.params), range(tree.size(loop.params)), strict=True))
-    parameters = list(problem.scenario.plant.parameters)
     for (name, slot), value in zip(slots.items(), tree.pack(flowing(problem, loop)), strict=True):
         key, index = stem(name), name[len(stem(name)) :]
         if key in ("h", "controller.tau", "controller.rate") or key in _absent(problem):
             continue
         gain = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0
         if key in ("plant", "observer.model"):
-            name = f"{key}.parameters.{parameters[int(index[1:-1])]}"
+            name = f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
         name = SCALES[key] + index if key in SCALES else name
         found[name] = Quantity(value / gain, (slot, *_told(problem, name, slots)), gain)
     found |= {f"plant.x0[{i}]": Quantity(x, (tree.size(loop.params) + i,)) for i, x in enumerate(problem.x0)}

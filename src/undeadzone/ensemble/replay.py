@@ -86,7 +86,7 @@ def _problem(fleet: Fleet, values: Floats, what: str) -> Problem:
     numbers: Params = tree.rebuild(fleet.loop.params, _unpacked(fleet.loop.params, fleet.binding.packed(values)[1]))
     sensor = msgspec.structs.replace(
         fleet.problem.sensor,
-        **{name: getattr(numbers.sensor, name) for name in numbers.sensor._fields},
+        **{name: getattr(numbers.sensor, name) for name in numbers.sensor._fields if getattr(numbers.sensor, name).size},
         noise=numbers.scale.after,
         noise_before=numbers.scale.before,
     )

@@ -134,7 +134,7 @@ class Ensemble:
         units, stem = self.info.units, name.partition("[")[0]
         if name.endswith("(relative)"):
             return "1"
-        return {"settling_time": "s", "rms_input": units.input}.get(stem, units.output if stem.startswith(_OUTPUT) else "1")
+        return {"settling_time": "s", "rms_input": units.input, "rms_tip": "m"}.get(stem, units.output if stem.startswith(_OUTPUT) else "1")
 
     def worst(self, metric: str = MAIN, count: int = SHOWN) -> list[int]:
         """The numbers of the worst runs, worst first: those that diverged, then the largest in size. Raises InputError."""

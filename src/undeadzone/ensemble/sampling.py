@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.arrays import Floats
+from undeadzone.ensemble import sobol
 from undeadzone.errors import InputError
 
 STREAM: Final = 1 << 64  # added to the seed, which is below 2^63: these numbers are none of those of the noise
 NUMBERS, KEYS = 0, 1
 ROUNDS: Final = 10
-BITS: Final = 32  # of Sobol points: SciPy cannot skip to a later one of more
 
 
 def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
@@ -75,21 +75,14 @@ def _mixed(word: Any) -> Any:
 
 
 def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
-    """SciPy's scrambled Sobol points, each in the middle of its cell."""
-    from scipy.stats.qmc import Sobol
-
+    """Scrambled Sobol points, each in the middle of its cell."""
     if entries == 0 or count == 0:
         return np.empty((count, entries))
-    if entries > Sobol.MAXDIM:
-        raise InputError(f"ensemble.sampling: Sobol points have at most {Sobol.MAXDIM} dimensions, found {entries}; use random")
-    if first + count > 2 ** (BITS - 1):
-        raise InputError(f"ensemble.runs: there are 2^{BITS - 1} Sobol points, found {first + count}; use random")
-    engine = Sobol(entries, bits=BITS, rng=seed)
-    if first:
-        found = engine.fast_forward(first).random(count)
-    else:  # the first point apart: SciPy warns of a first batch that is no power of 2
-        found = np.concatenate([engine.random(1), engine.random(count - 1)])
-    return found + 0.5**BITS / 2
+    if entries > sobol.DIMENSIONS:
+        raise InputError(f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, found {entries}; use random")
+    if first + count > 2 ** (sobol.BITS - 1):
+        raise InputError(f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; use random")
+    return sobol.points(seed, first, count, entries) + 0.5**sobol.BITS / 2
 
 
 def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:

@@ -16,6 +16,7 @@ from undeadzone.loop import Outputs
 from undeadzone.observers.interface import NumericObserver, graph_of
 from undeadzone.problem import Problem
 from undeadzone.run import last_samples
+from undeadzone.simulation import tips
 
 
 class Singles(NamedTuple):
@@ -59,6 +60,7 @@ def row(problem: Problem, out: Outputs) -> Floats:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     worst = np.abs(error).max(axis=1)
+    place = tips(problem, out.x, out.x_hat, t)
     tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
     tally = Tally(
         tracking=np.array([[(error[tail] ** 2).sum()]]),
@@ -69,6 +71,7 @@ def row(problem: Problem, out: Outputs) -> Floats:
         effort=np.array([[(out.u**2).sum()]]),
         right=out.right[-1:],
         left=out.left[-1:],
+        tip=np.array([[((place["tip"] - place["tip_r"])[tail] ** 2).sum()]]) if place else np.empty((1, 0)),
     )
     states = np.hstack([out.x, out.x_hat, out.right, out.left])[-1:]
     return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))

@@ -5,6 +5,7 @@ from undeadzone.observers.auto import Auto
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.ekf import EKF
+from undeadzone.observers.extended import Extended
 from undeadzone.observers.full_state import FullState
 from undeadzone.observers.fuzzy_residual import FuzzyResidual
 from undeadzone.observers.high_gain import HighGain
@@ -25,14 +26,14 @@ from undeadzone.observers.ukf import UKF
 from undeadzone.observers.walcott_zak import WalcottZak
 
 ObserverOptions = (
-    Auto | Certified | Kalman | Censored | Luenberger | Oracle | FullState | Printed | EKF | UKF | ParticleFilter | MovingHorizon
+    Auto | Certified | Kalman | Censored | Extended | Luenberger | Oracle | FullState | Printed | EKF | UKF | ParticleFilter | MovingHorizon
     | WalcottZak | SuperTwisting | HighGain | Interval
     | AdaptiveInverse | RobustGradient | FuzzyResidual | RBFResidual | TaylorResidual | InverseNetwork
 )  # fmt: skip
 
 __all__ = [
-    "EKF", "UKF", "AdaptiveInverse", "Auto", "Censored", "Certified", "Estimate", "FullState", "FuzzyResidual", "HighGain", "Interval",
-    "InverseNetwork", "Kalman", "Luenberger", "MovingHorizon", "NumericObserver", "Observer", "ObserverOptions",
+    "EKF", "UKF", "AdaptiveInverse", "Auto", "Censored", "Certified", "Estimate", "Extended", "FullState", "FuzzyResidual", "HighGain",
+    "Interval", "InverseNetwork", "Kalman", "Luenberger", "MovingHorizon", "NumericObserver", "Observer", "ObserverOptions",
     "Oracle", "ParticleFilter", "Printed", "RBFResidual", "Reading", "RobustGradient", "SuperTwisting",
     "TaylorResidual", "WalcottZak",
 ]  # fmt: skip

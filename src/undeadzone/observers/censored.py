@@ -12,12 +12,11 @@ from undeadzone.observers.bank import bank
 from undeadzone.observers.claims import Claims
 from undeadzone.observers.filtering import Params, measured_filter, prior
 from undeadzone.observers.interface import Observer
-from undeadzone.observers.joint import agitation, quarter_period
-from undeadzone.observers.unknowns import coloured, tolerances, unknowns
+from undeadzone.observers.joint import agitation
+from undeadzone.observers.unknowns import coloured, correlation_time, span, tolerances, unknowns
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
-BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is given
 SWING = 0.5  # rms, in largest widths, by which the disturbance moves z in a quarter period, unless it is given
 OFFSET = 0.25  # bias, in disturbances, unless it is given
 WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is given
@@ -46,11 +45,9 @@ class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
         believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR)
         Ts = model.Ts
         assert Ts is not None
-        correlation = BRIEF * quarter_period(model) if self.correlation_time is None else scalar("observer.correlation_time", self.correlation_time, above=0.0)
-        washout = None if self.washout_time is None else scalar("observer.washout_time", self.washout_time, above=0.0)
-        for key, value in (("correlation_time", correlation), ("washout_time", washout)):
-            if value is not None and not 0.1 * Ts <= value <= 1e6 * Ts:
-                raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {value:.4g} s")
+        assert model.flow is not None
+        correlation = correlation_time(self.correlation_time, model.flow, Ts)
+        washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         if not 1 <= self.levels <= 10:
             raise InputError(f"observer.levels: expected 1 to 10, found {self.levels}")
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)

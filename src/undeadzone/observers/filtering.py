@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.arrays import Array, Floats, array, nonnegative, scalar
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.gaussian import Gaussian, cut, linearise, mix, predict, symmetric, triangle, update, within
+from undeadzone.gaussian import Gaussian, advance, cut, linearise, mix, predict, symmetric, triangle, update, within
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
 from undeadzone.plant import System, held
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
@@ -41,6 +41,9 @@ class Extension(NamedTuple):
     move(q, x, extra, u): (x+, extra+); noise(q, x, u): covariances (n x n, E x E) that a step adds to them; q: Params.
     small(q, belief): the belief if some claim is stronger than the filter takes it, and the log of its odds; None: there is none.
     bend(q, x, extra, u): (G (n x M), b (M)) as for `predict`; None: x+ itself.
+    slope(q): the Jacobian of [x; d; extra] to take in a prediction to first order; None: the exact one.
+    push(q, extra): what it adds to x' [1/s] (n); None: that of the change of x+.
+    entries: of the upper triangle of the covariance of [x; d; extra], those that are not 0 throughout; None: all.
     """
 
     params: Any
@@ -49,6 +52,9 @@ class Extension(NamedTuple):
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
     small: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
     bend: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
+    slope: Callable[[Any], Any] | None = None
+    push: Callable[[Any, Any], Any] | None = None
+    entries: ca.Sparsity | None = None
 
 
 class Params(NamedTuple):
@@ -90,7 +96,7 @@ def prior(
     ranges = declared(right, left, p)
     span, most = ranges[:, 1] - ranges[:, 0], ranges[:, 1].max()
     if noise is None:
-        rms = np.hypot(sensor.noise / sensor.slope, sensor.noise_before)
+        rms = sensor.rms
         least = floor * span.reshape(2, p).max(axis=0)
     else:
         rms = nonnegative("observer.noise", noise, p, "one per output")
@@ -131,16 +137,19 @@ def _ranges(key: str, value: Array, p: int) -> Floats:
     return found
 
 
-def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, bounds: bool = False) -> Observer:
+def measured_filter(
+    model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, bounds: bool = False,
+    order: Literal[1, 2] = 2, blind: bool = False,
+) -> Observer:  # fmt: skip
     """The filter as an observer.
 
     lasting: steps for which a linearisation error keeps its sign, and for which a silent edge is not heard again;
-    bounds: hear what bounds: a silent sensor, and the declared ranges.
+    bounds: hear what bounds: a silent sensor, and the declared ranges; order: of the prediction; blind: take every reading for z itself.
     """
     n, p = model.n, model.p
     jump = sensor.kind == "jump"
     params = numbers(model, sensor, prior, extension)
-    size = params.mean.size
+    size, entries = params.mean.size, kept(model, extension)
 
     def init(q: Params) -> State:
         return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(model.m))
@@ -154,7 +163,7 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
         innovations, stds = [], []
         for i in range(p):
             active = side[i] != 0
-            expected, h = linearise(partial(beyond, q, i, 0.0 if jump else side[i]), belief.mean)
+            expected, h = linearise(partial(beyond, q, i, 0.0 if jump or blind else side[i]), belief.mean)
             e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
             belief, S = update(belief, h, e, q.R[i], active)
             innovations.append(e)
@@ -182,18 +191,29 @@ def measured_filter(model: System, sensor: Zone, prior: Prior, extension: Extens
     def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         seen = present(reading.y)
         y = ca.if_else(seen, reading.y, 0.0)
-        side = reading.side if jump else sure_side(y, s.last, s.previous, q.gate)
-        belief, e, e_std = correct(q, Gaussian(s.mean, symmetric(s.cov, size)), y, side)
+        if blind:
+            side = seen
+        else:
+            side = reading.side if jump else sure_side(y, s.last, s.previous, q.gate)
+        belief, e, e_std = correct(q, Gaussian(s.mean, symmetric(s.cov, entries)), y, side)
         wait = s.wait
         if bounds:
             belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
-        after = predict(belief, *motion(model, q, extension, belief, u), lasting, None if extension.bend is None else partial(bent, q, u))
+        move, Q = motion(model, q, extension, belief, u)
+        if order == 1:
+            after = advance(belief, move, Q, None if extension.slope is None else extension.slope(q))
+        else:
+            after = predict(belief, move, Q, lasting, None if extension.bend is None else partial(bent, q, u))
         told = claimed(q, n, extension, belief, bounds)
         found = shown(model, sensor, q, told, reading, e, e_std)
         if len(extension.cov):
             x, extra = told.mean[:n], told.mean[n + 2 * p :]
-            found = found._replace(w=q.rate @ (extension.move(q, x, extra, s.u)[0] - model.move(q.model, x, s.u)))
-        return State(after.mean, triangle(after.cov), y, s.last, wait, u), found
+            if extension.push is None:
+                w = q.rate @ (extension.move(q, x, extra, s.u)[0] - model.move(q.model, x, s.u))
+            else:
+                w = extension.push(q, extra)
+            found = found._replace(w=w)
+        return State(after.mean, triangle(after.cov, entries), y, s.last, wait, u), found
 
     return Observer(params, init, step)
 
@@ -228,9 +248,14 @@ def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> 
     first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
     mean = np.concatenate([prior.mean, np.zeros(len(extension.cov))])
     return Params(
-        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[np.tril_indices(len(first))],
+        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[tuple(kept(model, extension).get_triplet())],
         prior.ranges, np.linalg.inv(held(model)),
     )  # fmt: skip
+
+
+def kept(model: System, extension: Extension) -> ca.Sparsity:
+    """The entries of the covariance's upper triangle that a filter keeps."""
+    return ca.Sparsity.upper(model.n + 2 * model.p + len(extension.cov)) if extension.entries is None else extension.entries
 
 
 def motion(model: System, q: Params, extension: Extension, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:

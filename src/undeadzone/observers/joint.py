@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone import sensor as sensors
 from undeadzone.arrays import Array, Floats, nonnegative, scalar
 from undeadzone.gaussian import Gaussian, symmetric, triangle
-from undeadzone.observers.filtering import Extension, Params, Prior, declared, motion, numbers, prior, sample_time, shown, white
+from undeadzone.observers.filtering import Extension, Params, Prior, declared, kept, motion, numbers, prior, sample_time, shown, white
 from undeadzone.observers.interface import Estimate, Observer, Reading
 from undeadzone.observers.unknowns import time_scale
 from undeadzone.plant import System, sampled_noise
@@ -107,14 +107,14 @@ def joint_filter(model: System, sensor: Zone, given: Claims, correct: Correct, p
     """The filter as an observer: its readings one output after the other, by `correct`, then its motion, by `predict`."""
     n, p = model.n, model.p
     extension: Extension = white(model, given.variance)
-    params = numbers(model, sensor, given.prior, extension)
+    params, entries = numbers(model, sensor, given.prior, extension), kept(model, extension)
 
     def sight(q: Params, i: int, X: Any) -> Any:
         z, right, left = model.output(q.model, X[:n])[i], X[n + i], X[n + p + i]
         return read(sensor.kind, z, right, left)
 
     def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-        belief, innovations, variances = Gaussian(s.mean, symmetric(s.cov, n + 2 * p)), [], []
+        belief, innovations, variances = Gaussian(s.mean, symmetric(s.cov, entries)), [], []
         for i in range(p):
             seen = present(reading.y[i])
             y = ca.if_else(seen, reading.y[i], 0.0) / q.slope[i]
@@ -123,7 +123,7 @@ def joint_filter(model: System, sensor: Zone, given: Claims, correct: Correct, p
             variances.append(S)
         after = predict(belief, *motion(model, q, extension, belief, u))
         found = shown(model, sensor, q, belief, reading, ca.vertcat(*innovations), ca.sqrt(ca.vertcat(*variances)))
-        return State(after.mean, triangle(after.cov)), found
+        return State(after.mean, triangle(after.cov, entries)), found
 
     return Observer(params, lambda q: State(q.mean, q.cov), step)
 

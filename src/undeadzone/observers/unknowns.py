@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -14,6 +15,7 @@ from undeadzone.observers.filtering import Extension, Params
 from undeadzone.plant import Matrices, System, held, sampled_noise
 
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
+BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is given
 
 
 class Colour(NamedTuple):
@@ -58,6 +60,19 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
     return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 
+def span(key: str, value: Any, Ts: float) -> float:
+    """A time that samples resolve [s]. Raises InputError."""
+    found = scalar(f"observer.{key}", value, above=0.0)
+    if not 0.1 * Ts <= found <= 1e6 * Ts:
+        raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {found:.4g} s")
+    return found
+
+
+def correlation_time(given: float | None, flow: Matrices, Ts: float) -> float:
+    """That of a disturbance [s]; default: a 16th of the plant's period. Raises InputError."""
+    return span("correlation_time", BRIEF * time_scale(flow) if given is None else given, Ts)
+
+
 def time_scale(flow: Matrices) -> float:
     """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators; 1 s if all are."""
     rates = np.abs(np.linalg.eigvals(flow.A))
@@ -68,8 +83,8 @@ def time_scale(flow: Matrices) -> float:
 class Tolerance(NamedTuple):
     """Relative standard deviations (K) of what is uncertain, and d[Ad, Bd] per relative change of each (Kn x (n + m)).
 
-    entries: their rows and columns in [A, B], values: themselves; held: `plant.held`. For a
-    nonlinear plant what is uncertain are its parameters, and there is no matrix.
+    entries: their rows and columns in [A, B], values: themselves; held: `plant.held`. For a nonlinear plant what is
+    uncertain are its parameters, and there is no matrix: changed(params, theta) has them as theta (K) changes them.
     """
 
     std: Floats
@@ -77,6 +92,18 @@ class Tolerance(NamedTuple):
     entries: tuple[tuple[int, int], ...] = ()
     values: Floats = np.zeros(0)
     held: Floats = np.zeros((0, 0))
+    changed: Callable[[Any, Any], Any] = lambda params, theta: params * (1 + theta)
+
+
+def named(model: System, given: dict[str, float]) -> Tolerance:
+    """Named parameters of a nonlinear plant, of absolute standard deviations. Raises InputError."""
+    std = {name: scalar(f"observer.uncertain.{name}", value, above=0.0) for name, value in given.items()}
+    if unknown := sorted(set(std) - set(model.names)):
+        raise InputError(f"observer.uncertain.{unknown[0]}: unknown parameter; the model has {', '.join(model.names) or 'none with a name'}")
+    pick = ca.DM(len(model.names), len(std))
+    for k, name in enumerate(std):
+        pick[model.names.index(name), k] = 1
+    return Tolerance(np.array([*std.values()]), np.zeros((0, model.n + model.m)), changed=lambda params, theta: params + pick @ theta)
 
 
 def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
@@ -135,7 +162,7 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
         moving = u + disturbing @ shaped
         total = moving + biased @ constant
         if model.nonlinear:
-            after = model.move(q.model * (1 + theta) if count else q.model, x, total)
+            after = model.move(tolerance.changed(q.model, theta) if count else q.model, x, total)
         else:
             regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
             after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta

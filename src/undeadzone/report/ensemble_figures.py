@@ -22,6 +22,7 @@ Scale = Literal["log", "linear"]
 WORDS: Final = {
     "rms_tracking": "rms of z − r over the last 2 s",
     "rms_estimation": "rms of z − z^ over the last 2 s",
+    "rms_tip": "rms distance of the tip from its path over the last 2 s",
     "peak_tracking": "largest |z − r|",
     "settling_time": "settling time",
     "silent_fraction": "share of silent samples",
@@ -38,7 +39,7 @@ def distributions(result: Ensemble) -> Figure:
     """Histograms with median, 95 % and 99 %, and the share of runs beyond each value, of errors, settling time and widths."""
     from matplotlib.ticker import NullFormatter
 
-    shown = ["rms_tracking", "peak_tracking"] + ["settling_time"] * bool(result.settled[result.independent].any())
+    shown = ["rms_tip"] * ("rms_tip" in result.metrics) + ["rms_tracking", "peak_tracking"] + ["settling_time"] * bool(result.settled[result.independent].any())
     shown += [WIDTHS] * bool(np.any(result.sample(WIDTHS)))
     figure, panels = sheet([[f"{row} {name}" for name in shown] for row in ("above", "below")], f"{result.info.title}: {_runs(result)}", width=13.0, height=3.0)
     for name in shown:

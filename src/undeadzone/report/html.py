@@ -98,35 +98,44 @@ def page(title: str, *parts: Any) -> str:
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body.text}\n</body></html>\n'
 
 
-def run_page(run: Run, figures: Sequence[Figure]) -> str:
-    """The page of one run: its numbers, what its readings can tell, its figures."""
+def run_page(run: Run, figures: Sequence[Figure], rival: Run | None = None, first: Sequence[Any] = ()) -> str:
+    """The page of one run: what comes first, its figures, its numbers beside those of a rival if there is one, what its readings can tell."""
     unit = run.info.units.output
-    lines = [
-        ("observer", run.info.method),
-        ("time", f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s"),
-        ("diverged at [s]", run.diverged_at),
-        (f"rms of z − r, last 2 s [{unit}]", run.rms_tracking),
-        (f"rms of z − z^, last 2 s [{unit}]", run.rms_estimation),
-        ("share of silent samples", run.silent_fraction),
-        ("certificate found for these gains", run.info.certified),
-        ("largest rise of V above an earlier value, relative to its largest", run.largest_rise_of_V),
-        ("integration error (against half the step)", run.info.integration_error),
-    ]
+    columns = [_numbers(one) for one in (run, rival) if one is not None]
+    lines = [(name, *(column[name] for column in columns)) for name in columns[0]]
     widths = [
-        (i, float(right), run.info.widths[2 * i], float(left), run.info.widths[2 * i + 1], *(verdict[key] for key in ("right", "left", "width", "centre")))
-        for i, ((right, left), verdict) in enumerate(zip(run.widths, run.info.identifiable, strict=True))
+        (name, float(right), run.info.widths[2 * i], float(left), run.info.widths[2 * i + 1], *(verdict[key] for key in ("right", "left", "width", "centre")))
+        for i, (name, (right, left), verdict) in enumerate(zip(run.outputs, run.widths, run.info.identifiable, strict=True))
     ]
     reasons = [reason for verdict in run.info.identifiable for reason in verdict["reasons"]]
     return page(
         run.info.title,
+        *first,
         *(
             picture(png(figure), "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.")
             for figure in figures
         ),
-        section("Numbers", table(("what", "value"), lines)),
+        section("Numbers", table(("what", "value", "compared with")[: 1 + len(columns)], lines)),
         section(
             "Widths, and what these readings can tell of them",
             table(("output", f"d_r^ [{unit}]", "true", f"d_l^ [{unit}]", "true", "right known", "left", "d_r + d_l", "d_r − d_l"), widths),
             *map(paragraph, reasons),
         ),
     )
+
+
+def _numbers(run: Run) -> dict[str, Any]:
+    """The numbers of a run, in words."""
+    unit = run.info.units.output
+    return {
+        "observer": run.info.method,
+        "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
+        "diverged at [s]": run.diverged_at,
+        f"rms of z − r, last 2 s [{unit}]": run.rms_tracking,
+        f"rms of z − z^, last 2 s [{unit}]": run.rms_estimation,
+        **({} if run.rms_tip is None else {"rms distance of the tip from its path, last 2 s [m]": run.rms_tip}),
+        "share of silent samples": run.silent_fraction,
+        "certificate found for these gains": run.info.certified,
+        "largest rise of V above an earlier value, relative to its largest": run.largest_rise_of_V,
+        "integration error (against half the step)": run.info.integration_error,
+    }

@@ -1,0 +1,1 @@
+"""Robot arms: what they are made of, how they move, the paths that they follow."""
