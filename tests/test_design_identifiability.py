@@ -322,5 +322,5 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         ({"kind": "sine", "amplitude": 0.5, "frequency": 0.3, "offset": 0.1}, True),
     ):
         (verdict,) = simulate(scene(disturbance=disturbance, simulation={"duration": 4.0})).info.identifiable
-        assert set(verdict) == {"right", "left", "width", "centre", "reasons"}
+        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std"}
         assert (verdict["width"], verdict["centre"]) == (True, not hides)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scenes import on_numbers, random_plant, scene
 from undeadzone import sensor, tree
 from undeadzone.arrays import Floats
+from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Extended, Kalman, Reading
 from undeadzone.plant import Plant, System, sampled, system
@@ -25,7 +26,8 @@ from undeadzone.simulation import simulate
 TS = 2e-3
 RANGE = [0.02, 0.15]
 PRIOR = 0.13 / np.sqrt(12)
-SHAKEN = {"disturbance": 0.5, "correlation_time": 0.1}
+EXACT: dict[str, Any] = {"disturbance": 0.0}
+SHAKEN: dict[str, Any] = {"disturbance": 0.5, "correlation_time": 0.1}
 
 
 def zone(p: int = 1, Ts: float = TS, **options: Any) -> Zone:
@@ -78,7 +80,7 @@ def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watche
         first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, tree.pack(like)])
         rows = np.hstack([path, noise * rng.normal(size=(len(path), N)), np.broadcast_to(disturbance, (len(path), N))])
         truth = np.concatenate([np.ravel(widths), arm.params if params is None else params])
-        out = step.mapaccum(len(path))(first, rows.T, truth)[1].full().T
+        out, _ = interpret.run(step, first, rows, truth)
         x, *parts = np.split(out, sizes, axis=1)
         return Watched(x, Estimate(*parts[:-1]), parts[-1][-1, 4 * N :])
 
@@ -104,18 +106,17 @@ def agree(first: Estimate, second: Estimate, tolerance: float = 1e-9) -> None:
 # --- What it must be
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 2), st.booleans())
-def test_on_a_linear_plant_it_is_kalman_and_with_disturbance_and_silence_censored(seed: int, n: int, p: int, shaken: bool) -> None:
+def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censored(seed: int, n: int, p: int, shaken: bool) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), 0.02), zone(p, 0.02, noise=0.02)
     common: dict[str, Any] = {"right": [0.3, 2.0], "x_std": 2.0, "drift": 0.1}
     if shaken:
-        common |= SHAKEN
-        twin: Any = Censored(**common, levels=1, bias=0.0, calibrated=0.0, tolerance=0.0)
+        twins: Any = Censored(**common, levels=1, bias=0.0, calibrated=0.0, tolerance=0.0), Extended(**common)
     else:
-        twin = Kalman(**common)
-    pair = [options.build(model, where) for options in (twin, Extended(**common, silence=shaken))]
+        twins = Kalman(**common), Extended(**common, **EXACT, silence=False)
+    pair = [options.build(model, where) for options in twins]
     steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
     for _ in range(40):
         y, u = rng.normal(size=p) * rng.choice([0.0, 0.02, 3.0], p), rng.normal(size=1)
@@ -208,7 +209,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         found = [step(state, u, y, sensor.side(y, where.threshold)) for step, state in zip(steps, states, strict=True)]
         states = [after for after, _ in found]
         agree(found[0][1], found[1][1])
-    assert (found[0][1].width_std < 0.2 * PRIOR).all()
+    assert (found[0][1].width_std < 0.5 * PRIOR).all()
     assert [len(state.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
 
 
@@ -219,7 +220,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
 def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
     """20 s of sines through 0, an exact model: widths to 5 %; the centres by weight alone where the covariance knows of it."""
     model, widths = arm(Ts=1e-3), np.array([[0.05, 0.08], [0.08, 0.05]])
-    options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1} if joints == "separate" else {}
+    options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1} if joints == "separate" else EXACT
     path = sines(20.0, Ts=1e-3)
     found = watcher(Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options), model, zone(2, 1e-3))(path, 0, widths)
     width = found.found.right[-1] + found.found.left[-1]
@@ -236,7 +237,8 @@ def test_homing_tells_the_centre_that_nothing_else_does() -> None:
     model, widths = arm(OneLink, g=0.0), np.array([0.05, 0.08])
     path = sines(8.0, pulses=[3.0])
     homed, lost = (
-        watcher(Extended(right=RANGE, x_std=[std, 0.01], start=[0.0, 1.5]), model, zone())(path, 1, widths, x0=np.array([0.0, 1.5])) for std in (1e-4, 1.0)
+        watcher(Extended(right=RANGE, x_std=[std, 0.01], start=[0.0, 1.5], **EXACT), model, zone())(path, 1, widths, x0=np.array([0.0, 1.5]))
+        for std in (1e-4, 1.0)
     )
     for found in (homed, lost):
         assert found.found.right[-1] + found.found.left[-1] == pytest.approx([0.13], rel=0.01)
@@ -273,7 +275,7 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     """Readings show z itself; that they are 0, or not, bounds each width: from both sides in the end."""
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
     model, widths, path = sampled(flow, TS, 1), np.array([[0.3, 0.5], [0.4, 0.6]]), sines(8.0)
-    options = Extended(right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02)
+    options = Extended(right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02, **EXACT)
     found = watcher(options, model, zone(2, kind="jump", noise=0.01))(path, 4, widths)
     assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(widths.ravel(), abs=0.05)
     assert (found.found.right_std[-1] < 0.3 / np.sqrt(12)).all()
@@ -285,15 +287,15 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
 
 @pytest.mark.parametrize(
     ("options", "rms", "payload"),
-    [({}, 0.0, 0.0), (SHAKEN, 0.5, 0.0), (SHAKEN | {"joints": "separate"}, 0.5, 0.0), (SHAKEN | {"uncertain": {"payload": 0.3}}, 0.5, 0.3)],
+    [(EXACT, 0.0, 0.0), (SHAKEN, 0.5, 0.0), (SHAKEN | {"joints": "separate"}, 0.5, 0.0), (SHAKEN | {"uncertain": {"payload": 0.3}}, 0.5, 0.3)],
     ids=["exact", "disturbed", "separate", "payload"],
 )
 def test_claims_are_true_over_random_arms(options: dict[str, Any], rms: float, payload: float) -> None:
     """2 standard deviations hold the truth in 95 %: at least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed."""
-    model, seconds, runs = arm(payload=1.0), 4.0, 25
-    path, x_std = sines(seconds, pulses=[2.0, 3.0]), np.array([0.02, 0.02, 0.05, 0.05])
-    run = watcher(Extended(right=RANGE, start=path[0, :4], x_std=x_std, **options), model, zone(2))
-    fade, errors = np.exp(-TS / 0.1), []
+    Ts, runs = 4e-3, 25
+    model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, pulses=[2.0, 3.0], Ts=Ts), np.array([0.02, 0.02, 0.05, 0.05])
+    run = watcher(Extended(right=RANGE, start=path[0, :4], x_std=x_std, **options), model, zone(2, Ts))
+    fade, errors = np.exp(-Ts / 0.1), []
     for seed in range(runs):
         rng = np.random.default_rng([5, seed])
         widths = rng.uniform(*RANGE, (2, 2))
@@ -322,7 +324,15 @@ def test_lanes_and_the_virtual_machine_agree(tmp_path: Any, monkeypatch: pytest.
         },
         sensor={"right": 0.08, "left": 0.05, "noise": 1e-3},
         reference={"kind": "sine", "amplitude": [0.5, 0.4], "frequency": 1.0},
-        observer={"method": "extended", "right": RANGE, "start": [0.2, 0.0, 0.0, 0.0], "x_std": 0.05, "disturbance": 0.2, "joints": "separate"},
+        observer={
+            "method": "extended",
+            "right": RANGE,
+            "start": [0.2, 0.0, 0.0, 0.0],
+            "x_std": 0.05,
+            "disturbance": 0.2,
+            "silence": False,
+            "joints": "separate",
+        },
         controller={"method": "state_feedback", "poles": [-5, -6, -7, -8]},
         simulation={"time": "sampled", "step": 5e-3, "duration": 4.0, "substeps": 1},
     )
@@ -345,7 +355,7 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
         ({"correlation_time": 1e-9}, arm(), "deadzone", InputError, "observer.correlation_time: must lie between"),
         ({"silence": False}, arm(), "jump", InputError, "observer.silence: readings of a jump sensor only bound"),
         (SEPARATE | {"uncertain": {"payload": 1.0}}, arm(), "deadzone", InputError, "observer.uncertain: a parameter binds the joints"),
-        ({"joints": "separate"}, arm(), "deadzone", InputError, "observer.disturbance: must be positive for separate joints"),
+        (SEPARATE | EXACT, arm(), "deadzone", InputError, "observer.disturbance: must be positive for separate joints"),
         (SEPARATE, sampled(system(PENDULUMS), TS), "deadzone", InputError, "observer.joints: separate joints need"),
         (SEPARATE, sampled(random_plant(np.random.default_rng(0), 2), TS), "deadzone", InputError, "observer.joints: separate joints need"),
         ({}, system(Plant(arm=TwoLink())), "deadzone", InputError, 'set simulation.time = "sampled"'),

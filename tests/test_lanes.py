@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +15,12 @@ from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
 from undeadzone import tree
 from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
+from undeadzone.ensemble.result import Ensemble
+from undeadzone.errors import InputError
 from undeadzone.problem import resolve_scenario
 from undeadzone.simulation import prepare
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -83,5 +90,24 @@ def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
 def test_entries_that_are_not_there_are_named() -> None:
     step = parts(small("sampled"))[0]
     for name, options in (("exogenous", {"known_exogenous": {99: 0.0}}), ("params", {"known_params": {99: 0.0}}), ("params", {"params": [-1]})):
-        with pytest.raises(lanes.InputError, match=f"^{name}: expected entries from 0 to "):
+        with pytest.raises(InputError, match=f"^{name}: expected entries from 0 to "):
             lanes.build(step, **options)
+
+
+STARTED = """
+import sys
+from undeadzone.cli import main
+try:
+    main()
+finally:
+    print(sorted({"numba", "scipy.stats", "matplotlib"} & sys.modules.keys()), file=sys.stderr)
+"""
+
+
+def test_a_second_start_of_an_ensemble_imports_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
+    command = [sys.executable, "-c", STARTED, "ensemble", str(EXAMPLES / "ensemble.toml"), "--runs", "4", "--no-figures", "--out"]
+    shown = [subprocess.run([*command, str(tmp_path / name)], capture_output=True, text=True, check=True).stderr.splitlines()[-1] for name in "ab"]
+    assert shown == ["['numba']", "[]"]
+    first, second = (Ensemble.load(tmp_path / name / "runs.npz").metrics for name in "ab")
+    assert all(map(identical, first.values(), second.values()))

@@ -20,8 +20,10 @@ from undeadzone.design.observability import Observability, observability
 from undeadzone.design.schedule import reading_levels, recorded
 from undeadzone.plant import Plant, System, initial_state, sampled, system
 from undeadzone.robots.options import ElasticJoint, OneLink, TwoLink
+from undeadzone.scenario import convert
 from undeadzone.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.signals import Step
+from undeadzone.simulation import simulate
 
 STEP = 2e-3
 TABLE = {"g": 0.0}
@@ -41,14 +43,21 @@ SWINGING = {  # plants, and torques under which every output passes -0.2 and 0.3
         Plant(arm=TwoLink(measured="velocity"), parameters=TABLE),
         lambda t, x: [10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2], 8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3]],
     ),
-    "motor of an elastic joint on a table": (Plant(arm=ElasticJoint(measured="motor"), parameters=TABLE), lambda t, x: [8 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]]),
+    "motor of an elastic joint on a table": (
+        Plant(arm=ElasticJoint(measured="motor"), parameters=TABLE),
+        lambda t, x: [8 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
+    ),
     "motor of an elastic joint": (Plant(arm=ElasticJoint(measured="motor")), lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]]),
     "link of an elastic joint": (Plant(arm=ElasticJoint(measured="link")), lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]]),
     "duffing": (
         Plant(f=["v", "-k*s**3 - c*v + F"], h=["s"], states=["s", "v"], inputs=["F"], parameters={"k": 2.0, "c": 0.5}),
         lambda t, x: [2 * np.sin(1.5 * t)],
     ),
-    "a bent integrator": (Plant(f=["F / (1 + s**2)"], h=["s + s**3 / 3"], states=["s"], inputs=["F"]), lambda t, x: [2 * np.sin(2 * t)]),
+    "cart and pole": (
+        Plant(f=["v", "F", "w", "9.81*sin(a) - F*cos(a)"], h=["s", "5*a"], states=["s", "v", "a", "w"], inputs=["F"]),
+        lambda t, x: [30 * x[2] + 9 * x[3] + 1.5 * (x[0] - np.sin(2.5 * t)) + 2 * x[1]],
+    ),
+    "a bent integrator": (Plant(f=["F / (1 + s**2)"], h=["s + s**3 / 3"], states=["s"], inputs=["F"]), lambda t, x: [3 * np.cos(2 * t)]),
 }
 
 
@@ -94,3 +103,188 @@ def swinging(name: str, duration: float = 6.0, step: float = STEP) -> Trial:
         now = move(now, inputs[-1]).full().ravel()
     x_all, z = outputs(model, start, np.array(inputs))
     return Trial(model, x_all, np.array(inputs), z, resolve(Sensor(right=0.3, left=0.2), model.p, step))
+
+
+CENTRE_LOST = {
+    "one link on a table": ([True], "the position of joint q1 as a whole alters no motion"),
+    "two links on a table": ([True, False], "the position of joint q1 as a whole alters no motion"),
+    "motor of an elastic joint on a table": ([True], "the position of joint motor and the position of joint link as a whole"),
+    "cart and pole": ([True, False], "a change of x[0] as a whole alters no motion"),
+    "a bent integrator": ([True], "along this run x[0] can shift with the edges"),
+}
+
+
+@pytest.mark.parametrize("name", SWINGING)
+def test_the_centre_is_lost_where_nothing_depends_on_a_position_and_only_there(name: str) -> None:
+    run = swinging(name)
+    assert ((run.z.min(axis=0) < -0.2) & (run.z.max(axis=0) > 0.3)).all()
+    lost, words = CENTRE_LOST.get(name, ([False] * run.model.p, ""))
+    found = run.verdicts()
+    for verdict, no in zip(found, lost, strict=True):
+        assert verdict[:4] == (not no, not no, True, not no)
+        assert verdict.std is not None
+        assert (verdict.std["centre"] == np.inf) == no
+        assert len(verdict.reasons) == no
+        assert not no or (words in verdict.reasons[0] and verdict.reasons[0].startswith("the centre is not identifiable"))
+    none, some = run.observability().gap
+    assert none < 1e-11
+    assert some > 1e-3
+
+
+@pytest.mark.parametrize("name", SWINGING)
+def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others_show(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other starts and widths, simulated: along the invisible changes readings stay, along any other they differ as the Gramian has it."""
+    monkeypatch.setattr(design, "CAP", 1e9)
+    run = swinging(name, {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}.get(name, 6.0))  # these leave their neighbours fast
+    found, n, p = run.observability(), run.model.n, run.model.p
+    rms = np.sqrt(variance(run.sensor))
+
+    def readings(change: Floats) -> Floats:
+        d = np.stack([run.sensor.right, run.sensor.left], axis=1) + change[n:].reshape(p, 2)
+        return deadzone(outputs(run.model, run.x[0] + change[:n], run.u)[1], d[:, 0], d[:, 1])
+
+    hidden = found.hidden.scale[:, None] * found.hidden.basis
+    for direction in np.vstack([found.follow @ hidden, hidden]).T:
+        small = 1e-5 * direction / np.linalg.norm(direction)
+        assert np.abs(readings(small) - readings(0 * small)).max() < 1e-9
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        direction = 1e-8 * rng.normal(size=n + 2 * p)
+        differ = np.linalg.norm((readings(direction) - readings(-direction)) / 2 / rms)
+        assert differ == pytest.approx(np.linalg.norm(found.root @ direction), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["upright", "two links", "two links on a table", "a bent integrator"])
+@pytest.mark.parametrize("thinner", [1, 6])
+def test_long_steps_tell_nearly_the_same(name: str, thinner: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = swinging(name)
+    exact = run.observability()
+    work = design._derivatives(run.model, run.model.rate, np.zeros((run.model.m, 0)), ()).n_instructions() * len(run.x)
+    monkeypatch.setattr(design, "WORK", 1.5 * work / thinner)
+    found = run.observability()
+    assert found.tolerance > exact.tolerance
+    for i in range(run.model.p):
+        assert found.std(i) == pytest.approx(exact.std(i), rel=0.01)
+
+
+def test_a_run_in_continuous_time() -> None:
+    """The bent integrator's invisible change is no constant one: an error of the steps would make it visible."""
+    run = simulate(
+        convert(
+            {
+                "plant": {"f": ["F / (1 + s**2)"], "h": ["s + s**3 / 3"], "states": ["s"], "inputs": ["F"]},
+                "sensor": {"right": 0.3, "left": 0.2},
+                "reference": {"kind": "sine", "amplitude": 1.5, "frequency": 2.0},
+                "observer": {"method": "certified", "L": [1.0], "gamma": 5.0, "widths0": [0.1, 0.1]},
+                "controller": {"method": "state_feedback", "alpha": 5.0},
+                "simulation": {"duration": 6.0, "step": STEP},
+            }
+        ),
+        check_step=False,
+    )
+    model = system(SWINGING["a bent integrator"][0])
+    (found,) = verdicts_along(model, run.x, run.u, run.z, resolve(Sensor(right=0.3, left=0.2), 1, STEP), STEP)
+    assert found[:4] == (False, False, True, False)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 2), st.booleans(), st.booleans(), st.booleans())
+def test_linear_plants_are_judged_as_by_their_matrices(seed: int, n: int, p: int, integrator: bool, discrete: bool, biased: bool) -> None:
+    """Edges are reached or not as chance has it."""
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, n, 1, p)
+    if integrator:
+        A, B, C = plant.linear
+        plant = linear(np.where(np.arange(n) == 0, 0.0, A), B, C)
+    model = sampled(plant, 0.02)
+    t = np.arange(1500) * 0.02
+    u = np.sin(np.outer(t, rng.uniform(1, 3, 4))) @ rng.normal(size=(4, 1))
+    x, z = outputs(model, rng.normal(size=n), u)
+    widths = np.abs(z).max(axis=0)[:, None] * rng.choice([0.3, 0.5, 2.0], size=(p, 2))
+    sensor = resolve(Sensor(right=widths[:, 0], left=widths[:, 1]), p, 0.02)
+    model = model if discrete else plant
+    bias = unknown_bias(Step(amplitude=1.0), np.eye(1)) if biased else None
+    expected = verdicts(model.linear, recorded(z, sensor, 0.02, model.Ts), None if bias is None else model.linear.B @ bias)
+    found = verdicts_along(model, x, u, z, sensor, 0.02, bias=bias)
+    assert [verdict[:4] for verdict in found] == [verdict[:4] for verdict in expected]
+    assert [bool(verdict.reasons) for verdict in found] == [bool(verdict.reasons) for verdict in expected]
+
+
+@pytest.mark.parametrize("a", [1.02, 0.98, 1.0])
+def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
+    """x+ = a x, always on the right: the information on d_r, x(0) unknown, is n - (sum a^k)^2 / sum a^2k, near n - (1 + a)/|1 - a|."""
+    model = sampled(linear([[0.0]], [[1.0]], [[1.0]]), 1.0)
+    model = model._replace(params=model.params._replace(A=np.array([[a]])), linear=model.linear._replace(A=np.array([[a]])))
+    N = 20000
+    found = observability(model, np.ones((N, 1)), np.zeros((N, 1)), np.ones((N, 1)), 1.0, np.array([0.04]))
+    expected = np.inf if a == 1.0 else 0.2 / np.sqrt(N - (1 + a) / abs(1 - a))
+    assert found.std(0)["right"] == pytest.approx(expected, rel=1e-6)
+    assert found.std(0)["left"] == np.inf
+
+
+@pytest.mark.parametrize("name", ["cart and pole", "motor of an elastic joint on a table"])
+def test_what_is_known_very_well_need_not_be_known_better(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over 20 s of balancing x(0) shows e^60-fold, and a link behind a spring shows far better over many blocks than over one."""
+    run = swinging(name, 20.0)
+    capped = run.observability()
+    monkeypatch.setattr(design, "CAP", 1e8)
+    found = run.observability()
+    for i in range(run.model.p):
+        assert capped.hidden.width(i, "centre") == (i == 1)
+        assert capped.std(i) == pytest.approx(found.std(i), rel=1e-6)
+
+
+def test_a_known_start_tells_the_centre() -> None:
+    run = swinging("one link on a table")
+    (found,) = run.verdicts(prior=np.array([1e-3, np.inf]))
+    assert found[:4] == (True, True, True, True)
+    assert found.std is not None
+    assert found.std["centre"] == pytest.approx(2e-3, rel=1e-3)  # both edges shift with the start
+    (unsure,) = run.verdicts(prior=np.array([0.4, np.inf]))
+    assert unsure[:4] == (False, False, True, False)
+    assert unsure.reasons[0].startswith("practically not")
+
+
+def test_what_else_is_unknown_costs_the_centre() -> None:
+    """A constant torque, or the place of a spring's rest, shifts a mass on a spring as its edges do."""
+    run = swinging("duffing")
+    (found,) = run.verdicts(bias=np.eye(1))
+    assert found.centre  # the spring is not linear: a shift changes the motion
+    soft = Plant(f=["v", "-k*(s - s0) - c*v + F"], h=["s"], states=["s", "v"], inputs=["F"], parameters={"k": 2.0, "c": 0.5, "s0": 0.0})
+    model = sampled(system(soft), STEP, 1)
+    u = 2 * np.sin(1.5 * STEP * np.arange(3000))[:, None]
+    x, z = outputs(model, np.zeros(2), u)
+    run = Trial(model, x, u, z, run.sensor)
+    assert run.verdicts()[0][:4] == (True, True, True, True)
+    (found,) = run.verdicts(bias=np.eye(1))
+    assert (found.width, found.centre) == (True, False)
+    assert found.reasons == ("the centre is not identifiable: constant input bias, centre and bias cannot be told apart",)
+    (found,) = run.verdicts(uncertain=["s0"])
+    assert (found.width, found.centre) == (True, False)
+    assert "with s0 uncertain" in found.reasons[0]
+    (found,) = run.verdicts(uncertain=["k", "c"])
+    assert found.centre
+
+
+def test_noise_may_leave_nothing_of_a_width() -> None:
+    run = swinging("pendulum")
+    (found,) = run._replace(sensor=resolve(Sensor(right=0.3, left=0.2, noise=100.0, threshold=0.0), 1, STEP)).verdicts()
+    assert found[:4] == (False, False, False, False)
+    assert found.reasons[0].startswith("practically not")
+
+
+def test_an_edge_that_is_not_reached() -> None:
+    run = swinging("pendulum")
+    (found,) = run._replace(sensor=resolve(Sensor(right=0.3, left=2.0), 1, STEP)).verdicts()
+    assert found[:4] == (True, False, False, False)
+    assert found.reasons[0].startswith("the left edge is never reached")
+
+
+def test_a_jump_sensor_and_a_run_that_diverges() -> None:
+    run = swinging("two links on a table")
+    jump = run._replace(sensor=resolve(Sensor(right=0.3, left=0.2, kind="jump"), 2, STEP)).verdicts()
+    assert [verdict[:4] for verdict in jump] == [(True,) * 4] * 2
+    x = np.vstack([run.x[:2000], np.full((1000, 4), np.nan)])
+    z = np.vstack([run.z[:2000], np.full((1000, 2), np.nan)])
+    short = run._replace(x=run.x[:2000], u=run.u[:2000], z=run.z[:2000])
+    assert run._replace(x=x, z=z).verdicts() == short.verdicts()

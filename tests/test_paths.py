@@ -17,8 +17,10 @@ from undeadzone.arrays import Floats, decode
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import linear_targets
 from undeadzone.paths import Circle, FigureEight, Path, Quintic
+from undeadzone.plant import Matrices, System
 from undeadzone.robots import kinematics, planar
 from undeadzone.robots.arm import Arm, Chain, arm
+from undeadzone.robots.plants import flat
 from undeadzone.signals import Exosystem, Signal, exosystem
 
 T = np.linspace(-0.9, 9.9, 541) + 0.003
@@ -257,6 +259,13 @@ def test_a_coarse_grid_gives_the_same_path() -> None:
         assert coarse.value(t, order) == pytest.approx(fine.value(t, order), abs=1e-11)
 
 
+@pytest.mark.parametrize("path", [changed(EIGHT, period=2.5), Circle(centre=[0.0, 0.0], radius=0.5, period=1.005, ramp=0.0)])
+def test_a_grid_too_coarse_for_the_path(path: Path) -> None:
+    """From one step to the next the elbow would flip, or a turn about the base go the short way."""
+    with pytest.raises(TrackingError, match=r"singular configuration .*, or it is too fast for steps as long as simulation.step; move it or slow"):
+        joints(TWO_LINK, tip_path(path), ELBOWS[0], step=1.0)
+
+
 def test_period_of_a_joint_path() -> None:
     assert joints(TWO_LINK, tip_path(changed(CIRCLE, ramp=0.0)), ELBOWS[0]).period == 4.0
     around = joints(TWO_LINK, tip_path(Circle(centre=[0.0, 0.0], radius=0.5, period=4.0, ramp=0.0)), ELBOWS[0])
@@ -301,9 +310,15 @@ def test_ur5_follows_without_turning() -> None:
         assert tips(given, q) == pytest.approx(task.value(t), abs=1e-12)
         assert turns(given, q) == pytest.approx(np.broadcast_to(turns(given, start[None]), (300, 3, 3)), abs=1e-12)
         slopes_agree(found, t, 2)
-        kinematics.require_torque(given, given.values, found, 8.0, 0.05, given.chain.torque)
+        kinematics.require_torque(driven(given, given.chain.torque), found, t)
         with pytest.raises(TrackingError, match=r"needs a torque of .* from shoulder_lift_joint"):
-            kinematics.require_torque(given, given.values, found, 8.0, 0.05, given.chain.torque / 10)
+            kinematics.require_torque(driven(given, given.chain.torque / 10), found, t)
+
+
+def driven(given: Arm, limit: Floats) -> System:
+    """An arm as a plant whose motors have so much torque."""
+    linear = Matrices(np.zeros((2 * given.size,) * 2), np.zeros((2 * given.size, given.size)), np.eye(given.size, 2 * given.size))
+    return System(given.values, lambda p, x, u: x, lambda p, x: x[: given.size], linear, nonlinear=True, arm=given, flat=flat(given), limit=limit)
 
 
 def number(pattern: str, error: pytest.ExceptionInfo[TrackingError]) -> list[float]:
@@ -370,9 +385,9 @@ def test_torque_limits() -> None:
         [(TWO_LINK.mass(TWO_LINK.values, *now[:1]) @ now[2] + TWO_LINK.bias(TWO_LINK.values, *now[:2])).full().ravel() for now in zip(q, v, a, strict=True)]
     )
     most = np.abs(torques).max(axis=0)
-    kinematics.require_torque(TWO_LINK, TWO_LINK.values, path, 8.0, 2e-3, most * 1.001)
+    kinematics.require_torque(driven(TWO_LINK, most * 1.001), path, t)
     with pytest.raises(TrackingError, match=r"^reference: the path needs a torque") as error:
-        kinematics.require_torque(TWO_LINK, TWO_LINK.values, path, 8.0, 2e-3, np.array([np.inf, most[1] / 2]))
+        kinematics.require_torque(driven(TWO_LINK, np.array([np.inf, most[1] / 2])), path, t)
     value, when, bound = number(r"torque of # from q2 at t = # s, which allows -[\d.]+ to # \[N m", error)
     assert (abs(value), bound) == (pytest.approx(most[1], rel=1e-3), pytest.approx(most[1] / 2, rel=1e-3))
     assert torques[np.abs(t - when).argmin(), 1] == pytest.approx(value, rel=1e-3)

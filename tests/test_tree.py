@@ -60,3 +60,10 @@ def test_empty_trees() -> None:
 def test_a_tree_needs_as_many_values_as_leaves() -> None:
     with pytest.raises(StopIteration):
         tree.rebuild((1.0, 2.0), iter([1.0]))
+
+
+def test_a_stack_holds_structural_zeros_too() -> None:
+    """Engines exchange a function's numbers by position: an entry that CasADi leaves out would shift all that follow it."""
+    stacked = tree.stack((ca.vertcat(ca.SX(2, 1), ca.SX.sym("a")), ca.SX.sym("b")))
+    assert stacked.shape == (4, 1)
+    assert stacked.nnz() == 4

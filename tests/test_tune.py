@@ -257,7 +257,7 @@ def test_another_structure_is_another_graph() -> None:
 
 def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
     bench = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).benches[0]
-    names = metrics.columns(1)
+    names = metrics.columns(resolve_scenario(gusts()).plant)
     found = np.zeros((5, len(names)))
     found[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
     found[:, names.index("diverged")] = [0, 1, 1, 0, 0]

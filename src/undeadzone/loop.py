@@ -96,6 +96,8 @@ class Outputs(NamedTuple):
     width_std: Any
     innovation_std: Any
     w_hat: Any
+    theta_hat: Any
+    theta_std: Any
 
 
 class Parts(NamedTuple):
@@ -197,7 +199,7 @@ class _Wires(NamedTuple):
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
         """The exogenous inputs of one instant, scaled; a missing reading is noise that is not a number, whose side is silent."""
         w: Exogenous = tree.unpack(instant, column)
-        target = Target(*(part * self.p.scale.reference for part in w.target[:3]), plan=w.target.plan)
+        target = Target(*(part * self.p.scale.reference for part in w.target[:3]))._replace(plan=w.target.plan)
         scale = self.p.scale
         return w._replace(target=target, w=w.w * scale.disturbance, before=w.before * scale.before, after=w.after * scale.after + w.lost)
 

@@ -10,12 +10,11 @@ import numpy as np
 from undeadzone import plant as plants
 from undeadzone import tree
 from undeadzone.arrays import Array, Floats, scalar
-from undeadzone.design.structure import require_structure
 from undeadzone.engine.interpret import Stepper
 from undeadzone.observers import Observer, ObserverOptions, Reading
 from undeadzone.observers.interface import graph_of
 from undeadzone.plant import Plant, System
-from undeadzone.problem import require_bounded_error
+from undeadzone.problem import require_bounded_error, require_visible
 from undeadzone.sensor import Sensor, present, resolve, side
 
 
@@ -34,6 +33,8 @@ class Live(NamedTuple):
     width_std: Floats
     innovation_std: Floats
     w: Floats
+    theta: Floats
+    theta_std: Floats
     side: Floats
 
 
@@ -41,16 +42,16 @@ class Online:
     """An observer fed one sample at a time: `Online(Certified(L=..., gamma=...), plant, sensor, step).update(y, u)`.
 
     plant: what the observer believes; sensor: kind, slope, noise and threshold (its widths are used by the oracle only);
-    step: sample time [s]; a nonlinear plant moves by ten Runge-Kutta steps in it. A reading that is NaN or infinite is
+    step: sample time [s]; a nonlinear plant moves by `substeps` Runge-Kutta steps in it. A reading that is NaN or infinite is
     missing: nothing is corrected, and `missing` counts it; an input that is not finite is taken to be the last one.
     Raises InputError and its kinds as a scenario would.
     """
 
-    def __init__(self, observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float) -> None:
+    def __init__(self, observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float, substeps: int = 10) -> None:
         Ts = scalar("step", step, above=0.0)
         system = plants.system(plant)
-        require_structure(system.linear, "plant")
-        self.model = plants.sampled(system, Ts)
+        require_visible(system, "plant")
+        self.model = plants.sampled(system, Ts, substeps)
         zone = resolve(sensor, self.model.p, Ts)
         built = graph_of(observer.build(self.model, zone))
         require_bounded_error(self.model, built, Ts)

@@ -16,6 +16,7 @@ from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward import flat_targets
 from undeadzone.observers import NumericObserver, Observer
 from undeadzone.plant import Plant, System
+from undeadzone.region import box
 from undeadzone.robots import path as paths
 from undeadzone.scenario import Scenario
 from undeadzone.sensor import Zone, resolve
@@ -54,7 +55,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if flow.flat is None:
         path, reference = None, signals.exosystem("reference", scenario.reference, len(tracked))
     else:
-        path = paths.followed(scenario, flow, step)
+        path = paths.followed(scenario, flow, x0, step)
         reference = Exosystem(np.zeros((len(tracked),) * 2), np.eye(len(tracked)), lambda t: flat_targets(flow, path, tracked, t).r)
     _require_resolved("reference", reference if path is None else path, step)
     disturbance = _disturbance(scenario, true.m)
@@ -74,6 +75,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         _require_fine_step(plant, model, observer, controller, step)
+    if scenario.region is not None:
+        box(scenario.region, model)
     return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps, path)
 
 
@@ -91,17 +94,17 @@ def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     """(the plant, the model, x(0)) in continuous time, checked against each other. Raises InputError and its kinds."""
     plant = plants.system(scenario.plant)
-    _require_structure(plant, "plant")
+    require_visible(plant, "plant")
     model = plant
     if scenario.model is not None:
         model = plants.system(believed_plant(scenario), "model")
-        _require_structure(model, "model")
+        require_visible(model, "model")
         if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
             raise InputError(f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}")
     return plant, model, plants.initial_state(scenario.plant, plant.n)
 
 
-def _require_structure(system: System, key: str) -> None:
+def require_visible(system: System, key: str) -> None:
     """`require_structure`; of an arm, whose structure changes with its posture, a run's own verdict tells."""
     if system.flat is None:
         require_structure(system.linear, key)

@@ -25,14 +25,16 @@ class Box(NamedTuple):
     low: Floats
     high: Floats
 
-    def left(self, x: Floats, x_hat: Floats, u: Floats) -> Floats:
+    def left(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
         """Whether state, estimate (N x n) or input (N x m) lie outside, or are no numbers (N)."""
         both = np.stack([np.hstack([x, u]), np.hstack([x_hat, u])])
-        return ~((both >= self.low) & (both <= self.high)).all(axis=(0, 2))
+        return np.asarray(~((both >= self.low) & (both <= self.high)).all(axis=(0, 2)))
 
 
 def box(region: Region, model: System) -> Box:
     """The box of a region for a model. Raises InputError, ShapeError that name the key."""
+    if not model.nonlinear:
+        raise InputError("region: the model is linear, and its certificate holds everywhere; remove the region")
     if region.u is not None:
         inputs = _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
     elif model.limit is not None and np.isfinite(model.limit).all():

@@ -24,7 +24,9 @@ LIMIT = 1e12  # beyond this a state has diverged
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What a run knows besides its signals; widths: the true [right, left] of each output; joints: names, of an arm."""
+    """What a run knows besides its signals; widths: the true [right, left] of each output; joints: names, of an arm;
+    uncertain: the parameters that the observer estimates, and their true values.
+    """
 
     title: str
     method: str
@@ -39,6 +41,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float
     units: Units = Units()
     joints: list[str] = []
+    uncertain: dict[str, float] = {}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,7 +51,8 @@ class Run:
     x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
     output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
     x_std, d_std, width_std, innovation_std: standard deviations of x_hat, d_hat, d_r^ + d_l^ and innovation, where the
-    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that. Of an arm: tip,
+    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that; theta_hat, theta_std: the model's
+    parameters that it takes for uncertain (info.uncertain), and their standard deviations. Of an arm: tip,
     tip_hat, tip_r: where its tip is, is believed to be and should be [m] (2 or 3); poses (F x K x 3): where base, joints and tip are at
     FRAMES instants per second, from t = 0 on [m] (in `.npz` files only).
     """
@@ -72,6 +76,8 @@ class Run:
     width_std: Floats | None = None
     innovation_std: Floats | None = None
     w_hat: Floats | None = None
+    theta_hat: Floats | None = None
+    theta_std: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -110,6 +116,14 @@ class Run:
     def widths(self) -> Floats:
         """The final width estimates (p x 2): [d_r^, d_l^] of each output."""
         return self.d_hat[-1].reshape(-1, 2)
+
+    @property
+    def parameters(self) -> dict[str, dict[str, float]]:
+        """The final estimates of uncertain parameters, their standard deviations, and the truth."""
+        if self.theta_hat is None or self.theta_std is None:
+            return {}
+        ends = zip(self.info.uncertain.items(), self.theta_hat[-1], self.theta_std[-1], strict=True)
+        return {name: {"estimate": float(value), "std": float(std), "true": true} for (name, true), value, std in ends}
 
     @property
     def outputs(self) -> list[str]:
@@ -160,6 +174,7 @@ class Run:
             "d_left": left,
             "d_right_std": None if self.d_std is None else each(self.d_std[-1, 0::2]),
             "d_left_std": None if self.d_std is None else each(self.d_std[-1, 1::2]),
+            **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if self.width_std is None else each(self.width_std[-1]),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
@@ -192,6 +207,8 @@ class Run:
         if signal in ("x", "x_hat", "x_std", "w_hat"):
             state = units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
             return f"{state}/s" if signal == "w_hat" else state
+        if signal in ("theta_hat", "theta_std"):
+            return "1"
         return {"t": "s", "u": units.input, "side": "1", "V": "1", "tip": "m", "tip_hat": "m", "tip_r": "m"}.get(signal, units.output)
 
     def save(self, path: str | os.PathLike[str]) -> Path:

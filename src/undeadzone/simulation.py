@@ -12,7 +12,8 @@ import numpy as np
 
 from undeadzone import inputs, live, tree
 from undeadzone.arrays import Floats
-from undeadzone.design.identifiability import unknown_bias, verdicts
+from undeadzone.design.along import verdicts_along
+from undeadzone.design.identifiability import Verdict, unknown_bias, verdicts
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import recorded
 from undeadzone.engine import interpret
@@ -101,6 +102,18 @@ def named(loop: Loop, outputs: Floats) -> Outputs:
     return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
 
 
+def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
+    """What a run's readings tell of each output's widths; of a nonlinear plant along the run, given what the observer is told of its start."""
+    sensor, disturbance, step = problem.sensor, problem.scenario.disturbance, problem.scenario.simulation.step
+    if problem.plant.nonlinear:
+        start = getattr(problem.scenario.observer, "x_std", None) if hasattr(problem.scenario.observer, "start") else None
+        prior = None if start is None else np.broadcast_to(np.asarray(start, float), problem.plant.n)
+        bias = unknown_bias(disturbance, np.eye(problem.plant.m))
+        return verdicts_along(problem.plant, signal.x, signal.u, signal.z, sensor, step, bias, prior=prior)
+    schedule = recorded(signal.z, sensor, step, problem.model.Ts)
+    return verdicts(problem.model.linear, schedule, unknown_bias(disturbance, problem.model.linear.B), sensor.kind == "jump")
+
+
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
     """Where an arm's tip is, is believed to be, and should be (N x 2 or 3 each) [m]; nothing without an arm."""
     body = problem.plant.arm
@@ -137,6 +150,7 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
     t = np.arange(problem.steps + 1) * scenario.simulation.step
     d_hat, d_std = (np.stack(pair, axis=2).reshape(t.size, -1) for pair in ((signal.right, signal.left), (signal.right_std, signal.left_std)))
     optional = {"x_std": signal.x_std, "d_std": d_std, "width_std": signal.width_std, "innovation_std": signal.innovation_std, "w_hat": signal.w_hat}
+    optional |= {"theta_hat": signal.theta_hat, "theta_std": signal.theta_std}
     truth = np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
     proof = certificate(problem)
     V = None
@@ -145,8 +159,6 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
         d_error = truth - d_hat if problem.sensor.kind == "deadzone" else np.zeros_like(d_hat)
         adapted = np.repeat(problem.observer.params.gamma > 0, 2)
         V = proof.V.value(signal.x - signal.x_hat, d_error) if (adapted | (d_error == 0)).all() else None
-    schedule = recorded(signal.z, problem.sensor, scenario.simulation.step, problem.model.Ts)
-    found = verdicts(problem.model.linear, schedule, unknown_bias(scenario.disturbance, problem.model.linear.B), problem.sensor.kind == "jump")
     return Run(
         t=t, x=signal.x, z=signal.z, y=signal.y, side=signal.side, x_hat=signal.x_hat, z_hat=signal.z_hat, d_hat=d_hat,
         z_inverse=signal.z_inverse, innovation=signal.innovation, u=signal.u,
@@ -161,9 +173,10 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
             threshold=problem.sensor.threshold.tolist(),
             certified=None if proof is None else proof.certified,
             integration_error=error,
-            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in found],
+            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in judged(problem, signal)],
             seconds=time.perf_counter() - began,
             units=scenario.units,
+            uncertain={name: float(np.ravel(problem.plant.params)[problem.plant.names.index(name)]) for name in getattr(scenario.observer, "uncertain", {})},
             joints=[] if problem.plant.arm is None else list(problem.plant.arm.chain.joints),
         ),
         **tips(problem, signal.x, signal.x_hat, t),

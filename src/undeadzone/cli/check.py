@@ -23,10 +23,10 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     """Judge the gains of a scenario's observer without a simulation.
 
     Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G fails, and the nearest
-    certified gains), how fast the error dies along the reference, and which widths its readings can tell, how well,
-    and what would help. A nonlinear model is judged on the scenario's [region]. Writes check.json, figures and report.html to DIR (default: NAME-check); with --no-figures and
-    no --out it writes nothing. Exit code 1: not certified (observers without constant gains need not be), or not every
-    width can be identified.
+    certified gains; a nonlinear model is judged on the scenario's [region]), how fast the error dies along the reference,
+    and which widths its readings can tell, how well, and what would help. Writes check.json, figures and report.html to
+    DIR (default: NAME-check); with --no-figures and no --out it writes nothing. Exit code 1: not certified (observers
+    without constant gains need not be), a run leaves the region, or not every width can be identified.
     """
     from undeadzone.design.account import account, trial
     from undeadzone.design.check import check as judge
@@ -52,7 +52,8 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     else:
         print_pairs(in_words(summary, problem) | ({"written": ", ".join(map(str, written))} if written else {}))
     known = summary["identifiable"] if isinstance(summary["identifiable"], list) else [summary["identifiable"]]
-    return 0 if summary["certified"] is not False and all(verdict["right"] and verdict["left"] for verdict in known) else 1
+    covered = summary["certified"] is not False and summary["left_region"] is None
+    return 0 if covered and all(verdict["right"] and verdict["left"] for verdict in known) else 1
 
 
 def in_words(summary: dict[str, Any], problem: Scenario) -> dict[str, Any]:

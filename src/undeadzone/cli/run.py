@@ -120,6 +120,7 @@ def _print(result: Run, written: list[Path], apart: float | None, rival: Run | N
         **({} if result.rms_tip is None else {"rms tip": f"{result.rms_tip:.4g} m from its path (last 2 s)"}),
         "d_right": _widths(result, 0),
         "d_left": _widths(result, 1),
+        **{name: f"{found['estimate']:.4g} ± {found['std']:.2g} (true {found['true']:g})" for name, found in result.parameters.items()},
         "silent": f"{100 * result.silent_fraction:.1f} % of the time",
     }
     if summary["certified"] is not None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 NAMES = (
     "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
-    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "w_hat", "side",
+    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "w_hat", "theta_hat", "theta_std", "side",
 )  # fmt: skip
 
 
@@ -38,7 +38,7 @@ def watch(scenario: Path, as_json: bool) -> int:
     from undeadzone.scenario import read
 
     problem = read(scenario)
-    online = Online(problem.observer, believed_plant(problem), problem.sensor, problem.simulation.step)
+    online = Online(problem.observer, believed_plant(problem), problem.sensor, problem.simulation.step, problem.simulation.substeps)
     p, m = online.model.p, online.model.m
     count = 0
     for number, row in enumerate(_rows(), 1):

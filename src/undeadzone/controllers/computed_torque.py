@@ -34,9 +34,7 @@ class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def build(self, model: System) -> Controller:
         """The controller for the model of a rigid arm, continuous or sampled. Raises InputError, ShapeError, StepError."""
         if (arm := model.arm) is None or arm.size != model.m:
-            raise InputError(
-                "controller.method: 'computed_torque' needs an arm whose every joint has its motor; use 'state_feedback' or 'lqr'"
-            )
+            raise InputError("controller.method: 'computed_torque' needs an arm whose every joint has its motor; use 'state_feedback' or 'lqr'")
         k_p, k_d = self._gains(arm.size)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)

@@ -16,7 +16,7 @@ from undeadzone.sensor import Zone, zone
 
 LIMIT = 1e9  # beyond this a state has diverged
 SHARE = 1e-3  # of the largest change: less is not named
-CURES = "an absolute reference pulse, a known start, a spring or gravity would tell"
+CURES = "a known start, an absolute reference pulse, a spring or gravity would tell"
 
 
 def verdicts_along(
@@ -59,12 +59,12 @@ def verdicts_along(
 def variance(sensor: Zone) -> Floats:
     """Of a reading's noise (p), as noise of z; never 0."""
     level = reading_levels(sensor).max(axis=1)
-    return np.maximum(np.hypot(sensor.noise / sensor.slope, sensor.noise_before), EXACT * np.where(level > 0, level, 1.0)) ** 2
+    return np.maximum(sensor.rms, EXACT * np.where(level > 0, level, 1.0)) ** 2
 
 
 def _confounded(model: System, found: Observability, visited: np.ndarray, i: int, biases: int, uncertain: Sequence[str]) -> list[str]:
     """Why widths of output i stay unknown although their sides are visited."""
-    hidden, n = found.hidden, model.n
+    hidden, columns = found.hidden, np.arange(found.hidden.scale.size)
     edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
     lost = [name for name in edges if not hidden.width(i, name)]
     if not lost:
@@ -72,19 +72,20 @@ def _confounded(model: System, found: Observability, visited: np.ndarray, i: int
     width = len(edges) == 2 and hidden.width(i, "width")
     what = "centre" if width else " and ".join(f"{name} edge" for name in lost)
     left = "only the width d_r + d_l can be known" if width else f"the {what} cannot be told from a shift of the state"
-    start, columns = f"the {'centre' if width or len(edges) == 1 else 'width'} is not identifiable: ", np.arange(hidden.scale.size)
-    constants = columns >= n + 2 * model.p
+    start = f"the {'centre' if width or len(edges) == 1 else 'width'} is not identifiable: "
     for some, words in (
-        (constants & (columns < constants.argmax() + biases), f"constant input bias, {what} and bias cannot be told apart"),
-        (constants & (columns >= constants.argmax() + biases), f"with {', '.join(uncertain)} uncertain the {what} cannot be told from them"),
+        ((columns >= 2 * model.p) & (columns < 2 * model.p + biases), f"constant input bias, {what} and bias cannot be told apart"),
+        (columns >= 2 * model.p + biases, f"with {', '.join(uncertain)} uncertain the {what} cannot be told from them"),
     ):
         if some.any() and all(hidden.within(~some).width(i, name) for name in edges):
             return [start + words]
-    own = hidden.within((columns < n) | (columns == n + 2 * i) | (columns == n + 2 * i + 1))
+    own = hidden.within(columns // 2 == i)
     alone = not own.width(i, lost[0])
-    hidden = own if alone else hidden
-    change = (hidden.scale * (hidden.basis @ hidden.basis[n + 2 * i + (lost[0] == "left")]))[:n]
+    basis = own.basis if alone else hidden.basis
+    change = found.follow @ (hidden.scale * (basis @ basis[2 * i + (lost[0] == "left")]))
     change = np.where(np.abs(change) > SHARE * np.abs(change).max(), change, 0.0)
+    if not change.any():
+        return [f"{start}the {what}, bias and parameters cannot be told apart"]
     names = " and ".join(_states(model)[j] for j in np.flatnonzero(change))
     if not alone:
         return [f"{start}along this run {names} can shift together with edges of several outputs and no reading changes"]

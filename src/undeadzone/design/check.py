@@ -55,7 +55,7 @@ def check(scenario: Scenario) -> dict[str, Any]:
         reasons.append("no certificate and no rate: the observer has no constant gains L, gamma")
     elif problem.model.nonlinear and scenario.region is None:
         reasons.append("no certificate and no rate: the model is nonlinear; certificates of such models hold on a declared [region]")
-    elif problem.model.nonlinear:
+    elif problem.model.nonlinear and scenario.region is not None:
         within = box(scenario.region, problem.model)
         proof = certify_on(problem.model, *gains, within)
         summary |= {"certified": proof.certified, "margin": proof.margin, "left_region": _left(scenario, within)}
@@ -129,7 +129,7 @@ def knowledge(problem: Problem, schedule: Schedule) -> list[Known]:
     help_ = cures(linear, schedule, bias, jump)
     std = [{} for _ in found] if jump else deviations(linear, schedule, sensor.rms, scenario.simulation.step, scenario.simulation.duration, bias, process).widths
     return [
-        Known(**verdict._asdict() | {"reasons": list(verdict.reasons)}, cures=[cure.text for cure in help_ if cure.output == i], std=std[i])
+        Known(**verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]}, cures=[cure.text for cure in help_ if cure.output == i])
         for i, verdict in enumerate(found)
     ]
 

@@ -17,30 +17,34 @@ from undeadzone.scaling import sizes
 from undeadzone.signals import Disturbance, Step
 
 TOLERANCE = 1e-11  # of singular values of balanced, normalised matrices; the rounding of a sampled model comes on top
-PRESENT = 1e-7  # least component of a unit vector that counts
+PRESENT = 1e-7  # see `Invisible`
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
 DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
 
 
 class Invisible(NamedTuple):
-    """Changes of the unknowns that no reading shows: orthonormal columns of `basis` (n + 2p + b, k), times `scale` by rows."""
+    """Changes of the unknowns that no reading shows: orthonormal columns of `basis` (n + 2p + b, k), times `scale` by rows.
+
+    present: least component of a unit vector that counts.
+    """
 
     basis: Floats
     scale: Floats
     n: int
+    present: float = PRESENT
 
     def state(self, i: int) -> bool:
         """Whether state i is determined nevertheless."""
-        return not bool((np.abs(self.basis[i]) > PRESENT).any())
+        return not bool((np.abs(self.basis[i]) > self.present).any())
 
     def width(self, i: int, name: str) -> bool:
         """Whether `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l of output i is determined nevertheless."""
         first = self.n + 2 * i
-        return not bool((np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > PRESENT).any())
+        return not bool((np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > self.present).any())
 
     def within(self, part: np.ndarray) -> Invisible:
         """Those that leave every unknown outside `part` (bool) as it is."""
-        return self._replace(basis=self.basis @ _null(self.basis[~part], PRESENT))
+        return self._replace(basis=self.basis @ _null(self.basis[~part], self.present))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -13,47 +13,54 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.arrays import Floats, Integers
-from undeadzone.design.identifiability import DIRECTIONS, Invisible
+from undeadzone.design.identifiability import DIRECTIONS, PRESENT, Invisible
 from undeadzone.engine.interpret import mapped
 from undeadzone.plant import System
 
-TOLERANCE = 1e-9  # singular value, of columns of length 1, below which a direction is invisible
-BLOCK = 32  # steps whose readings are compressed at once, unless
-GROWTH = 16.0  # they may grow more than e^16-fold
-CAP = 1e3  # times what all readings weigh: nothing need be known better, and growth must not overflow
-WORK = 1e8  # products and sums spent on exact derivatives; more, and samples are thinned
+ROUNDING = 1e-12  # singular value, of columns of length 1, of a state that no reading feels
+TOLERANCE = 1e-9, 1e-4  # share of information that counts as none, with exact steps and with others
+BLOCK = 64  # steps whose readings are compressed at once, unless
+GROWTH = 5.0  # they may grow more than e^5-fold
+CAP = 1e6  # times what readings weigh within blocks: nothing need be known better, and growth must not overflow
+WORK = 5e7  # products and sums spent on exact derivatives; more, and samples are thinned
 
 
 class Course(NamedTuple):
-    """A run linearised: steps (K x s x s) and outputs (K x p x s) of [x; beta; theta] at the samples `kept` (K)."""
+    """A run linearised: steps (K x s x s) and outputs (K x p x s) of [x; beta; theta] at the samples `kept` (K).
+
+    tolerance: share of a direction's information, all else known, that the steps' errors may feign.
+    """
 
     steps: Floats
     outputs: Floats
     kept: Integers
+    tolerance: float
 
 
 class Observability(NamedTuple):
-    """What a run tells. root (N x N): root' root is the information matrix of [x(0); d; beta; theta].
+    """What a run tells of the constants c = [d; beta; theta] (2p + b + t), x(0) unknown.
 
-    hidden: what no reading shows; singular: values of root with columns of length 1, those below 1e-9 of which count as 0;
-    covariance (N x N): least that an unbiased estimator has (Cramer-Rao), on the complement of `hidden`.
+    root (N x N): root' root is the information matrix of [x(0); c]; hidden: the changes of c that no reading shows, if x(0) changes by
+    `follow` (n x c) times that of c; singular: shares of the information that c would have with x(0) known, direction by
+    direction, square roots; covariance: the least that an unbiased estimator of c has (Cramer-Rao), on the complement of `hidden`.
     """
 
     root: Floats
     hidden: Invisible
+    follow: Floats
     singular: Floats
+    tolerance: float
     covariance: Floats
 
     @property
     def gap(self) -> tuple[float, float]:
-        """The largest singular value that counts as 0, and the smallest that does not: the further apart, the surer."""
-        null = self.singular <= TOLERANCE
+        """The largest share that counts as none, and the smallest that does not: the further apart, the surer."""
+        null = self.singular <= self.tolerance
         return float(self.singular[null].max(initial=0.0)), float(self.singular[~null].min(initial=np.inf))
 
     def std(self, i: int) -> dict[str, float]:
         """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
-        first = self.hidden.n + 2 * i
-        pair = self.covariance[first : first + 2, first : first + 2]
+        pair = self.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
         return {name: float(np.sqrt(np.array(g) @ pair @ np.array(g))) if self.hidden.width(i, name) else np.inf for name, g in DIRECTIONS.items()}
 
 
@@ -68,45 +75,55 @@ def observability(
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
 ) -> Observability:
-    """The observability Gramian over the noise, along states x (N x n), inputs u (N x m) and sides (N x p), as its root."""
-    course = linearised(model, x, u, step, np.zeros((model.m, 0)) if bias is None else bias, uncertain)
-    root = _root(course, side, variance, model.n)
-    if prior is not None:
-        start = np.eye(model.n, root.shape[1])[np.isfinite(prior)] / np.asarray(prior)[np.isfinite(prior), None]
-        root = np.asarray(np.linalg.qr(np.vstack([root, start]), mode="r"))
+    """The observability Gramian over the noise (variance (p), of z) along states x (N x n), inputs u (N x m), sides (N x p), as a root.
+
+    bias: directions (m x b) of unknown constant inputs; uncertain: names of unknown parameters; prior (n): standard deviation of
+    x(0) as far as it is known beforehand, infinite where it is not.
+    """
     n, p = model.n, model.p
+    course = linearised(model, x, u, step, np.zeros((model.m, 0)) if bias is None else bias, uncertain)
+    root = _root(course, side, variance, n)
+    if prior is not None:
+        start = np.eye(n, root.shape[1])[np.isfinite(prior)] / np.asarray(prior)[np.isfinite(prior), None]
+        root = np.asarray(np.linalg.qr(np.vstack([root, start]), mode="r"))
     size = np.linalg.norm(root, axis=0)
     size[n : n + 2 * p] = np.repeat(size[n : n + 2 * p].reshape(p, 2).max(axis=1), 2)
     scale = 1 / np.where(size > 0, size, 1.0)
-    _, singular, V = np.linalg.svd(root * scale)
-    seen = singular > TOLERANCE
-    spread = scale[:, None] * V[seen].T / singular[seen]
-    return Observability(root, Invisible(V[~seen].T, scale, n), singular, spread @ spread.T)
+    states, constants = np.split(root * scale, [n], axis=1)
+    U, s, V = np.linalg.svd(states, full_matrices=False)
+    felt = s > ROUNDING
+    U, explained = U[:, felt], U[:, felt].T @ constants
+    _, singular, W = np.linalg.svd(constants - U @ explained)
+    known = singular > course.tolerance
+    spread = scale[n:, None] * W[known].T / singular[known]
+    follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
+    return Observability(root, Invisible(W[~known].T, scale[n:], 0, max(PRESENT, 10 * course.tolerance)), follow, singular, course.tolerance, spread @ spread.T)
 
 
 def linearised(model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()) -> Course:
     """The plant's linearisation along a run.
 
-    A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and for large sampled
-    plants, steps span an even number of samples (2, or what the work allows) by a fourth-order Magnus expansion
-    with the input's mean over the step.
+    A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and for large sampled plants, steps
+    span 2 samples, or as many as the work allows, by a fourth-order Magnus expansion (Iserles, Norsett 1999); over a step
+    of a sampled plant with the mean of its inputs.
     """
     rates = _derivatives(model, model.move if model.rate is None else model.rate, bias, uncertain)
     work = rates.n_instructions() * len(x)
     if model.Ts is not None and (model.rate is None or 8 * work <= WORK):
-        steps, outputs = _along(_derivatives(model, model.move, bias, uncertain), model, np.hstack([x, u]), uncertain)
-        return _course(steps, outputs, np.arange(len(x)), np.eye(steps.shape[2]))
+        steps, outputs = _along(_derivatives(model, model.move, bias, uncertain), model, x, u, uncertain)
+        return _course(steps, outputs, np.arange(len(x)), TOLERANCE[0])
     stride = 2 * max(1, int(np.ceil(1.5 * work / WORK)))
-    kept = np.arange(0, len(x), stride)
-    first, last = kept, np.minimum(kept + stride, len(x) - 1)
-    middle = (first + last) // 2
-    total = np.vstack([np.zeros(u.shape[1]), np.cumsum(u, axis=0)])
-    mean = (total[np.maximum(last, first + 1)] - total[first]) / np.maximum(last - first, 1)[:, None]
-    (A0, outputs), (A1, _), (A2, _) = (_along(rates, model, np.hstack([x[at], mean]), uncertain) for at in (first, middle, last))
-    h = step * (last - first)[:, None, None]
+    first = np.arange(0, len(x), stride)
+    last = np.minimum(first + stride, len(x) - 1)
+    places = first, (first + last) // 2, last
+    inputs = [u[at] for at in places]
+    if model.Ts is not None:
+        inputs = [np.add.reduceat(u, first) / np.diff(first, append=len(x))[:, None]] * 3
+    (A0, outputs), (A1, _), (A2, _) = (_along(rates, model, x[at], w, uncertain) for at, w in zip(places, inputs, strict=True))
     A0, A1, A2 = (np.pad(A, [(0, 0), (0, A.shape[2] - A.shape[1]), (0, 0)]) for A in (A0, A1, A2))
+    h = step * (last - first)[:, None, None]
     steps = _expm(h / 6 * (A0 + 4 * A1 + A2) - h**2 / 12 * (A0 @ A2 - A2 @ A0))
-    return _course(steps[:, : model.n], outputs, kept, np.eye(steps.shape[2]))
+    return _course(steps[:, : model.n], outputs, first, TOLERANCE[1])
 
 
 def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
@@ -126,27 +143,27 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
     return ca.Function("derivatives", [ca.vertcat(x, u), theta], [ca.densify(ca.vec(ca.vertcat(A, C)))], {"cse": True})
 
 
-def _along(function: ca.Function, model: System, rows: Floats, uncertain: Sequence[str]) -> tuple[Floats, Floats]:
-    """The derivatives of move and of the output at rows [x; u], from `_derivatives`."""
+def _along(function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]) -> tuple[Floats, Floats]:
+    """The derivatives of move and of the output at each x and u (rows), from `_derivatives`."""
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
-    values = mapped(function, len(rows))(rows, theta)
-    found = values.reshape(len(rows), -1, model.n + model.p).transpose(0, 2, 1)
+    values = mapped(function, len(x))(np.hstack([x, u]), theta)
+    found = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
     return found[:, : model.n], found[:, model.n :]
 
 
-def _course(steps: Floats, outputs: Floats, kept: Integers, one: Floats) -> Course:
-    """The course, up to where a derivative is not finite; constants stay, as in the rows of `one`."""
+def _course(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> Course:
+    """The course, up to where a derivative is not finite; the constants stay as they are."""
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
-    end = good.size if good.all() else int(good.argmin())
-    constants = np.broadcast_to(one[steps.shape[1] :], (end, len(one) - steps.shape[1], len(one)))
-    return Course(np.concatenate([steps[:end], constants], axis=1), outputs[:end], kept[:end])
+    end, n, s = good.size if good.all() else int(good.argmin()), *steps.shape[1:]
+    constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
+    return Course(np.concatenate([steps[:end], constants], axis=1), outputs[:end], kept[:end], tolerance)
 
 
 def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
     """R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to block, no product of readings formed.
 
-    Row by row it is scaled down where the plant's growth makes it huge: that hides nothing, and loses only what is known CAP
-    times better than from all readings at once.
+    Where the plant's growth tells a direction CAP times better than all readings do within their blocks, it is left at that, which
+    hides nothing and changes what the others tell by 1 / CAP^2.
     """
     K, p, s = course.outputs.shape
     N, moving = s + 2 * p, np.r_[:n, n + 2 * p : s + 2 * p]
@@ -169,13 +186,14 @@ def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
     for i in range(p):
         rows[:, :, i, 0, n + 2 * i], rows[:, :, i, 1, n + 2 * i + 1] = -1.0, 1.0
     own = np.linalg.qr((rows * weight[..., None]).reshape(blocks, -1, N), mode="r")
-    limit = CAP * float(np.linalg.norm(own))
+    size = np.linalg.norm(own, axis=(0, 1))
+    size = np.where(size > 0, np.maximum(size, 1e-9 * size.max()), 1.0)
     root, T = np.zeros((0, N)), np.eye(N)
     for block in range(blocks)[::-1]:
         T[np.ix_(moving, moving)] = S[block]
-        root = np.asarray(np.linalg.qr(np.vstack([root @ T, own[block]]), mode="r"))
-        root /= np.maximum(1.0, np.linalg.norm(root, axis=1) / limit)[:, None]
-    return np.pad(root, [(0, N - len(root)), (0, 0)])
+        _, singular, V = np.linalg.svd(np.vstack([root @ (T * size[:, None] / size), own[block] / size]), full_matrices=False)
+        root = np.minimum(singular, CAP)[:, None] * V
+    return np.pad(root * size, [(0, N - len(root)), (0, 0)])
 
 
 def _expm(X: Floats) -> Floats:
@@ -195,5 +213,6 @@ def symmetric(model: System, change: Floats) -> bool:
     """Whether the motion is the same from everywhere along a constant change of the state (n)."""
     still = np.eye(model.n) if model.Ts is not None and model.rate is None else 0.0
     function = _derivatives(model, model.move if model.rate is None else model.rate, np.zeros((model.m, 0)), ())
-    A = _along(function, model, np.random.default_rng(0).normal(size=(8, model.n + model.m)), ())[0] - still
+    x, u = np.split(np.random.default_rng(0).normal(size=(8, model.n + model.m)), [model.n], axis=1)
+    A = _along(function, model, x, u, ())[0] - still
     return bool((np.abs(A @ change) <= 1e-9 * np.abs(A).max() * np.abs(change).max()).all())

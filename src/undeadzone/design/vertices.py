@@ -7,6 +7,7 @@ bounds df/dx on parts of the box, which are halved until the bound suffices or a
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone import tree
-from undeadzone.arrays import Floats
+from undeadzone.arrays import Floats, Integers
 from undeadzone.design.errordynamics import Dynamics, adaptation
 from undeadzone.design.passivity import Certificate, certify_dynamics
 from undeadzone.design.semidefinite import minimise, symmetric
@@ -29,7 +30,7 @@ AT_ONCE = 2048  # of these in one evaluation
 ROUNDS = 12  # searches for V, each with Jacobians that the last V missed
 WORST = 8  # of those that are added in a round
 CORNERS = 16  # of the box that the first search takes
-CURE = "; the width can be identified, the centre not: add a spring, gravity, an absolute reference pulse or a known start"
+CURE = "; the Jacobian there is singular: width identifiable, centre not: add a spring, gravity, an absolute reference pulse, or a known start"
 
 
 def certify_on(model: System, L: Floats, gamma: Floats, box: Box, parts: int = PARTS) -> Certificate:
@@ -67,42 +68,59 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
 
 
 class Slopes(NamedTuple):
-    """A = df/dx (delta form if sampled) at points (N x (n + m)), and its bounds on boxes of them: N x n x n."""
+    """A = df/dx (delta form if sampled) of a model at points (N x (n + m)) -> N x n x n, and what bounds it, which takes time to make.
+
+    entries: rows and columns of A that vary (K); bounds(): functions of boxes (N rows) that bound these entries (N x 1 x K), and
+    their derivatives (N x (n + m) x K).
+    """
 
     at: Callable[[Floats], Floats]
-    bounds: Callable[[Box], Interval]
+    entries: tuple[Integers, Integers]
+    bounds: Callable[[], tuple[Callable[[Box], Interval], Callable[[Box], Interval]]]
 
 
 def _slopes(model: System, box: Box) -> Slopes:
-    """The Jacobian of a model. Raises InputError where the model is not smooth on a box, or its output bends."""
+    """The Jacobian of a model; its bounds raise InputError where the model is not smooth on a box. Raises InputError where the output bends."""
     n = model.n
     p, params = tree.symbols(model.params, "p")
     w = ca.SX.sym("w", n + model.m)
     moved, z = model.move(params, w[:n], w[n:]), model.output(params, w[:n])
     if any(ca.which_depends(z, w, 2, True)):
         raise InputError("region: a certificate needs outputs that are affine in the state")
-    A = ca.jacobian(moved, w)[:, :n]
+    A = ca.densify(ca.jacobian(moved, w)[:, :n])
     A = A if model.Ts is None else (A - np.eye(n)) / model.Ts
-    function = ca.Function("slopes", [p, w], [ca.densify(A)], {"cse": True})
-    numbers = tree.pack(model.params)
-    bound, value = enclosure(function), enclosure(ca.Function("moved", [p, w], [ca.densify(moved)], {"cse": True}))
-    fixed = Interval(numbers[:, None], numbers[:, None])
+    varying = np.flatnonzero(ca.which_depends(ca.vec(A), w, 1, True))
+    columns, rows = np.divmod(varying, n)
+    numbers = tree.pack(model.params)[:, None]
+
+    def function(*values: ca.SX) -> ca.Function:
+        return ca.Function("slopes", [p, w], list(values), {"cse": True})
+
+    everything = function(moved, A)
 
     def at(points: Floats) -> Floats:
-        columns = np.broadcast_to(numbers[:, None], (numbers.size, len(points)))
-        return function(columns, points.T).full().reshape(n, len(points), n).transpose(1, 0, 2)
+        found = everything(np.broadcast_to(numbers, (numbers.size, len(points))), points.T)[1].full()
+        return found.reshape(n, len(points), n).transpose(1, 0, 2)
 
-    def bounds(part: Box) -> Interval:
-        (found,) = bound([fixed, Interval(part.low.T, part.high.T)])
-        return Interval(*(side.reshape(n, n, -1).transpose(2, 1, 0) for side in found))
+    def bounded(value: ca.SX) -> Callable[[Box], Interval]:
+        bound, shape = enclosure(function(value)), (-1, *value.shape[::-1])
 
-    whole = Interval(box.low[:, None], box.high[:, None])
-    try:
-        bound([fixed, whole])
-        value([fixed, whole])
-    except InputError as error:
-        raise InputError(f"region: the model cannot be certified on it: {error}") from None
-    return Slopes(at, bounds)
+        def bounds(part: Box) -> Interval:
+            (found,) = bound([Interval(numbers, numbers), Interval(part.low.T, part.high.T)])
+            return Interval(found.low.T.reshape(shape), found.high.T.reshape(shape))
+
+        return bounds
+
+    @functools.cache
+    def bounds() -> tuple[Callable[[Box], Interval], Callable[[Box], Interval]]:
+        some = ca.vec(A)[varying.tolist()]
+        try:
+            enclosure(everything)([Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])])
+            return bounded(some), bounded(ca.densify(ca.jacobian(some, w)))
+        except InputError as error:
+            raise InputError(f"region: the model cannot be certified on it: {error}") from None
+
+    return Slopes(at, (rows, columns), bounds)
 
 
 def _certified(model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int) -> Certificate:
@@ -143,7 +161,8 @@ def _why(found: Certificate, points: Floats, n: int) -> str:
     own = [certify_dynamics(found.dynamics._replace(A=(A,))) for A in found.dynamics.A]
     failing = [k for k, one in enumerate(own) if not one.certified]
     if not failing:
-        return found.reason.replace("the vertices share", "the Jacobians on the region share")
+        margin = f" (largest margin found {found.margin:.4g})" if np.isfinite(found.margin) else ""
+        return f"each Jacobian on the region has a V, but they share none{margin}: more damping or a smaller region would help"
     k = 0 if failing[0] == 0 else min(failing, key=lambda k: own[k].margin)
     singular = np.linalg.svd(found.dynamics.A[k], compute_uv=False)
     return f"at {_point(points[k], n)} {own[k].reason}{CURE * bool(singular[-1] < 1e-9 * singular[0])}"
@@ -155,87 +174,86 @@ def _point(point: Floats, n: int) -> str:
 
 
 class _Form(NamedTuple):
-    """-M of the certificate at A = mean + sum c_k E_k: identity - sum c_k slope_k, in coordinates that make it so.
+    """-M of the certificate as a function of the entries c of A that vary: identity - sum (c - mean)_k slope_k, in coordinates that make it so.
 
-    entries: of A that vary; size: |slope_k|, no less than +-slope_k; rounding: of all that.
+    size: |slope_k|, no less than +-slope_k; rounding: of the identity, and of each slope per unit of c.
     """
 
     mean: Floats
-    entries: tuple[Floats, ...]
     identity: Floats
     slope: Floats
     size: Floats
-    rounding: float
+    rounding: tuple[float, Floats]
 
-    def least(self, A: Floats, spread: Floats | float = 0.0) -> Floats:
-        """The least eigenvalue of -M for every A (N x n x n) within +-spread of these, less the rounding; -inf where they have no bound."""
-        rows, columns = self.entries
-        c = A[:, rows, columns] - self.mean[rows, columns]
-        r = np.broadcast_to(spread, A.shape)[:, rows, columns]
-        bounded = (np.isfinite(c) & np.isfinite(r)).all(axis=1)
-        M = self.identity - np.tensordot(c[bounded], self.slope, 1) - np.tensordot(r[bounded], self.size, 1)
-        found = np.full(len(A), -np.inf)
-        found[bounded] = np.linalg.eigvalsh(M)[:, 0] - self.rounding
+    def depth(self, c: Floats, loose: Floats | float = 0.0, turns: Floats | float = 0.0) -> Floats:
+        """The least eigenvalue of -M, less rounding, for every c (N x K) within +-loose and turns (N x (n + m) x K) of these; -inf if unbounded."""
+        c = c - self.mean
+        total = np.abs(c) + loose + np.abs(turns).sum(axis=1) if np.ndim(turns) else np.abs(c) + loose
+        bounded = np.isfinite(total).all(axis=1)
+        M = self.identity - np.tensordot(c[bounded], self.slope, 1)
+        if np.ndim(turns):
+            M = M - np.tensordot(np.asarray(loose)[bounded], self.size, 1) - _absolute(np.tensordot(np.asarray(turns)[bounded], self.slope, 1)).sum(axis=1)
+        found = np.full(len(c), -np.inf)
+        found[bounded] = np.linalg.eigvalsh(M)[:, 0] - self.rounding[0] - total[bounded] @ self.rounding[1]
         return found
 
 
-def _form(found: Certificate, bounds: Interval) -> _Form:
-    """The certificate's M as a function of A, whose entries lie within bounds (n x n)."""
-    given, P, W = found.dynamics, found.P, found.W
+def _absolute(M: Floats) -> Floats:
+    """(M^2)^(1/2) of symmetric matrices, no less than +-M."""
+    values, vectors = np.linalg.eigh((M + M.swapaxes(-1, -2)) / 2)
+    return (vectors * np.abs(values)[..., None, :]) @ vectors.swapaxes(-1, -2)
+
+
+def _form(found: Certificate, entries: tuple[Integers, Integers]) -> _Form:
+    """The certificate's M as a function of these entries of A."""
+    given, P = found.dynamics, found.P
     mean = np.mean(given.A, axis=0)
-    n, sampled = len(P), 0.0 if given.Ts is None else np.sqrt(given.Ts)
-    largest = np.maximum(np.abs(bounds.low), np.abs(bounds.high))
-    inequality = given.inequality(W)._replace(A=(mean,))
-    (M,), (size,) = inequality.matrices(P), inequality._replace(A=(np.where(np.isfinite(largest), largest, np.abs(mean)),)).magnitudes(P)
+    inequality = given.inequality(found.W)._replace(A=(mean,))
+    (M,), (size,) = inequality.matrices(P), inequality.magnitudes(P)
     T = np.linalg.inv(np.linalg.cholesky(-M)).T
-    rows, columns = np.nonzero(bounds.low < bounds.high)
-    slope = np.zeros((rows.size, *M.shape))
-    for X, i, j in zip(slope, rows, columns, strict=True):
-        X[j, :n] += P[i]
-        X[:n, j] += P[i]
-        if sampled:
-            X[j, -n:] += sampled * P[i]
-            X[-n:, j] += sampled * P[i]
-    slope = T.T @ slope @ T
-    values, vectors = np.linalg.eigh((slope + slope.transpose(0, 2, 1)) / 2)
-    absolute = (vectors * np.abs(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
-    rounding = 8 * (len(M) + 4) * np.finfo(float).eps * (np.linalg.norm(np.abs(T.T) @ size @ np.abs(T)) + len(M))
-    return _Form(mean, (rows, columns), -T.T @ M @ T, slope, absolute, float(rounding))
+    n, X = len(P), np.zeros((entries[0].size, *M.shape))
+    for slope, i, j in zip(X, *entries, strict=True):
+        for start, share in ((0, 1.0), (len(M) - n, np.sqrt(given.Ts or 0.0))):
+            slope[j, start : start + n] += share * P[i]
+            slope[start : start + n, j] += share * P[i]
+    slope = T.T @ X @ T
+    unit = 8 * (len(M) + len(X) + 4) * np.finfo(float).eps
+    around = [np.linalg.norm(np.abs(T.T) @ np.abs(part) @ np.abs(T)) for part in (size, *X)]
+    return _Form(mean[entries], -T.T @ M @ T, slope, _absolute(slope), (unit * (around[0] + len(M)), unit * np.array(around[1:])))
 
 
 def _missed(found: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
     """Points (K x (n + m)) of a box whose Jacobians the certificate's V misses or nearly does; none if it is proved, NaN if that is open."""
-    whole = slopes.bounds(Box(box.low[None], box.high[None]))
-    form = _form(found, Interval(whole.low[0], whole.high[0]))
-    enough = float(form.least(np.array(found.dynamics.A)).min()) / 2
-    weight = _weight(form, slopes, box)
+    bounds, bends = slopes.bounds()
+    if not slopes.entries[0].size:
+        return np.zeros((0, box.low.size))
+    form = _form(found, slopes.entries)
+    enough = float(form.depth(np.array(found.dynamics.A)[:, *slopes.entries]).min()) / 2
     low, high = box.low[None], box.high[None]
     while low.size and parts > 0:
-        (rest_low, low), (rest_high, high) = ((side[:-AT_ONCE], side[-AT_ONCE:]) for side in (low, high))
+        (later_low, low), (later_high, high) = ((side[:-AT_ONCE], side[-AT_ONCE:]) for side in (low, high))
         parts -= len(low)
-        A = slopes.bounds(Box(low, high))
-        with np.errstate(invalid="ignore"):
-            middle = (A.low + A.high) / 2
-            spread = np.nextafter(np.maximum(A.high - middle, middle - A.low), np.inf)
-        open_ = ~(form.least(middle, spread) > 0)
-        low, high = low[open_], high[open_]
         centre = (low + high) / 2
-        depth = form.least(slopes.at(centre)) if centre.size else np.zeros(0)
+        reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
+        c, loose = (part[:, 0] for part in _middle(bounds(Box(centre, centre))))
+        turns, doubt = (part * reach for part in _middle(bends(Box(low, high))))
+        open_ = ~(form.depth(c, loose + doubt.sum(axis=1), turns) > 0)
+        low, high, centre = low[open_], high[open_], centre[open_]
+        depth = form.depth(c[open_])
         if (short := depth < enough).any():
             return centre[short][np.argsort(depth[short])[:WORST]]
-        k, split = np.arange(len(low)), np.argmax(weight * (high - low), axis=1)
+        weight = np.linalg.norm(form.slope, axis=(1, 2))
+        effect = (np.abs(turns) + doubt)[open_] @ weight
+        share = np.where(np.isfinite(effect).all(axis=1, keepdims=True), effect, (high - low) / (box.high - box.low))
+        k, split = np.arange(len(low)), np.argmax(share, axis=1)
         below, above = high.copy(), low.copy()
         below[k, split] = above[k, split] = centre[k, split]
-        low, high = np.vstack([rest_low, low, above]), np.vstack([rest_high, below, high])
+        low, high = np.vstack([later_low, low, above]), np.vstack([later_high, below, high])
     return np.full((int(low.size > 0), box.low.size), np.nan)
 
 
-def _weight(form: _Form, slopes: Slopes, box: Box) -> Floats:
-    """How much -M changes with each coordinate of a box, per unit of it."""
-    rng, size, rows = np.random.default_rng(0), box.low.size, 24
-    width = box.high - box.low
-    points = np.repeat(box.low + width * rng.uniform(size=(rows, 1, size)), 3 * size, axis=1)
-    for d in range(size):
-        points[:, 3 * d : 3 * d + 3, d] = [box.low[d], box.low[d] + width[d] / 2, box.high[d]]
-    A = slopes.at(points.reshape(-1, size))[:, *form.entries].reshape(rows, size, 3, -1)
-    return np.ptp(A, axis=2).max(axis=0) @ np.linalg.norm(form.slope, axis=(1, 2)) / width + 1e-300
+def _middle(bound: Interval) -> tuple[Floats, Floats]:
+    """(middle, half width) of bounds; not finite where there are none."""
+    with np.errstate(invalid="ignore"):
+        middle = (bound.low + bound.high) / 2
+        return middle, np.nextafter(np.maximum(bound.high - middle, middle - bound.low), np.inf)

@@ -9,23 +9,24 @@ import ctypes
 import functools
 import hashlib
 import os
+import sys
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 
+import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.files import replacing
 
 NUMBERS: Final[dict[str, Any]] = {"int64": ctypes.c_int64, "uint64": ctypes.c_uint64, "float64": ctypes.c_double}
 
 
-class Label(msgspec.Struct, frozen=True):
-    """The first line of a file; needs: the C functions that the machine code after it calls by name; digest: of that code."""
+class Compiled(NamedTuple):
+    """Machine code that is not linked yet, and the C functions that it may call."""
 
-    needs: list[str]
-    digest: str
+    calls: list[str]
+    code: bytes
 
 
 class Block(NamedTuple):
@@ -65,12 +66,12 @@ def load(source: str, kinds: tuple[str, ...]) -> Block:
     """
     name = hashlib.sha256("\n".join((_machine(), *kinds, source)).encode()).hexdigest()[:32]
     path = None if (kernels := folder()) is None else kernels / f"{name}.kernel"
-    if path is not None and (kept := _read(path)) is not None and (block := _linked(*kept, kinds)) is not None:
+    if path is not None and (kept := _read(path)) is not None and (block := _linked(kept, kinds)) is not None:
         return block
-    label, code, text = _compiled(source, kinds)
+    compiled, text = _compiled(source, kinds)
     if path is not None:
-        _keep(path, label, code)
-    block = _linked(label, code, kinds)
+        _keep(path, compiled)
+    block = _linked(compiled, kinds)
     assert block is not None
     return block._replace(text=text)
 
@@ -88,29 +89,34 @@ def _machine() -> str:
     from llvmlite import binding
 
     versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "numba", "llvmlite"))
-    return f"{versions} {binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
+    return f"undeadzone {undeadzone.__version__} {versions} {binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
 
 
-def _read(path: Path) -> tuple[Label, bytes] | None:
+def _read(path: Path) -> Compiled | None:
     """What a file holds, if it is whole."""
     try:
-        head, _, code = path.read_bytes().partition(b"\n")
-        label = msgspec.json.decode(head, type=Label)
-    except (OSError, msgspec.DecodeError):
+        digest, _, rest = path.read_bytes().partition(b"\n")
+    except OSError:
         return None
-    return (label, code) if hashlib.sha256(code).hexdigest() == label.digest else None
+    calls, _, code = rest.partition(b"\n")
+    return Compiled(calls.decode().split(), code) if digest == _digest(rest) else None
 
 
-def _keep(path: Path, label: Label, code: bytes) -> None:
-    """Write a file, where that is possible."""
+def _keep(path: Path, compiled: Compiled) -> None:
+    """Write a file, where that is possible: a digest of what follows, the names of C functions, machine code."""
+    rest = " ".join(compiled.calls).encode() + b"\n" + compiled.code
     try:
         with replacing(path) as temporary:
-            temporary.write_bytes(msgspec.json.encode(label) + b"\n" + code)
+            temporary.write_bytes(_digest(rest) + b"\n" + rest)
     except (OSError, FileError):
         pass
 
 
-def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Label, bytes, str]:
+def _digest(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
+
+
+def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
     """The machine code of `block` as a C function of that name, and LLVM's text of it."""
     from llvmlite import binding
     from numba import cfunc
@@ -130,9 +136,15 @@ def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Label, bytes, str]:
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
     passes.run(module, binding.create_pass_builder(target, binding.create_pipeline_tuning_options(0)))
-    needs = [part.name for part in (*module.functions, *module.global_variables) if part.is_declaration and not part.name.startswith("llvm.")]
-    code = target.emit_object(module)
-    return Label(needs, hashlib.sha256(code).hexdigest()), code, str(module)
+    declared = [part.name for part in (*module.functions, *module.global_variables) if part.is_declaration]
+    intrinsic = {name.split(".")[1] for name in declared if name.startswith("llvm.")}  # such as llvm.sin.v8f64, which may become a call of sin
+    calls = {name for name in declared if not name.startswith("llvm.")} | {name for name in intrinsic if hasattr(_library(), name)}
+    return Compiled(sorted(calls), target.emit_object(module)), str(module)
+
+
+def _library() -> ctypes.CDLL:
+    """The C library of this process."""
+    return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
 
 
 def _target() -> Any:
@@ -147,14 +159,21 @@ def _target() -> Any:
     return target.create_target_machine(cpu=cpu, features=features, opt=3, reloc=reloc, codemodel="jitdefault", jit=True)
 
 
-def _linked(label: Label, code: bytes, kinds: tuple[str, ...]) -> Block | None:
-    """Machine code ready to be called; None if something that it needs is missing from this process, at which LLVM would abort."""
+def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
+    """Machine code ready to be called; None if something that it calls is missing from this process, at which LLVM would abort.
+
+    It calls the C library itself whether numba is there or not, which puts functions of its own, with other NaNs, in its place.
+    """
     from llvmlite import binding
 
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _target())
-    if None in map(binding.address_of_symbol, label.needs):
-        return None
-    engine.add_object_file(binding.ObjectFileRef.from_data(code))
+    library, names = _library(), binding.parse_assembly("\n".join(f"declare void @{name}()" for name in compiled.calls))
+    engine = binding.create_mcjit_compiler(names, _target())
+    for name in compiled.calls:
+        if (found := getattr(library, name, None)) is not None:
+            engine.add_global_mapping(names.get_function(name), ctypes.cast(found, ctypes.c_void_p).value)
+        elif binding.address_of_symbol(name) is None:
+            return None
+    engine.add_object_file(binding.ObjectFileRef.from_data(compiled.code))
     engine.finalize_object()
     prototype = ctypes.CFUNCTYPE(None, *(NUMBERS.get(kind, ctypes.c_void_p) for kind in kinds))
     arrays = tuple(None if kind in NUMBERS else np.dtype(kind[:-1]) for kind in kinds)

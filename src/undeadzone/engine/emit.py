@@ -1,15 +1,18 @@
 """A CasADi SX graph printed as straight-line Python that numba compiles: one assignment per instruction, no branches.
 
 Every instruction means to the last bit what it means on CasADi's virtual machine, NaN, infinities and the sign of
-zero included; elementary functions are those of the C library, as there.
+zero included; elementary functions are those of the C library, as there. With fused sums, those of `elementary` take
+their place, so that all of a lane is vectorised.
 """
 
 from __future__ import annotations
 
+import inspect
 from typing import NamedTuple
 
 import casadi as ca
 
+from undeadzone.engine import elementary
 from undeadzone.engine.graph import Node, listed, shortened
 from undeadzone.engine.sums import SUMS, Lines, lines_of, name, summed, taken_in, truth
 from undeadzone.errors import InputError
@@ -37,6 +40,32 @@ def fma(context, a, b, c):
     return types.float64(types.float64, types.float64, types.float64), lambda context, builder, signature, args: builder.fma(*args)
 '''
 
+_ARITHMETIC = '''
+
+@intrinsic
+def bits(context, x):
+    """The bits of a number."""
+    return types.uint64(types.float64), lambda context, builder, signature, args: builder.bitcast(args[0], context.get_value_type(types.uint64))
+
+
+@intrinsic
+def number(context, x):
+    """The number that has these bits."""
+    return types.float64(types.uint64), lambda context, builder, signature, args: builder.bitcast(args[0], context.get_value_type(types.float64))
+
+@intrinsic
+def polynomial(context, x, coefficients):
+    """coefficients[0] + coefficients[1] x + ..., one rounding per power."""
+
+    def nested(context, builder, signature, args):
+        *parts, value = (builder.extract_value(args[1], i) for i in range(len(coefficients)))
+        for part in reversed(parts):
+            value = builder.fma(value, args[0], part)
+        return value
+
+    return types.float64(types.float64, coefficients), nested
+'''
+
 _FORMS = {
     ca.OP_ASSIGN: "{0}", ca.OP_LIFT: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}", ca.OP_DIV: "{0} / {1}",
     ca.OP_NEG: "-{0}", ca.OP_INV: "1.0 / {0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}", ca.OP_FABS: "abs({0})",
@@ -50,6 +79,7 @@ _FORMS = {
     )},
 }  # fmt: skip
 
+_FUSED = {getattr(ca, f"OP_{word.upper()}"): f"{word}({{0}})" for word in elementary.FUNCTIONS}
 
 # Instructions whose result is 1 or 0, as conditions; {0}, {1} of the last three are conditions too.
 _CONDITIONS = {
@@ -82,11 +112,20 @@ class Code(NamedTuple):
     results: list[list[str]]
 
 
+def helpers(fused: bool) -> str:
+    """The text of what straight-line code calls."""
+    if not fused:
+        return HELPERS
+    inlined = (f'{name} = njit(forceinline=True, error_model="numpy")({name})' for name in elementary.COMPILED)
+    return "\n".join([inspect.getsource(elementary), HELPERS, _ARITHMETIC, *inlined, ""])
+
+
 def straight_line(function: ca.Function, fused: bool = False) -> Code:
     """The code of an SX function with dense outputs, whose inputs named p are finite numbers.
 
-    fused: print the graph `graph.shortened`, and sums of products with one rounding per product (`fma`): faster, and
-    rounded otherwise than on the virtual machine. Raises InputError that names an instruction it cannot print.
+    fused: print the graph `graph.shortened`, sums of products with one rounding per product (`fma`) and functions of
+    `elementary`: faster, and rounded otherwise than on the virtual machine. Raises InputError that names an instruction
+    it cannot print.
     """
     graph = listed(function)
     if unknown := {node.op for node in graph.nodes} - _PRINTED:
@@ -102,12 +141,12 @@ def straight_line(function: ca.Function, fused: bool = False) -> Code:
             if node.op in _CONDITIONS:
                 statements += [f"is_v{k} = {_condition(lines, node)}", f"v{k} = select(is_v{k}, 1.0, 0.0)"]
             elif not (fused and node.op in SUMS):
-                statements.append(f"v{k} = {_expression(lines, node)}")
+                statements.append(f"v{k} = {_expression(lines, node, _FORMS | _FUSED if fused else _FORMS)}")
         statements += sums.get(k, [])
     return Code(graph.reads, statements, [[name(lines, k) for k in result] for result in graph.results])
 
 
-def _expression(lines: Lines, node: Node) -> str:
+def _expression(lines: Lines, node: Node, forms: dict[int, str]) -> str:
     names = [name(lines, operand) for operand in node.operands]
     if node.op == ca.OP_IF_ELSE_ZERO:
         return f"select({truth(lines, node.operands[0])}, {names[1]}, 0.0)"
@@ -117,7 +156,7 @@ def _expression(lines: Lines, node: Node) -> str:
         compared = f"{a} {'<' if node.op == ca.OP_FMIN else '>'} {b}"
         known = any(_number(lines.nodes[operand]) for operand in node.operands)
         return f"select({compared}, {a}, {b})" if known else f"select(({compared}) | ({b} != {b}), {a}, {b})"
-    return _FORMS[node.op].format(*names)
+    return forms[node.op].format(*names)
 
 
 def _number(node: Node) -> bool:

@@ -82,11 +82,10 @@ def _negative(a: Interval) -> Interval:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    corners = np.stack(np.broadcast_arrays(*(x * y for x in a for y in b)))
-    corners[np.isnan(corners)] = 0.0  # 0 times an end at infinity
-    found = _outward(corners.min(axis=0), corners.max(axis=0))
-    nothing = ((a.low == 0) & (a.high == 0)) | ((b.low == 0) & (b.high == 0))
-    return Interval(np.where(nothing, 0.0, found.low), np.where(nothing, 0.0, found.high))
+    ends = [x * y for x in a for y in b]  # 0 times infinity is no number, but then another end is 0, or both infinities are
+    found = _outward(np.fmin(np.fmin(*ends[:2]), np.fmin(*ends[2:])), np.fmax(np.fmax(*ends[:2]), np.fmax(*ends[2:])))
+    something = ~(((a.low == 0) & (a.high == 0)) | ((b.low == 0) & (b.high == 0)))
+    return Interval(np.where(something, found.low, 0.0), np.where(something, found.high, 0.0))
 
 
 def _inverse(a: Interval) -> Interval:
@@ -125,7 +124,7 @@ def _falling(bound: Bound) -> Bound:
 def _periodic(function: Callable[[Floats], Floats], top: float) -> Bound:
     """Bounds of a wave of period 2 pi between -1 and 1 that is 1 at `top` and -1 half a period later."""
 
-    def reaches(a: Interval, at: float) -> Floats:
+    def reaches(a: Interval, at: float) -> np.ndarray:
         slack = 1e-12 * (1 + np.maximum(np.abs(a.low), np.abs(a.high)))
         return np.floor((a.high + slack - at) / (2 * np.pi)) >= np.ceil((a.low - slack - at) / (2 * np.pi))
 
@@ -167,14 +166,14 @@ def _hull(pick: Callable[[Floats, Floats], Floats]) -> Bound:
     return lambda a, b: Interval(pick(a.low, b.low), pick(a.high, b.high))
 
 
-def _decided(yes: Floats, no: Floats) -> Interval:
+def _decided(yes: np.ndarray, no: np.ndarray) -> Interval:
     """1 where yes, 0 where no. Raises InputError where neither."""
     if not np.all(yes | no):
         raise InputError(SMOOTH)
     return Interval(np.where(yes, 1.0, 0.0), np.where(yes, 1.0, 0.0))
 
 
-def _equal(a: Interval, b: Interval) -> tuple[Floats, Floats]:
+def _equal(a: Interval, b: Interval) -> tuple[np.ndarray, np.ndarray]:
     return (a.low == a.high) & (b.low == b.high) & (a.low == b.low), (a.high < b.low) | (a.low > b.high)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.emit import HELPERS, Code, straight_line
+from undeadzone.engine.emit import Code, helpers, straight_line
 
 KINDS = ("int64", *["float64*"] * 5)  # of the arguments of a kernel
 GROUP = 8  # lanes whose rare part is computed together
@@ -79,18 +79,18 @@ def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapp
     }
     shaped = [f"{name} = carray({name}, {size})" for name, size in arrays.items()]
     head = [f"def block(steps, {', '.join(arrays)}):", *_indented([*shaped, *_steady(usual, shape)])]
-    helpers = [HELPERS]
+    texts = [helpers(fused)]
     if codes:
         numbers = rows._asdict() | {"apart": stride(shape.width), "group": min(shape.width, GROUP), "next": len(codes[0].results[0])}
-        helpers += [_rare(k, code, shape, rows) for k, code in enumerate(codes)]
+        texts += [_rare(k, code, shape, rows) for k, code in enumerate(codes)]
         calls = [_AGAIN.format(part=k, **numbers) if k else f"        rare{k}(k, few, exogenous, params)" for k in range(len(codes))]
-        helpers.append(_FINISH.format(calls="\n".join(calls), **numbers))
+        texts.append(_FINISH.format(calls="\n".join(calls), **numbers))
         lane.append(f"{rows.at(rows.flag)} = {usual.results[2][0]}")
     loop += _indented(lane)
     if codes:
         loop.append("finish(k, work, exogenous, params)")
     loop += _copied(shape, rows.out, "outputs", len(shape.record))
-    return "\n".join([*helpers, *head, "    for k in range(steps):", *_indented(loop, 2)]), rows.end
+    return "\n".join([*texts, *head, "    for k in range(steps):", *_indented(loop, 2)]), rows.end
 
 
 _FINISH = """

@@ -57,7 +57,7 @@ def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
         if key in ("h", "controller.tau", "controller.rate") or key in _absent(problem):
             continue
         gain = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0
-        if key in ("plant", "observer.model"):
+        if key in ("plant", "observer.model", "controller.model"):
             name = f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
         name = SCALES[key] + index if key in SCALES else name
         found[name] = Quantity(value / gain, (slot, *_told(problem, name, slots)), gain)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from undeadzone.arrays import nonnegative, scalar
 from undeadzone.errors import InputError
 from undeadzone.observers.bank import bank
 from undeadzone.observers.claims import Claims
 from undeadzone.observers.filtering import Params, measured_filter, prior
 from undeadzone.observers.interface import Observer
-from undeadzone.observers.joint import agitation
+from undeadzone.observers.joint import presumed
 from undeadzone.observers.unknowns import coloured, correlation_time, span, tolerances, unknowns
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
 
-SWING = 0.5  # rms, in largest widths, by which the disturbance moves z in a quarter period, unless it is given
 OFFSET = 0.25  # bias, in disturbances, unless it is given
 WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is given
 FALL = 4.0  # from one level of the disturbance to the next
@@ -53,7 +50,7 @@ class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:
             raise InputError(f"observer.calibrated: must be a probability below 1, found {calibrated:g}")
-        usual = agitation(model, SWING * believed.ranges.max()) * np.sqrt(Ts / 2 / correlation)  # as strong as the white one at low frequencies
+        usual = presumed(model, believed.ranges.max(), correlation)
         rms, bias = (
             default if given is None else nonnegative(f"observer.{key}", given, model.m, "one per input")
             for key, given, default in (("disturbance", self.disturbance, usual), ("bias", self.bias, OFFSET * usual))

@@ -8,10 +8,11 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative, vector
+from undeadzone.arrays import Array, Floats, nonnegative
 from undeadzone.errors import InputError
 from undeadzone.observers.filtering import Extension, Params, measured_filter, prior
 from undeadzone.observers.interface import Observer
+from undeadzone.observers.joint import presumed
 from undeadzone.observers.unknowns import Colour, coloured, correlation_time, named, unknowns
 from undeadzone.plant import System
 from undeadzone.sensor import Zone
@@ -20,12 +21,13 @@ from undeadzone.sensor import Zone
 class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="extended"):
     """Kalman filter on the measured side whose model is linearised at the estimate, sample by sample; sampled time.
 
-    right, left, noise, x_std, drift: as for `Kalman`. start: mean of x(0), one or one per state; with a small x_std, what homing tells. disturbance:
-    rms of an unknown input [u], one or one per input: first-order noise of that correlation_time [s] (default: a 16th of the plant's
-    period; 1/4 s if it only integrates). uncertain: standard deviations of named parameters of the model, which become constant
-    unknowns. silence: hear that a silent sensor bounds z, and that widths lie in their ranges. blind: take every reading for z, as if there
-    were no dead zone. joints: separate keeps one covariance per joint of an arm [q; q'] whose positions are measured, to which the
-    disturbance is an acceleration and all that a joint does not know of the others: much cheaper, and less is claimed.
+    right, left, noise, x_std, drift: as for `Kalman`. start: mean of x(0), one or one per state; with a small x_std, what homing tells.
+    disturbance: rms of an unknown input [u], one or one per input (default: what moves z by half of the largest width in a quarter period; 0 is
+    a claim): first-order noise of that correlation_time [s] (default: a 16th of the plant's period; 1/4 s if it only integrates). uncertain:
+    standard deviations of named parameters of the model, which become constant unknowns. silence: hear that a silent sensor bounds z, and that
+    widths lie in their ranges. blind: take every reading for z, as if there were no dead zone. joints: separate keeps one covariance per
+    joint of an arm [q; q'] whose positions are measured, to which the disturbance is an acceleration and all that a joint does not know of
+    the others: much cheaper, and less is claimed.
     """
 
     right: Array
@@ -33,7 +35,7 @@ class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     noise: Array | None = None
     start: Array = 0.0
     x_std: Array | None = None
-    disturbance: Array = 0.0
+    disturbance: Array | None = None
     correlation_time: float | None = None
     drift: float = 0.0
     uncertain: dict[str, float] = {}
@@ -45,16 +47,18 @@ class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """The filter for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError("observer.silence: readings of a jump sensor only bound its widths, so that without silence nothing tells of them")
-        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
-        Ts, flow = model.Ts, model.flow
+        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, start=self.start)
+        n, Ts, flow = model.n, model.Ts, model.flow
         assert Ts is not None
         assert flow is not None
-        state, widths = np.split(np.arange(believed.mean.size), [model.n])
-        believed.mean[state] = vector("observer.start", self.start, model.n, "one per state")
         if self.blind:
-            believed.mean[widths], believed.std[widths], believed.drift[:] = 0.0, 0.0, 0.0
-        rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+            none = np.zeros(2 * model.p)
+            believed = believed._replace(mean=np.append(believed.mean[:n], none), std=np.append(believed.std[:n], none), drift=none)
         correlation = correlation_time(self.correlation_time, flow, Ts)
+        if self.disturbance is None:
+            rms = presumed(model, believed.ranges.max(), correlation)
+        else:
+            rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         colour = coloured(correlation, None, Ts)
         if self.joints == "separate":
             if self.uncertain:
@@ -62,6 +66,7 @@ class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             extension = separate(model, colour, rms)
         else:
             extension = unknowns(model, colour, rms, np.zeros(model.m), 0.0, named(model, self.uncertain))
+            extension = extension._replace(parameters=tuple(model.names.index(name) for name in self.uncertain))
         bounds = self.silence and not self.blind
         return measured_filter(model, sensor, believed, extension, max(1.0, correlation / Ts), bounds, order=1, blind=self.blind)
 

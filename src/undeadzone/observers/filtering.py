@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, array, nonnegative, scalar
+from undeadzone.arrays import Array, Floats, array, nonnegative, scalar, vector
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.gaussian import Gaussian, advance, cut, linearise, mix, predict, symmetric, triangle, update, within
 from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
@@ -43,6 +43,7 @@ class Extension(NamedTuple):
     bend(q, x, extra, u): (G (n x M), b (M)) as for `predict`; None: x+ itself.
     slope(q): the Jacobian of [x; d; extra] to take in a prediction to first order; None: the exact one.
     push(q, extra): what it adds to x' [1/s] (n); None: that of the change of x+.
+    parameters: of the model, which the last unknowns change and an estimate shows.
     entries: of the upper triangle of the covariance of [x; d; extra], those that are not 0 throughout; None: all.
     """
 
@@ -55,6 +56,7 @@ class Extension(NamedTuple):
     slope: Callable[[Any], Any] | None = None
     push: Callable[[Any, Any], Any] | None = None
     entries: ca.Sparsity | None = None
+    parameters: tuple[int, ...] = ()
 
 
 class Params(NamedTuple):
@@ -85,12 +87,12 @@ class State(NamedTuple):
 
 def prior(
     model: System, sensor: Zone, right: Array, left: Array | None, noise: Array | None, x_std: Array | None, drift: Array | None,
-    floor: float = FLOOR, wear: float = 0.0,
+    floor: float = FLOOR, wear: float = 0.0, start: Array = 0.0,
 ) -> Prior:  # fmt: skip
     """The prior from declared ranges [lo, hi] of the widths: mean of the range, std of a uniform distribution over it.
 
-    noise: default the sensor's, but at least `floor` of a range; x_std: default five times the largest width; drift: default `wear` times it.
-    Raises InputError, ShapeError.
+    noise: default the sensor's, but at least `floor` of a range; x_std: default five times the largest width; drift: default `wear` times it;
+    start: mean of x(0). Raises InputError, ShapeError.
     """
     Ts, p = sample_time(model), model.p
     ranges = declared(right, left, p)
@@ -106,7 +108,7 @@ def prior(
     spread = np.full(model.n, 5 * most) if x_std is None else nonnegative("observer.x_std", x_std, model.n, "one per state")
     growth = scalar("observer.drift", wear * most if drift is None else drift, least=0.0) ** 2 * Ts
     return Prior(
-        np.concatenate([np.zeros(model.n), ranges.mean(axis=1)]),
+        np.concatenate([vector("observer.start", start, model.n, "one per state"), ranges.mean(axis=1)]),
         np.concatenate([spread, span / np.sqrt(12)]),
         np.maximum(rms, least) ** 2,
         np.maximum(sensor.threshold, 4 * rms * sensor.slope),
@@ -163,7 +165,7 @@ def measured_filter(
         innovations, stds = [], []
         for i in range(p):
             active = side[i] != 0
-            expected, h = linearise(partial(beyond, q, i, 0.0 if jump or blind else side[i]), belief.mean)
+            expected, h = linearise(partial(beyond, q, i, 0.0 if jump else side[i]), belief.mean)
             e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
             belief, S = update(belief, h, e, q.R[i], active)
             innovations.append(e)
@@ -213,6 +215,9 @@ def measured_filter(
             else:
                 w = extension.push(q, extra)
             found = found._replace(w=w)
+        if count := len(extension.parameters):
+            spread = ca.sqrt(ca.fmax(ca.diag(told.cov)[-count:], 0.0))
+            found = found._replace(theta=q.model[list(extension.parameters)] + told.mean[-count:], theta_std=spread)
         return State(after.mean, triangle(after.cov, entries), y, s.last, wait, u), found
 
     return Observer(params, init, step)

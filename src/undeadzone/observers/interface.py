@@ -31,7 +31,8 @@ class Estimate(NamedTuple):
     """x^ (n), z^ = C x^ (p), widths d_r^, d_l^ (p each), the deadzone inverse y + chi_bar d^ of (26) (p), innovation (p).
 
     Where the observer knows how sure it is, the standard deviations of x^, d_r^, d_l^, d_r^ + d_l^ and the innovation; where it
-    estimates what its model leaves out, that as w^ (n), x' = f(x, u) + w; else these are empty.
+    estimates what its model leaves out, that as w^ (n), x' = f(x, u) + w, and of that the parameters that it was told are uncertain as
+    theta^ with their standard deviations; else these are empty.
     """
 
     x: Any
@@ -46,6 +47,8 @@ class Estimate(NamedTuple):
     width_std: Any = NONE
     innovation_std: Any = NONE
     w: Any = NONE
+    theta: Any = NONE
+    theta_std: Any = NONE
 
 
 class Observer(NamedTuple):
@@ -97,4 +100,4 @@ def numeric_estimate(X: Floats, z: Floats, reading: Reading, sensor: Zone, e: Fl
     ends = [X.size - 2 * z.size, X.size - z.size]
     (x, right, left), (x_std, right_std, left_std) = np.split(X, ends), np.split(std, ends)
     inverted = np.where(np.isfinite(reading.y), inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind), z)
-    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std, np.zeros(0))
+    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std, *np.zeros((3, 0)))

@@ -20,6 +20,7 @@ from undeadzone.plant import System, sampled_noise
 from undeadzone.sensor import Zone, present
 
 CROWD = 100  # readings
+SWING = 0.5  # rms, in largest widths, by which a coloured disturbance moves z in a quarter period, unless it is given
 
 
 class Declared(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -83,6 +84,11 @@ def agitation(model: System, rms: float) -> Floats:
     span = quarter_period(model)
     reached = [np.diag(C @ sampled_noise(A, np.outer(b, b), span)[1] @ C.T).max() for b in B.T]
     return rms / np.sqrt(sample_time(model) * np.where(np.array(reached) > 0, reached, np.inf))
+
+
+def presumed(model: System, largest: float, correlation: float) -> Floats:
+    """The rms (m) of a disturbance of that correlation time [s] where none is given: as strong as a white one at low frequencies."""
+    return agitation(model, SWING * largest) * np.sqrt(sample_time(model) / 2 / correlation)
 
 
 def quarter_period(model: System) -> float:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from undeadzone.report.html import Html, html
 from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE
 from undeadzone.run import FRAMES, Run
 
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+
 MOVIES = (".gif", ".mp4")
 
 
@@ -25,7 +29,8 @@ def animated(run: Run, rival: Run | None = None) -> Html:
     arms = [{"name": name, "colour": colour, "frames": _rounded(poses)} for name, colour, poses in _arms(run, rival)]
     data = {"rate": FRAMES, "arms": arms, "path": _rounded(_path(run)), "pathColour": REFERENCE, "spatial": _spatial(run)}
     canvas = '<canvas class="stage" width="880" height="560" role="img" aria-label="The arm in motion"></canvas>'
-    controls = '<p><button type="button">pause</button> <input type="range" min="0" value="0" step="1" aria-label="time" style="width:60%"> <span class="note"></span></p>'
+    slider = '<input type="range" min="0" value="0" step="1" aria-label="time" style="width:60%">'
+    controls = f'<p><button type="button">pause</button> {slider} <span class="note"></span></p>'
     names = ", ".join(f'<span style="color:{colour}">&#9632;</span> {html(name)}' for name, colour, _ in _arms(run, rival))
     legend = f'<p class="note">{names}, <span style="color:{REFERENCE}">&#9632;</span> path{" - drag to turn" * _spatial(run)}</p>'
     told = json.dumps(data).replace("<", "\\u003c")
@@ -49,7 +54,7 @@ def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], Non
     shown = slice(None, 3 if spatial else 2)
     axes.plot(*_path(run)[:, shown].T, color=REFERENCE, linewidth=3, alpha=0.5)
     arms = _arms(run, rival)
-    lines = [axes.plot([], [], *[[]] * spatial, color=colour, marker="o", linewidth=3, label=name)[0] for name, colour, _ in arms]
+    lines: Any = [axes.plot([], [], *[[]] * spatial, color=colour, marker="o", linewidth=3, label=name)[0] for name, colour, _ in arms]
     every = np.vstack([poses.reshape(-1, 3) for _, _, poses in arms])[:, shown]
     middle, reach = (every.min(axis=0) + every.max(axis=0)) / 2, 0.55 * float(np.ptp(every, axis=0).max())
     for name, centre in zip("xyz", middle, strict=False):
@@ -58,7 +63,7 @@ def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], Non
     axes.set_aspect("equal")
     axes.legend(loc="upper right")
 
-    def draw(frame: int) -> list[object]:
+    def draw(frame: int) -> list[Artist]:
         for line, (_, _, poses) in zip(lines, arms, strict=True):
             line.set_data(*poses[frame, :, :2].T)
             if spatial:

@@ -68,7 +68,10 @@ def gains_page(of: Account, tried: Trial | None, images: Mapping[str, bytes], de
     shown = {name: picture(images[name], caption) for name, caption in CAPTIONS.items() if name in images}
     sections = [section("What was asked", _asked(of, design))]
     if of.gains is None:
-        sections.append(section("No certificate, no rate", paragraph("The model is nonlinear, or the observer has no constant gains L, gamma.")))
+        why = "The observer has no constant gains L, gamma."
+        if of.problem.model.nonlinear:
+            why = "The model is nonlinear: gains can be certified on a declared [region], as check.json tells; frequencies and rates are for linear models."
+        sections.append(section("No rate", paragraph(why)))
     else:
         sections.append(section("The gains", *_gains(of.gains, design)))
         sections.append(section("What is guaranteed", *_guarantee(of.gains, tried), *_pick(shown, "nyquist", "lyapunov")))

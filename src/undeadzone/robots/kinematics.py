@@ -9,7 +9,9 @@ import numpy as np
 
 from undeadzone.arrays import Floats, listed
 from undeadzone.errors import TrackingError
-from undeadzone.robots.arm import Arm, torque
+from undeadzone.feedforward import flat_targets
+from undeadzone.plant import System
+from undeadzone.robots.arm import Arm, Chain
 from undeadzone.signals import Exosystem, piecewise
 
 REACHED = 1e-9  # of the arm's reach: largest residual of a position that counts as found
@@ -51,13 +53,11 @@ def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step:
     found, J = _mapped(equations.place, q)
     missed = ~(np.abs(found[:, :, 0] - goals).max(axis=1) < REACHED)
     if (stops := np.flatnonzero(missed | _singular(np.nan_to_num(J)))).size:
-        raise _blocked(equations, task, t[stops[0] :], q[stops[0]], q[max(stops[0] - 1, 0)], bool(missed[stops[0]]), key)
+        raise _blocked(equations, task, t[stops[0] :], q[max(stops[0] - 1, 0)], bool(missed[stops[0]]), key)
     v = _solved(J, equations.goals(task.value(t, 1)))
     if (jumps := np.flatnonzero(np.abs(np.diff(q, axis=0) - step / 2 * (v[:-1] + v[1:])).max(axis=1) > JUMP)).size:
-        raise _blocked(equations, task, t[jumps[0] :], q[jumps[0]], q[jumps[0]], False, key)
-    chain, advice = arm.chain, "move the path, or let the arm start from another configuration (plant.x0)"
-    _require_within(f"{key}: the path needs a position", "rad or m", t, q, chain.limits, chain.joints, advice)
-    _require_within(f"{key}: the path needs a speed", "rad/s or m/s", t, v, np.outer(chain.speed, [-1, 1]), chain.joints, "slow the path down")
+        raise _blocked(equations, task, t[jumps[0] :], q[jumps[0]], False, key)
+    require_range(arm.chain, t, q, v, key)
     nearby = CubicHermiteSpline(t, q, v)
 
     def derivatives(at: Floats) -> Floats:
@@ -79,14 +79,20 @@ def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step:
     return path._replace(period=task.period if closes else None)
 
 
-def require_torque(arm: Arm, params: Floats, path: Exosystem, duration: float, step: float, limit: Floats, key: str = "reference") -> None:
-    """Raise TrackingError where a path of the joints needs more torque than the limits (N) [N m], looked at every `step` [s]."""
-    q, v, a = (ca.SX.sym(name, arm.size) for name in "qva")
-    needed = ca.Function("needed", [q, v, a], [torque(arm, ca.SX(params), q, v, a)], {"cse": True})
-    t = np.arange(int(np.ceil(duration / step)) + 1) * step
-    (torques,) = _mapped(needed, *(path.value(t, order) for order in range(3)))
+def require_range(chain: Chain, t: Floats, q: Floats, v: Floats, key: str = "reference") -> None:
+    """Raise TrackingError where positions or speeds of the joints (N x joints) at times t [s] lie beyond what the joints allow."""
+    advice = "move the path, or let the arm start from another configuration (plant.x0)"
+    _require_within(f"{key}: the path needs a position", "rad or m", t, q, chain.limits, chain.joints, advice)
+    _require_within(f"{key}: the path needs a speed", "rad/s or m/s", t, v, np.outer(chain.speed, [-1, 1]), chain.joints, "slow the path down")
+
+
+def require_torque(model: System, path: Exosystem, t: Floats, key: str = "reference") -> None:
+    """Raise TrackingError where a path of a continuous model's flat coordinates needs more torque at times t [s] than its motors have."""
+    assert model.arm is not None
+    assert model.limit is not None
+    needed = flat_targets(model, path, [0], t).u_ff
     advice = "slow the path down, lighten the arm, or raise the limit"
-    _require_within(f"{key}: the path needs a torque", "N m or N", t, torques[:, :, 0], np.outer(limit, [-1, 1]), arm.chain.joints, advice)
+    _require_within(f"{key}: the path needs a torque", "N m or N", t, needed, np.outer(model.limit, [-1, 1]), model.arm.chain.joints, advice)
 
 
 def _equations(arm: Arm, params: Floats, start: Floats, key: str) -> _Equations:
@@ -160,8 +166,8 @@ def _nearest(function: ca.Function, goal: Floats, start: Floats) -> Floats:
     return least_squares(lambda q: function(q)[0].full().ravel() - goal, start, lambda q: function(q)[1].full(), **tight).x
 
 
-def _blocked(equations: _Equations, task: Exosystem, t: Floats, q: Floats, before: Floats, missed: bool, key: str) -> TrackingError:
-    """What keeps the tip from following the path from t[0] on, at joint angles q after `before`."""
+def _blocked(equations: _Equations, task: Exosystem, t: Floats, before: Floats, missed: bool, key: str) -> TrackingError:
+    """What keeps the tip from following the path from t[0] on, after joint angles `before`."""
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
     positions, short, angles = task.value(looks), np.zeros(looks.size), before
     for i, position in enumerate(positions):
@@ -179,7 +185,8 @@ def _blocked(equations: _Equations, task: Exosystem, t: Floats, q: Floats, befor
             "as where it starts; move the path, or let the arm start from another configuration (plant.x0)"
         )
     return TrackingError(
-        f"{key}: the path meets a singular configuration at about t = {t[0]:.4g} s, q = {listed(q)}: the joints' speeds would have no bound; move it"
+        f"{key}: the path meets a singular configuration at about t = {t[0]:.4g} s, near q = {listed(before)}, where the joints' speeds have no bound, "
+        "or it is too fast for steps as long as simulation.step; move it or slow it down"
     )
 
 

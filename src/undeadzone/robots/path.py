@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from undeadzone import signals
+from undeadzone.arrays import Floats
 from undeadzone.errors import InputError
 from undeadzone.plant import System
+from undeadzone.robots.kinematics import joint_path, require_range, require_torque
 from undeadzone.scenario import Scenario
 from undeadzone.signals import Exosystem
 
+CHECKED = 0.01  # [s] between the instants at which a path is checked
 
-def followed(scenario: Scenario, model: System, step: float) -> Exosystem:
-    """The path of the flat coordinates: the joints' (elastic joint: the link's). Raises InputError, TrackingError where it cannot be followed."""
-    if getattr(scenario.reference, "space", "joint") == "joint":
-        return signals.exosystem("reference", scenario.reference, model.m)
-    raise InputError("reference.space")
+
+def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
+    """The path of the flat coordinates - the joints', or an elastic joint's link's - that the reference gives as such, or for the tip.
+
+    start: the state from which the joints set out. Raises InputError; TrackingError where the tip or the motors cannot follow.
+    """
+    reference, duration, body = scenario.reference, scenario.simulation.duration, model.arm
+    assert body is not None
+    if getattr(reference, "space", "joint") == "joint":
+        path = signals.exosystem("reference", reference, model.m)
+    elif model.m < body.size:
+        raise InputError("reference.space: the path of an elastic joint is its link's angle; use space = 'joint'")
+    else:
+        task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
+        path = joint_path(body, model.params, task, duration, step, start[: body.size])
+    t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
+    if model.m == body.size:
+        require_range(body.chain, t, path.value(t), path.value(t, 1))
+    require_torque(model, path, t)
+    return path

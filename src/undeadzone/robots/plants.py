@@ -34,16 +34,22 @@ def robot(plant: Plant, given: ArmOptions, key: str) -> System:
     def output(p: Any, x: Any) -> Any:
         return x[:N] - offset if given.measured == "position" else x[N:]
 
-    def solve(p: Any, path: Any) -> tuple[Any, Any]:
-        q, v, a = ca.horzsplit(path)
-        return ca.vertcat(q, v), torque(body, p, q, v, a)
-
     q0 = np.zeros(N) if plant.x0 is None else vector(f"{key}.x0", plant.x0, 2 * N, "the angle of each joint, then its speed")[:N]
     x_eq = np.append(q0, np.zeros(N)) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, 2 * N, "one per state")
     gravity = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
     u_eq = gravity if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
     linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(params, move, output, linear, nonlinear=True, arm=body, flat=Flat(2, solve), limit=chain.torque, names=body.names)
+    return System(params, move, output, linear, nonlinear=True, arm=body, flat=flat(body), limit=chain.torque, names=body.names)
+
+
+def flat(body: Arm) -> Flat:
+    """The joints of a rigid arm as flat coordinates: with two derivatives they say state and torque."""
+
+    def solve(p: Any, path: Any) -> tuple[Any, Any]:
+        q, v, a = ca.horzsplit(path)
+        return ca.vertcat(q, v), torque(body, p, q, v, a)
+
+    return Flat(2, solve)
 
 
 def _chain(given: Rigid, plant: Plant, key: str) -> Chain:
