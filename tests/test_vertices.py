@@ -15,7 +15,8 @@ from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.arrays import Floats
 from undeadzone.design.check import check
 from undeadzone.design.passivity import Certificate, certify, passive_gain
-from undeadzone.design.vertices import _slopes, certify_on, design_on
+from undeadzone.design.slopes import slopes_on
+from undeadzone.design.vertices import certify_on, design_on
 from undeadzone.engine.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plant import Plant, System, sampled, system
@@ -79,7 +80,7 @@ def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None
     arm = system(Plant(arm=TwoLink(), parameters={"b1": 1.0, "f2": 0.3, "payload": 0.5}, x0=[HANGING, 0, 0, 0]))
     arm = arm if Ts is None else sampled(arm, Ts, 1)
     about, size = np.array([HANGING, 0, 0, 0, 0, 0]), np.array([0.4, 0.4, 1, 1, 3, 3])
-    slopes = _slopes(arm, Box(about - size, about + size))
+    slopes = slopes_on(arm, Box(about - size, about + size))
     rng = np.random.default_rng(0)
     for share in (1.0, 0.1, 1e-3):
         part = Box(about - share * size, about + share * size)
@@ -105,7 +106,7 @@ def test_slopes_are_the_linearisation() -> None:
     for model in (pendulum(1.0), sampled(pendulum(1.0), 0.01, 10), PAPER_PLANT, sampled(PAPER_PLANT, 0.01)):
         Ts = model.Ts
         expected = model.linear.A if Ts is None else (model.linear.A - np.eye(2)) / Ts
-        assert _slopes(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(expected, abs=1e-8)
+        assert slopes_on(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(expected, abs=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(10))

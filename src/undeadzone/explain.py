@@ -27,7 +27,7 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
         choices = _tags(root, key) if found[1] in ("kind", "method") else []
         return f"{_join(key, found[1])}: missing; this key is required" + (f" (one of {', '.join(choices)})" if choices else "")
     choices = _tags(root, parent) if name in ("kind", "method") else []
-    choices = choices or [str(word) for hint in _hints(root, parent, name) for word in _literals(hint)]
+    choices = choices or [str(word) for hint in _hints(root, parent, name, data) for word in _literals(hint)]
     if choices and (found := re.match(r"(?s)Invalid (?:enum )?value '(.*)'", body)):
         return f"{key}: unknown choice {found[1]!r}; {_advice(found[1], choices, 'expected one of')}"
     body = re.sub(r"`([\w| ]+)`", lambda types: " or ".join(_WORDS.get(word, word) for word in _alternatives(types[1])), body)
@@ -74,9 +74,9 @@ def _literals(annotation: Any) -> list[Any]:
     return [word for part in typing.get_args(annotation) for word in _literals(part)]
 
 
-def _hints(root: type[msgspec.Struct], key: str, name: str) -> list[Any]:
+def _hints(root: type[msgspec.Struct], key: str, name: str, data: dict[str, Any]) -> list[Any]:
     """The annotations that a field may have in the structs at a dotted key."""
-    return [hints[name] for struct in _at(root, key) if name in (hints := typing.get_type_hints(struct))]
+    return [hints[name] for struct in _chosen(root, key, data) if name in (hints := typing.get_type_hints(struct))]
 
 
 def _at(root: type[msgspec.Struct], key: str) -> _Structs:
@@ -91,9 +91,14 @@ def _tags(root: type[msgspec.Struct], key: str) -> list[str]:
     return [str(struct.__struct_config__.tag) for struct in _at(root, key) if struct.__struct_config__.tag is not None]
 
 
+def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
+    """The variant at a dotted key that the data choose, or all that may stand there."""
+    here, structs = _walk(key, data), _at(root, key)
+    return [s for s in structs if isinstance(here, dict) and s.__struct_config__.tag in (here.get("kind"), here.get("method"))] or structs
+
+
 def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
     """Keys known at a dotted key, of the variant that the data choose where there are several."""
-    here, structs = _walk(key, data), _at(root, key)
-    chosen = [s for s in structs if isinstance(here, dict) and s.__struct_config__.tag in (here.get("kind"), here.get("method"))] or structs
+    chosen = _chosen(root, key, data)
     names = [field for struct in chosen for field in struct.__struct_fields__]
     return list(dict.fromkeys(names + [str(s.__struct_config__.tag_field) for s in chosen if s.__struct_config__.tag is not None]))

@@ -7,20 +7,17 @@ bounds df/dx on parts of the box, which are halved until the bound suffices or a
 
 from __future__ import annotations
 
-import functools
 import itertools
-from collections.abc import Callable
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
-from undeadzone import tree
 from undeadzone.arrays import Floats, Integers
 from undeadzone.design.errordynamics import Dynamics, adaptation
 from undeadzone.design.passivity import Certificate, certify_dynamics
 from undeadzone.design.semidefinite import minimise, symmetric
-from undeadzone.engine.interval import Interval, enclosure
+from undeadzone.design.slopes import Slopes, slopes_on
+from undeadzone.engine.interval import Interval
 from undeadzone.errors import InputError, StructureError
 from undeadzone.plant import System
 from undeadzone.region import Box
@@ -39,7 +36,7 @@ def certify_on(model: System, L: Floats, gamma: Floats, box: Box, parts: int = P
     Its dynamics hold the vertices, and its margin is that at them. A 'no' names the point of the box where there is no V, or says
     that the proof was given up after so many parts. Raises InputError for a model that is not smooth on the box.
     """
-    return _certified(model, L, gamma, box, _slopes(model, box), parts)
+    return _certified(model, L, gamma, box, slopes_on(model, box), parts)
 
 
 def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
@@ -49,7 +46,7 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
     """
     if model.Ts is not None:
         raise InputError("design_on: takes a model in continuous time; `certify_on` then judges its gains in sampled time")
-    found = _slopes(model, box)
+    found = slopes_on(model, box)
     none = _certified(model, np.zeros((model.n, model.p)), gamma, box, found, PARTS)
     if not none.certified:
         raise StructureError(f"no gains can be certified on the region: {none.reason}")
@@ -65,62 +62,6 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
     if solution is None:
         raise StructureError("no gains were found on the region: the Jacobians are too far apart for the solver")
     return _certified(model, np.linalg.solve(symmetric(solution, n), model.linear.C.T), gamma, box, found, PARTS)
-
-
-class Slopes(NamedTuple):
-    """A = df/dx (delta form if sampled) of a model at points (N x (n + m)) -> N x n x n, and what bounds it, which takes time to make.
-
-    entries: rows and columns of A that vary (K); bounds(): functions of boxes (N rows) that bound these entries (N x 1 x K), and
-    their derivatives (N x (n + m) x K).
-    """
-
-    at: Callable[[Floats], Floats]
-    entries: tuple[Integers, Integers]
-    bounds: Callable[[], tuple[Callable[[Box], Interval], Callable[[Box], Interval]]]
-
-
-def _slopes(model: System, box: Box) -> Slopes:
-    """The Jacobian of a model; its bounds raise InputError where the model is not smooth on a box. Raises InputError where the output bends."""
-    n = model.n
-    p, params = tree.symbols(model.params, "p")
-    w = ca.SX.sym("w", n + model.m)
-    moved, z = model.move(params, w[:n], w[n:]), model.output(params, w[:n])
-    if any(ca.which_depends(z, w, 2, True)):
-        raise InputError("region: a certificate needs outputs that are affine in the state")
-    A = ca.densify(ca.jacobian(moved, w)[:, :n])
-    A = A if model.Ts is None else (A - np.eye(n)) / model.Ts
-    varying = np.flatnonzero(ca.which_depends(ca.vec(A), w, 1, True))
-    columns, rows = np.divmod(varying, n)
-    numbers = tree.pack(model.params)[:, None]
-
-    def function(*values: ca.SX) -> ca.Function:
-        return ca.Function("slopes", [p, w], list(values), {"cse": True})
-
-    everything = function(moved, A)
-
-    def at(points: Floats) -> Floats:
-        found = everything(np.broadcast_to(numbers, (numbers.size, len(points))), points.T)[1].full()
-        return found.reshape(n, len(points), n).transpose(1, 0, 2)
-
-    def bounded(value: ca.SX) -> Callable[[Box], Interval]:
-        bound, shape = enclosure(function(value)), (-1, *value.shape[::-1])
-
-        def bounds(part: Box) -> Interval:
-            (found,) = bound([Interval(numbers, numbers), Interval(part.low.T, part.high.T)])
-            return Interval(found.low.T.reshape(shape), found.high.T.reshape(shape))
-
-        return bounds
-
-    @functools.cache
-    def bounds() -> tuple[Callable[[Box], Interval], Callable[[Box], Interval]]:
-        some = ca.vec(A)[varying.tolist()]
-        try:
-            enclosure(everything)([Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])])
-            return bounded(some), bounded(ca.densify(ca.jacobian(some, w)))
-        except InputError as error:
-            raise InputError(f"region: the model cannot be certified on it: {error}") from None
-
-    return Slopes(at, (rows, columns), bounds)
 
 
 def _certified(model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int) -> Certificate:

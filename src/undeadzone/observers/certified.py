@@ -21,7 +21,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a stable plant. gamma: adaptation
     gain [1/s], one or one per output, default 1. design: a file saved by `Design.save`, in place of L and gamma; its proof
-    is checked again for the model. widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side
+    is checked again for the model. start: x^(0), one number or one per state; widths0: initial d_r^, d_l^ (p x 2) [z]; width_max: d_M per side
     (default: none), the estimates are projected onto [0, d_M]. silence: use also that a silent sensor bounds z (certified too; its kink is not located,
     so that the integration error falls as h^2 only). adaptation: another law for the widths than the gradient; with one
     that is not constant no certificate is claimed. Gains are continuous-time ones in either time.
@@ -30,6 +30,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     L: Array | None = None
     gamma: Array | None = None
     design: str | None = None
+    start: Array = 0.0
     widths0: Array = 0.0
     width_max: Array | None = None
     silence: bool = False
@@ -47,7 +48,8 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if (gamma < 0).any():
             raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
-        return measured_side(model, sensor, gains(given[0], model), gamma, widths, limit, self.silence, self.adaptation.law(model.Ts))
+        start = vector("observer.start", self.start, model.n, "one per state")
+        return measured_side(model, sensor, gains(given[0], model), gamma, start, widths, limit, self.silence, self.adaptation.law(model.Ts))
 
 
 def _designed(path: str, model: System) -> tuple[Floats, Floats]:
@@ -64,6 +66,7 @@ class Params(NamedTuple):
     model: Any
     L: Floats
     gamma: Floats
+    x0: Floats
     right0: Floats
     left0: Floats
     limit: Floats
@@ -116,17 +119,19 @@ def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Flo
     return widths, limit
 
 
-def measured_side(model: System, sensor: Zone, L: Floats, gamma: Floats, widths: Floats, limit: Floats, silence: bool, law: Law = GRADIENT) -> Observer:
+def measured_side(
+    model: System, sensor: Zone, L: Floats, gamma: Floats, start: Floats, widths: Floats, limit: Floats, silence: bool, law: Law = GRADIENT
+) -> Observer:
     """The observer itself; with gamma = 0 and true widths it is the known-width oracle."""
     jump = sensor.kind == "jump"
     Ts = model.Ts
     per_step = 1.0 if Ts is None else Ts
     keep = 0.0 if Ts is None else 1.0
-    params = Params(model.params, L * per_step, gamma * per_step, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold, law.numbers)
+    params = Params(model.params, L * per_step, gamma * per_step, start, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold, law.numbers)
 
     def init(p: Params) -> State:
         gain = p.gamma if law.gains else np.zeros(0)
-        return State(np.zeros(model.n), p.right0, p.left0, gain, gain)
+        return State(p.x0, p.right0, p.left0, gain, gain)
 
     def project(p: Params, s: State) -> State:
         widths = (ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left))

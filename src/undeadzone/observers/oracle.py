@@ -21,4 +21,4 @@ class Oracle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled. Raises ShapeError."""
         widths = np.stack([sensor.right, sensor.left], axis=1)
-        return measured_side(model, sensor, gains(self.L, model), np.zeros(model.p), widths, np.full(model.p, np.inf), self.silence)
+        return measured_side(model, sensor, gains(self.L, model), np.zeros(model.p), np.zeros(model.n), widths, np.full(model.p, np.inf), self.silence)

@@ -16,25 +16,24 @@ if TYPE_CHECKING:
 
 COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
 COLUMNS = 3  # joints in a row
+BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
 
 
 def tip(run: Run, rival: Run | None = None) -> Figure:
     """The tip on its path in each plane that it moves in, its distance from the path, and the torques."""
     assert run.tip is not None
-    planes = [(0, 1)] if run.tip.shape[1] == 2 else [(0, 1), (0, 2)]
-    names = [f"plane {i}" for i in range(len(planes))]
-    wide = [names[i * len(names) // 6] for i in range(6)] if len(names) > 1 else ["plane 0"] * 3 + ["error"] * 3
-    below = ["error"] * 3 + ["torque"] * 3 if len(names) > 1 else ["plane 0"] * 3 + ["torque"] * 3
-    figure, panels = sheet([wide, below], f"{run.info.title}: the tip", height=3.2)
-    for name, plane in zip(names, planes, strict=True):
+    spatial = run.tip.shape[1] == 3
+    rows = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3] if spatial else [["x-y", "error"], ["x-y", "torque"]]
+    figure, panels = sheet(rows, f"{run.info.title}: the tip", height=3.2)
+    for name, plane in (("x-y", (0, 1)), ("x-z", (0, 2)))[: 1 + spatial]:
         _plane(panels[name], run, rival, plane)
-    for one, colour, name in _both(run, rival):
+    for one, colour in _both(run, rival):
         assert one.tip is not None
         assert one.tip_r is not None
-        plot_magnitude(panels["error"], one.t, np.linalg.norm(one.tip - one.tip_r, axis=1), colour, name)
+        plot_magnitude(panels["error"], one.t[one.shown], np.linalg.norm(one.tip - one.tip_r, axis=1)[one.shown], colour, one.name)
     finish(panels["error"], "Distance of the tip from where it should be", label("distance", "m"))
     for i, name in enumerate(_inputs(run)):
-        panels["torque"].plot(run.t, run.u[:, i], color=COLOURS[i % len(COLOURS)], linewidth=0.9, label=name)
+        panels["torque"].plot(run.t[run.shown], run.u[run.shown, i], color=COLOURS[i % len(COLOURS)], linewidth=0.9, label=name)
     finish(panels["torque"], "Torques", label("u", run.unit("u")), legend=3)
     return figure
 
@@ -42,15 +41,18 @@ def tip(run: Run, rival: Run | None = None) -> Figure:
 def phase(run: Run) -> Figure:
     """Position and velocity of each joint, truth and estimate, over its dead zone where it lies in the position."""
     joints = len(run.info.joints)
-    rows = [[f"{i}" if i < joints else "." for i in range(first, first + COLUMNS)] for first in range(0, joints, COLUMNS)]
-    rows = [row[: max(1, joints)] for row in rows]
-    figure, panels = sheet(rows, f"{run.info.title}: the joints in their phase planes", height=2.8)
+    cells = [f"{i}" if i < joints else "." for i in range(-(-joints // COLUMNS) * COLUMNS)]
+    rows = [cells[first : first + COLUMNS][:joints] for first in range(0, joints, COLUMNS)]
+    figure, panels = sheet(rows, f"{run.info.title}: phase planes", height=2.8)
     for i, name in enumerate(run.info.joints):
         axes = panels[f"{i}"]
         _zone(axes, run, i)
-        axes.plot(run.x[:, i], run.x[:, joints + i], color=TRUTH, label="truth")
-        axes.plot(run.x_hat[:, i], run.x_hat[:, joints + i], color=ESTIMATE, linewidth=0.9, linestyle=(0, (4, 2)), label="estimate")
-        finish(axes, name, label("q'", run.unit(f"x[{joints + i}]")), label("q", run.unit(f"x[{i}]")), legend=2 * (i == 0))
+        for x, colour, width, dashes, what in ((run.x, TRUTH, 1.3, "-", "truth"), (run.x_hat, ESTIMATE, 0.9, (0, (4, 2)), "estimate")):
+            axes.plot(x[run.shown, i], x[run.shown, joints + i], color=colour, linewidth=width, linestyle=dashes, label=what)
+        axes.set_xlim(*_range(run.x[run.shown, i]))
+        axes.set_ylim(*_range(run.x[run.shown, joints + i]))
+        finish(axes, name, label("q'", run.unit(f"x[{joints + i}]")), label("q", run.unit(f"x[{i}]")), legend=0)
+    figure.legend(*panels["0"].get_legend_handles_labels(), loc="upper right", ncols=3, frameon=False, fontsize=8.5)
     return figure
 
 
@@ -59,32 +61,34 @@ def _inputs(run: Run) -> list[str]:
     return run.info.joints[: run.u.shape[1]]
 
 
-def _both(run: Run, rival: Run | None) -> list[tuple[Run, str, str]]:
-    """Each run with its colour and its name."""
-    return [(run, ESTIMATE, run.info.method)] + ([] if rival is None else [(rival, PRINTED, f"compared: {rival.info.method}")])
+def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
+    """Each run with its colour."""
+    return [(run, ESTIMATE)] + ([] if rival is None else [(rival, PRINTED)])
 
 
 def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int]) -> None:
+    """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
+    axes.margins(0.05)
     axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
-    for one, colour, name in reversed(_both(run, rival)):
+    for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
-        shown = one.tip[_settled(one)]
-        axes.plot(*shown[:, plane].T, color=colour, linewidth=1.1, label=name)
+        half = slice(one.t.size // 2 if one.diverged_at is None else 0, one.shown.stop)
+        axes.plot(*one.tip[half][:, plane].T, color=colour, linewidth=1.1, label=one.name)
     finish(axes, "The tip, last half of the run", label("xyz"[plane[1]], "m"), label("xyz"[plane[0]], "m"), legend=3)
-    axes.set_aspect("equal", adjustable="box")
+    axes.set_aspect("equal", adjustable="datalim")
 
 
-def _settled(run: Run) -> slice:
-    end = None if run.diverged_at is None else int(np.searchsorted(run.t, run.diverged_at))
-    return slice(0 if end is not None else run.t.size // 2, end)
+def _range(values: Floats) -> tuple[float, float]:
+    """Where the values lie, and a little more."""
+    room = BEYOND * float(np.ptp(values)) + 1e-9
+    return float(values.min()) - room, float(values.max()) + room
 
 
 def _zone(axes: Axes, run: Run, i: int) -> None:
     """The dead zone of a joint whose position is read: where it lies in q."""
-    right, left = run.info.widths[2 * i : 2 * i + 2] if 2 * i + 1 < len(run.info.widths) else (0.0, 0.0)
-    offset = _offset(run.x[:, i], run.z[:, i]) if i < run.z.shape[1] else None
-    if offset is not None:
+    if i < run.z.shape[1] and (offset := _offset(run.x[run.shown, i], run.z[run.shown, i])) is not None:
+        right, left = run.info.widths[2 * i : 2 * i + 2]
         axes.axvspan(offset - left, offset + right, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
