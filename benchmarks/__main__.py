@@ -7,7 +7,9 @@ import platform
 import sys
 from pathlib import Path
 
-NAMES = ("cold_start", "live_step", "accuracy", "engines", "noise", "speed", "precision", "coverage", "certificates", "arms")
+NAMES = (
+    "cold_start", "live_step", "accuracy", "engines", "noise", "speed", "precision", "coverage", "arm_coverage", "arm_operations", "certificates", "arms",
+)  # fmt: skip
 HEAD = "# Results\n\nWritten by `make bench`. Times are ratios within one run; machines differ, ratios less so.\n"
 
 

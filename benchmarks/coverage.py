@@ -158,26 +158,30 @@ def observe(options: Callable[[Problems, int], Any], given: Problems) -> Verdict
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(step, exogenous=range(2), params=range(numbers.shape[1]))
     out, _ = lanes.run(kernel, states, np.zeros((len(given.y), 2)), numbers[0], np.stack([given.y, given.u], axis=1), numbers, threads=1)
-    right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
+    right, left, z, *stds = out[:, -1, :7].T
     used = out[:, :, 7] != 0
-    covariance = (width_std**2 - right_std**2 - left_std**2) / 2
-    return verdict(
-        given,
-        np.stack([right, left, z], axis=1),
-        np.stack([np.stack([right_std**2, covariance], axis=1), np.stack([covariance, left_std**2], axis=1)], axis=1),
-        z_std,
-        out[used][:, 7] / out[used][:, 8],
-    )
+    right_std, left_std, width_std, z_std = stds
+    return verdict(truth(given), np.stack([right, left, z], axis=1), covariance(right_std, left_std, width_std), z_std, out[used][:, 7] / out[used][:, 8])
 
 
-def verdict(given: Problems, estimate: Floats, d_cov: Floats, z_std: Floats, innovations: Floats) -> Verdict:
+def truth(given: Problems) -> Floats:
+    """[d_r, d_l, z] in the end (K x 3)."""
+    return np.column_stack([given.d, [(model.C @ x)[0] for model, x in zip(given.models, given.x, strict=True)]])
+
+
+def covariance(right_std: Floats, left_std: Floats, width_std: Floats) -> Floats:
+    """Of d (K x 2 x 2), from standard deviations of d_r, d_l and their sum."""
+    both = (width_std**2 - right_std**2 - left_std**2) / 2
+    return np.moveaxis(np.array([[right_std**2, both], [both, left_std**2]]), -1, 0)
+
+
+def verdict(truth: Floats, estimate: Floats, d_cov: Floats, z_std: Floats, innovations: Floats) -> Verdict:
     """The verdict on estimates [d_r, d_l, z] (K x 3) with covariances of d (K x 2 x 2), and on normalised innovations."""
     mixed = np.array([[1.0, 0.0, 1.0, 0.5], [0.0, 1.0, 1.0, -0.5]])
-    d_error = estimate[:, :2] - given.d[: len(estimate)]
+    error = estimate - truth
     variances = np.einsum("ji,kjl,li->ki", mixed, d_cov, mixed)
-    z_error = estimate[:, 2] - np.array([(model.C @ x)[0] for model, x in zip(given.models, given.x, strict=True)])[: len(estimate)]
-    errors, stds = np.column_stack([d_error @ mixed, z_error]), np.column_stack([np.sqrt(variances), z_std])
-    return Verdict(errors, stds, d_error, d_cov, float(np.mean(np.square(innovations))) if innovations.size else np.nan)
+    errors, stds = np.column_stack([error[:, :2] @ mixed, error[:, 2]]), np.column_stack([np.sqrt(variances), z_std])
+    return Verdict(errors, stds, error[:, :2], d_cov, float(np.mean(np.square(innovations))) if innovations.size else np.nan)
 
 
 def extended(given: Problems, k: int) -> Any:
@@ -232,7 +236,7 @@ def rivalling(build: Callable[[Problems, int], Any], given: Problems, count: int
         estimates.append(final[0][[n, n + 1, 0]])
         covariances.append(final[1][n:, n:])
         z_stds.append(np.sqrt(final[1][0, 0]))
-    return verdict(given._replace(models=given.models[:count], x=given.x[:count]), *map(np.stack, (estimates, covariances, z_stds)), np.array(innovations))
+    return verdict(truth(given)[:count], *map(np.stack, (estimates, covariances, z_stds)), np.array(innovations))
 
 
 def pooled(parts: list[Verdict]) -> Verdict:

@@ -448,7 +448,7 @@ class Held(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer."""
         widths, limit = bounded_widths(self.widths0, None, model.p)
-        return measured_side(model, sensor, gains(None, model), np.zeros(model.p), widths, limit, False)
+        return measured_side(model, sensor, gains(None, model), np.zeros(model.p), np.zeros(model.n), widths, limit, False)
 '''
 
 

@@ -203,14 +203,19 @@ def test_simulate_takes_an_engine() -> None:
         simulate(scenario, engine="lane")  # type: ignore[arg-type]
 
 
+def generated(step: ca.Function, folder: Path) -> ca.Function:
+    """A function as generated C, compiled."""
+    generator = ca.CodeGenerator("step")
+    generator.add(step)
+    generator.generate(f"{folder}/")
+    subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-fPIC", "-shared", folder / "step.c", "-o", folder / "step.so", "-lm"], check=True)
+    return ca.external("step", str(folder / "step.so"))
+
+
 @pytest.mark.parametrize("scenario", [scene(), small("sampled")], ids=["paper", "sampled"])
 def test_generated_C_runs_the_same(scenario: Scenario, tmp_path: Path) -> None:
     step, state, exogenous, params, _ = parts(scenario)
-    generator = ca.CodeGenerator("step")
-    generator.add(step)
-    generator.generate(f"{tmp_path}/")
-    subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-fPIC", "-shared", tmp_path / "step.c", "-o", tmp_path / "step.so", "-lm"], check=True)
-    found = interpret.run(ca.external("step", str(tmp_path / "step.so")), state, exogenous, params)
+    found = interpret.run(generated(step, tmp_path), state, exogenous, params)
     assert max(map(distance, found, interpret.run(step, state, exogenous, params))) < 1e-15
 
 

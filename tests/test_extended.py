@@ -54,43 +54,20 @@ class Watched(NamedTuple):
 
 def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watched]:
     """How the filter watches an arm that follows a path by its true state: (path, seed, widths, x0, disturbance, params) -> `Watched`."""
-    observer, N = options.build(arm, where), arm.p
-    like = observer.init(observer.params)
-    column, state = tree.symbols(like, "s")
-    x, path, widths, noise, w, params = (
-        ca.SX.sym(*given) for given in [("x", 2 * N), ("path", 3 * N), ("d", 2 * N), ("e", N), ("w", N), ("p", len(arm.params))]
-    )
-    assert arm.arm is not None
-    q, v, a = ca.vertsplit(path, N)
-    u = torque(arm.arm, params, x[:N], x[N:], a + 100 * (q - x[:N]) + 20 * (v - x[N:]))
-    read = sensor.jump if where.kind == "jump" else sensor.deadzone
-    y = read(arm.output(params, x), widths[:N], widths[N:]) + noise * where.noise
-    constant = tree.rebuild(observer.params, iter([ca.SX(np.asarray(leaf, float)) for _, leaf in tree.leaves(observer.params)]))
-    after, estimate = observer.step(constant, state, u, Reading(y, sensor.side(y, where.threshold)))
-    step = ca.Function(
-        "step", [ca.vertcat(x, column), ca.vertcat(path, noise, w), ca.vertcat(widths, params)],
-        [ca.vertcat(arm.move(params, x, u + w), tree.stack(after)), ca.vertcat(x, *estimate, state.mean)], {"cse": True},
-    )  # fmt: skip
-    sizes = np.cumsum([2 * N, *(part.shape[0] for part in estimate)])
+    N, given = arm.p, watch(options, arm, where)
 
     def run(
         path: Floats, seed: int, widths: Any, x0: Floats | None = None, disturbance: Floats | float = 0.0, params: Floats | None = None, noise: float = 1.0
     ) -> Watched:
         rng = np.random.default_rng(seed)
-        first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, tree.pack(like)])
+        first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, given.filter])
         rows = np.hstack([path, noise * rng.normal(size=(len(path), N)), np.broadcast_to(disturbance, (len(path), N))])
-        truth = np.concatenate([np.ravel(widths), arm.params if params is None else params])
-        out, _ = interpret.run(step, first, rows, truth)
-        x, *parts = np.split(out, sizes, axis=1)
+        numbers = np.concatenate([np.ravel(widths), arm.params if params is None else params, given.numbers])
+        out, _ = interpret.run(given.step, first, rows, numbers)
+        x, *parts = np.split(out, np.cumsum(given.sizes), axis=1)
         return Watched(x, Estimate(*parts[:-1]), parts[-1][-1, 4 * N :])
 
     return run
-
-
-def sines(seconds: float, amplitude: float = 0.5, pulses: Any = (2.0, 4.0), Ts: float = TS) -> Floats:
-    """Positions, speeds and accelerations of joints that move as amplitude sin(pulse t), through 0."""
-    t, pulses = np.arange(0.0, seconds, Ts)[:, None], np.asarray(pulses)
-    return np.hstack([amplitude * np.sin(pulses * t), amplitude * pulses * np.cos(pulses * t), -amplitude * pulses**2 * np.sin(pulses * t)])
 
 
 def centre_std(found: Estimate) -> Floats:

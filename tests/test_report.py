@@ -21,7 +21,7 @@ from undeadzone.run import Run
 from undeadzone.simulation import simulate
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
-VOID = {"meta", "img", "link", "br", "hr"}
+VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 
 class Auditor(HTMLParser):

@@ -1,13 +1,11 @@
 // Loops over Pinocchio's ABA, header only. DOF joints that turn about coordinate axes, on a fixed base, each a row of 23 numbers: axis (0 to 2),
 // placement in the parent (rotation by rows, translation), mass, centre of mass, inertia about it (xx, xy, yy, xz, yz, zz).
-#include <array>
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 #include <pinocchio/multibody.hpp>
 
 using Vector = Eigen::Matrix<double, DOF, 1>;
 using State = Eigen::Matrix<double, 2 * DOF, 1>;
-using Joints = Eigen::Map<const Eigen::Matrix<double, DOF, 23, Eigen::RowMajor>>;
 namespace pin = pinocchio;
 
 // Of all its joints these three: the default collection takes a minute to compile.

@@ -25,7 +25,7 @@ LIMIT = 1e12  # beyond this a state has diverged
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
     """What a run knows besides its signals; widths: the true [right, left] of each output; joints: names, of an arm;
-    uncertain: the parameters that the observer estimates, and their true values.
+    uncertain: the parameters that the observer estimates, and their true values; label: what tells its observer from one that it is compared with.
     """
 
     title: str
@@ -42,6 +42,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     units: Units = Units()
     joints: list[str] = []
     uncertain: dict[str, float] = {}
+    label: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,6 +95,16 @@ class Run:
         worst = np.abs(np.hstack([self.x, self.x_hat, self.d_hat, self.u])).max(axis=1)
         bad = np.flatnonzero(~(worst < LIMIT))
         return float(self.t[bad[0]]) if bad.size else None
+
+    @property
+    def shown(self) -> slice:
+        """The samples that a figure shows: those up to where the run diverged, two at least."""
+        return slice(0, self.t.size if self.diverged_at is None else max(2, int(np.searchsorted(self.t, self.diverged_at))))
+
+    @property
+    def name(self) -> str:
+        """What figures call its observer: the method, and what tells it from one that it is compared with."""
+        return self.info.label or self.info.method
 
     @property
     def rms_tracking(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone import inputs, live, tree
 from undeadzone.arrays import Floats
 from undeadzone.design.along import verdicts_along
-from undeadzone.design.identifiability import Verdict, unknown_bias, verdicts
+from undeadzone.design.identifiability import DIRECTIONS, Verdict, unknown_bias, verdicts
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import recorded
 from undeadzone.engine import interpret
@@ -105,13 +105,24 @@ def named(loop: Loop, outputs: Floats) -> Outputs:
 def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What a run's readings tell of each output's widths; of a nonlinear plant along the run, given what the observer is told of its start."""
     sensor, disturbance, step = problem.sensor, problem.scenario.disturbance, problem.scenario.simulation.step
-    if problem.plant.nonlinear:
-        start = getattr(problem.scenario.observer, "x_std", None) if hasattr(problem.scenario.observer, "start") else None
-        prior = None if start is None else np.broadcast_to(np.asarray(start, float), problem.plant.n)
-        bias = unknown_bias(disturbance, np.eye(problem.plant.m))
-        return verdicts_along(problem.plant, signal.x, signal.u, signal.z, sensor, step, bias, prior=prior)
-    schedule = recorded(signal.z, sensor, step, problem.model.Ts)
-    return verdicts(problem.model.linear, schedule, unknown_bias(disturbance, problem.model.linear.B), sensor.kind == "jump")
+    if not problem.plant.nonlinear:
+        schedule = recorded(signal.z, sensor, step, problem.model.Ts)
+        return verdicts(problem.model.linear, schedule, unknown_bias(disturbance, problem.model.linear.B), sensor.kind == "jump")
+    observer, bias = problem.scenario.observer, unknown_bias(disturbance, np.eye(problem.plant.m))
+    uncertain = tuple(getattr(observer, "uncertain", ()))
+
+    def along(prior: Floats | None) -> list[Verdict]:
+        return verdicts_along(problem.plant, signal.x, signal.u, signal.z, sensor, step, bias, uncertain, prior)
+
+    start = getattr(observer, "x_std", None) if hasattr(observer, "start") else None
+    alone = along(None)
+    return alone if start is None else list(map(_homed, alone, along(np.broadcast_to(np.asarray(start, float), problem.plant.n))))
+
+
+def _homed(alone: Verdict, homed: Verdict) -> Verdict:
+    """The verdict with a declared start, which says what nothing else tells."""
+    gained = [name for name in DIRECTIONS if getattr(homed, name) and not getattr(alone, name)]
+    return homed._replace(reasons=(*homed.reasons, *[f"{', '.join(gained)} from the declared start alone"] * bool(gained)))
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:

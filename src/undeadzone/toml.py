@@ -13,7 +13,13 @@ from undeadzone.errors import InputError
 
 def dumps(value: msgspec.Struct) -> str:
     """The TOML text of a struct. Raises InputError for what no text can hold."""
-    return tomli_w.dumps(_given(msgspec.to_builtins(value, enc_hook=_plain)))
+    return tomli_w.dumps(tables(value))
+
+
+def tables(value: msgspec.Struct) -> dict[str, Any]:
+    """A struct as dictionaries, lists and numbers, its tag among them, without what is None. Raises InputError for what no text can hold."""
+    found: dict[str, Any] = _given(msgspec.to_builtins(value, enc_hook=_plain))
+    return found
 
 
 def _plain(value: Any) -> Any:

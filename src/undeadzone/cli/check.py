@@ -29,7 +29,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     without constant gains need not be), a run leaves the region, or not every width can be identified.
     """
     from undeadzone.design.account import account, trial
-    from undeadzone.design.check import check as judge
+    from undeadzone.design.check import summary as told
     from undeadzone.files import write_text
     from undeadzone.problem import resolve_scenario
     from undeadzone.scenario import read
@@ -38,7 +38,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     with progress("judging", None) as advance:
         of = account(resolve_scenario(problem))
         near = None if of.gains is None else of.gains.nearest
-        summary = judge(problem) | {"nearest": None if near is None else in_numbers(near)}
+        summary = told(of) | {"nearest": None if near is None else in_numbers(near)}
         folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-check")
         written = [] if folder is None else [write_text(json_text(summary) + "\n", folder / "check.json")]
         if folder is not None and not no_figures:

@@ -32,7 +32,11 @@ def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default folder:
     run-NUMBER-results), computed again with its own numbers and noise, and says whether it met them to the last bit.
     """
-    (result, rival), apart = (_simulated(scenario), None) if replay is None else _replayed(scenario, replay)
+    if animation is not None:
+        from undeadzone.report.animation import require_movie
+
+        require_movie(animation)
+    (result, rival), apart = (_simulated(scenario, animation is not None), None) if replay is None else _replayed(scenario, replay)
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = out if out is not None else None if no_figures else Path(f"{name}-results")
     written = write(result, folder, not no_figures, rival) if folder is not None else []
@@ -47,8 +51,10 @@ def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | 
     return 0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
 
 
-def _simulated(path: Path) -> tuple[Run, Run | None]:
-    """The run of a scenario, and of the same with the observer that it is to be compared with."""
+def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
+    """The run of a scenario, and of the same with the observer that it is to be compared with; animated: only an arm's."""
+    import dataclasses
+
     import msgspec
 
     from undeadzone.ensemble.variation import require_bound
@@ -60,11 +66,35 @@ def _simulated(path: Path) -> tuple[Run, Run | None]:
         raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
     scenario = read(path)
     require_bound(scenario)
+    if animated and scenario.plant.arm is None:
+        raise InputError("animation: this plant is no arm; leave the option out")
     both = [scenario] if scenario.compare is None else [scenario, msgspec.structs.replace(scenario, observer=scenario.compare)]
     each = 3 if scenario.simulation.time == "continuous" else 1
     with progress("simulating", round(len(both) * each * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))) as advance:
         runs = [simulate(one, progress=advance) for one in both]
-    return runs[0], runs[1] if len(runs) > 1 else None
+    if scenario.compare is None:
+        return runs[0], None
+    names = _told_apart(scenario.observer, scenario.compare)
+    first, second = (dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name)) for run, name in zip(runs, names, strict=True))
+    return first, second
+
+
+def _told_apart(first: Any, second: Any) -> tuple[str, str]:
+    """Names of two observers: their methods, and, where these are the same, one option that differs, a switch before all others."""
+    from undeadzone.toml import tables
+
+    one, other = tables(first), tables(second)
+    differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    telling = "method" if "method" in differing else min(differing, key=lambda name: True not in (one.get(name), other.get(name)), default="method")
+    return _told(one, telling), _told(other, telling)
+
+
+def _told(options: dict[str, Any], name: str) -> str:
+    """A method and one of its options in words."""
+    value = options.get(name)
+    if name == "method" or value in (None, False, {}):
+        return str(options["method"])
+    return f"{options['method']}, {name}" + ("" if value is True else f" {', '.join(value)}" if isinstance(value, dict) else f" = {value}")
 
 
 def _replayed(path: Path, number: int) -> tuple[tuple[Run, None], float]:
@@ -77,10 +107,9 @@ def _replayed(path: Path, number: int) -> tuple[tuple[Run, None], float]:
 
 
 def _animated(result: Run, rival: Run | None, path: Path) -> Path:
-    from undeadzone.report.animation import movie
+    from undeadzone.report.animation import frames, movie
 
-    frames = 0 if result.poses is None else len(result.poses)
-    with progress("drawing", frames, "frames") as advance:
+    with progress("drawing", frames(result), "frames") as advance:
         return movie(result, rival, path, advance)
 
 
@@ -148,9 +177,9 @@ def _print(result: Run, written: list[Path], apart: float | None, rival: Run | N
 def _compared(rival: Run) -> str:
     """What a rival's run came to."""
     if rival.diverged_at is not None:
-        return f"{rival.info.method} diverges at {rival.diverged_at:g} s"
+        return f"{rival.name} diverges at {rival.diverged_at:g} s"
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
-    return f"{rival.info.method}: rms z - r {rival.rms_tracking:.4g} {rival.info.units.output}{tip}"
+    return f"{rival.name}: rms z - r {rival.rms_tracking:.4g} {rival.info.units.output}{tip}"
 
 
 def _widths(result: Run, edge: int) -> str:

@@ -7,16 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.arrays import Floats
-from undeadzone.design.check import Known, knowledge, plan
 from undeadzone.design.courses import Course, along, courses, growing, settling
 from undeadzone.design.errordynamics import Dynamics, Storage
 from undeadzone.design.falsify import Attack, Cycle, diverge, falsify
 from undeadzone.design.floquet import Rates, rates
+from undeadzone.design.known import Known, knowledge, plan, trial_run
 from undeadzone.design.limits import nearest
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import Schedule
 from undeadzone.errors import StructureError
 from undeadzone.problem import Problem, constant_gains
+from undeadzone.run import Run
 
 CONSTANTS = 6  # time constants that a course lasts
 TRIES, PERIODS = 600, 5  # of the search for a growing cycle; of the cycle shown
@@ -49,9 +50,13 @@ class Trial(NamedTuple):
 
 
 class Account(NamedTuple):
-    """A problem, its schedule of sides, what can be known of each output, and its gains where they are constant."""
+    """A problem, a run of it if one was needed, its schedule of sides, what can be known of each output.
+
+    gains: of a linear plant, where they are constant.
+    """
 
     problem: Problem
+    run: Run | None
     schedule: Schedule
     known: list[Known]
     gains: Gains | None
@@ -59,9 +64,10 @@ class Account(NamedTuple):
 
 def account(problem: Problem) -> Account:
     """The account of a problem."""
-    schedule = plan(problem)
+    run = trial_run(problem)
+    schedule = plan(problem, run)
     given = None if problem.model.nonlinear else constant_gains(problem.observer, problem.model)
-    return Account(problem, schedule, knowledge(problem, schedule), None if given is None else _gains(problem, schedule, *given))
+    return Account(problem, run, schedule, knowledge(problem, schedule, run), None if given is None else _gains(problem, schedule, *given))
 
 
 def trial(of: Account, seed: int = 0) -> Trial | None:

@@ -14,9 +14,9 @@ import numpy as np
 from undeadzone import toml
 from undeadzone.arrays import Floats, matrix, vector
 from undeadzone.controllers import StateFeedback
-from undeadzone.design.check import Known, determined, knowledge
 from undeadzone.design.errordynamics import dynamics
 from undeadzone.design.floquet import rates
+from undeadzone.design.known import Known, determined, knowledge
 from undeadzone.design.passivity import certify, recheck
 from undeadzone.design.synthesis import RATE, ROUNDS, STARTS, Candidate, Weights, assess, balanced, fastest
 from undeadzone.design.task import make_task
@@ -166,7 +166,7 @@ def design(
         remarks=list(found.remarks),
         best=_point(found.best),
         present=None if before is None else _point(before),
-        identifiable=knowledge(problem, schedule),
+        identifiable=knowledge(problem, schedule, None),
         front=[_point(candidate) for candidate in found.front],
     )
 

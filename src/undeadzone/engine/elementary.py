@@ -2,7 +2,7 @@
 
 Their text is compiled by numba together with `select`, `fma` and `polynomial` of `emit`; there is no branch and no call in
 it, and every operation rounds once by IEEE 754, so that all processors and lane widths give the same bits. Errors stay
-below 1 ulp (erf 1.5, tanh 2.5); NaN, infinities, zeros of either sign and subnormal numbers mean what they mean in C.
+below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and subnormal numbers mean what they mean in C.
 The polynomials are of least largest error, by Remez's exchange in 60 digits with the weight that is named for each.
 """
 
@@ -12,13 +12,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # from `emit`
 
-    def select(condition: Any, yes: Any, no: Any) -> Any: ...
-    def fma(a: Any, b: Any, c: Any) -> Any: ...
-    def bits(x: Any) -> Any: ...
-    def number(x: Any) -> Any: ...
-    def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any: ...
+    def select(condition: Any, yes: Any, no: Any) -> Any:
+        """Yes where the condition holds, else no."""
+
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        """a * b + c, rounded once."""
+
+    def bits(x: Any) -> Any:
+        """The bits of a number, as an unsigned integer."""
+
+    def number(x: Any) -> Any:
+        """The number that has these bits."""
+
+    def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
+        """coefficients[0] + coefficients[1] x + ..."""
 
 
 FUNCTIONS = ("sin", "cos", "exp", "log", "erf", "tanh")

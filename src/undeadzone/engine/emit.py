@@ -53,15 +53,19 @@ def number(context, x):
     """The number that has these bits."""
     return types.float64(types.uint64), lambda context, builder, signature, args: builder.bitcast(args[0], context.get_value_type(types.float64))
 
+
 @intrinsic
 def polynomial(context, x, coefficients):
-    """coefficients[0] + coefficients[1] x + ..., one rounding per power."""
+    """coefficients[0] + coefficients[1] x + ...: even and odd powers apart, so that half as many roundings wait for each other."""
 
     def nested(context, builder, signature, args):
-        *parts, value = (builder.extract_value(args[1], i) for i in range(len(coefficients)))
-        for part in reversed(parts):
-            value = builder.fma(value, args[0], part)
-        return value
+        x, parts = args[0], [builder.extract_value(args[1], i) for i in range(len(coefficients))]
+        square, halves = builder.fmul(x, x), []
+        for *lower, value in (parts[0::2], parts[1::2]):
+            for part in reversed(lower):
+                value = builder.fma(value, square, part)
+            halves.append(value)
+        return builder.fma(halves[1], x, halves[0])
 
     return types.float64(types.float64, coefficients), nested
 '''

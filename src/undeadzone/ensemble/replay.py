@@ -92,7 +92,8 @@ def _problem(fleet: Fleet, values: Floats, what: str) -> Problem:
     )
     reference = fleet.problem.reference
     scenario = msgspec.structs.replace(fleet.problem.scenario, title=f"{fleet.problem.scenario.title}, {what}")
-    return fleet.problem._replace(scenario=scenario, sensor=sensor, reference=reference._replace(Q=reference.Q * numbers.scale.reference))
+    plant = fleet.problem.plant._replace(params=numbers.plant)
+    return fleet.problem._replace(scenario=scenario, plant=plant, sensor=sensor, reference=reference._replace(Q=reference.Q * numbers.scale.reference))
 
 
 def _unpacked(like: Any, numbers: Floats) -> Iterator[Floats]:

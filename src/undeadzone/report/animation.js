@@ -1,34 +1,52 @@
 function play(box, data) {
   const canvas = box.querySelector("canvas"), pen = canvas.getContext("2d");
-  const [button, slider, clock] = [box.querySelector("button"), box.querySelector("input"), box.querySelector("span")];
-  const count = Math.max(...data.arms.map(arm => arm.frames.length));
-  const every = data.path.concat(...data.arms.flatMap(arm => arm.frames)).concat([[0, 0, 0]]);
-  const range = axis => { let low = Infinity, high = -Infinity; for (const p of every) { low = Math.min(low, p[axis]); high = Math.max(high, p[axis]); } return [low, high]; };
-  const bounds = [range(0), range(1), range(2)], middle = bounds.map(([low, high]) => (low + high) / 2);
-  const size = Math.max(...bounds.map(([low, high]) => high - low), 1e-9);
-  let turn = data.spatial ? 0.9 : 0, tilt = data.spatial ? 0.35 : Math.PI / 2, playing = true, time = 0, last = null, held = null;
+  const [button, slider, clock] = [box.querySelector("button"), box.querySelector("input"), box.querySelector("output")];
+  const count = Math.max(...data.arms.map(arm => arm.frames.length)), base = data.arms[0].frames[0][0];
+  const every = data.path.concat(...data.arms.flatMap(arm => arm.frames.filter((_, i) => i % 5 === 0)), [base]);
+  const bounds = [0, 1, 2].map(axis => every.reduce(([low, high], p) => [Math.min(low, p[axis]), Math.max(high, p[axis])], [Infinity, -Infinity]));
+  const floor = grid(), shown = every.concat(...floor);
+  let turn = data.turn, tilt = data.tilt, scale = 1, shift = [0, 0], playing = true, time = 0, last = null, held = null;
   slider.max = count - 1;
 
-  function place(point) {
-    const [x, y, z] = point.map((value, axis) => (value - middle[axis]) / size);
+  function flat([x, y, z]) {
     const across = Math.cos(turn) * x - Math.sin(turn) * y, away = Math.sin(turn) * x + Math.cos(turn) * y;
-    const scale = 0.8 * Math.min(canvas.width, canvas.height) / (data.spatial ? 1.25 : 1);
-    return [canvas.width / 2 + scale * across, canvas.height / 2 - scale * (Math.cos(tilt) * z + Math.sin(tilt) * away)];
+    return [across, -Math.cos(tilt) * z - Math.sin(tilt) * away];
   }
-  function line(points, colour, width) {
-    pen.strokeStyle = colour; pen.lineWidth = width; pen.lineJoin = "round"; pen.lineCap = "round"; pen.beginPath();
+  function place(point) {
+    return flat(point).map((value, i) => value * scale + shift[i]);
+  }
+  function fit() {  // all that is ever shown fills the canvas
+    const seen = shown.map(flat), room = [canvas.width, canvas.height];
+    const ends = [0, 1].map(i => [Math.min(...seen.map(p => p[i])), Math.max(...seen.map(p => p[i]))]);
+    scale = Math.min(...ends.map(([low, high], i) => (room[i] - 40) / Math.max(high - low, 1e-9)));
+    shift = ends.map(([low, high], i) => room[i] / 2 - scale * (low + high) / 2);
+  }
+  function grid() {  // lines through the base, on the floor of an arm in space, in the plane of another
+    const lines = [], [x, y] = bounds.map(([low, high], i) => [low, high].map((end, j) => base[i] + data.grid * (j ? Math.ceil : Math.floor)((end - base[i]) / data.grid - 1e-6)));
+    for (let a = x[0]; a <= x[1] + 1e-9; a += data.grid) lines.push([[a, y[0], base[2]], [a, y[1], base[2]]]);
+    for (let b = y[0]; b <= y[1] + 1e-9; b += data.grid) lines.push([[x[0], b, base[2]], [x[1], b, base[2]]]);
+    return lines;
+  }
+  function line(points, colour, width, strength) {
+    pen.globalAlpha = strength; pen.strokeStyle = colour; pen.lineWidth = width; pen.lineJoin = "round"; pen.lineCap = "round"; pen.beginPath();
     points.forEach((point, i) => { const [a, b] = place(point); i ? pen.lineTo(a, b) : pen.moveTo(a, b); });
-    pen.stroke();
+    pen.stroke(); pen.globalAlpha = 1;
+  }
+  function dot(point, colour, size) {
+    const [a, b] = place(point);
+    pen.fillStyle = colour; pen.beginPath(); pen.arc(a, b, size, 0, 2 * Math.PI); pen.fill();
   }
   function draw() {
     const frame = Math.min(count - 1, Math.floor(time));
     pen.fillStyle = "#ffffff"; pen.fillRect(0, 0, canvas.width, canvas.height);
-    pen.globalAlpha = 0.35; line(data.path, data.pathColour, 7); pen.globalAlpha = 1;
+    for (const points of floor) line(points, "#dfe2e7", 1, 1);
+    line(data.path, data.pathColour, 7, 0.35);
     for (const arm of data.arms) {
       const now = Math.min(frame, arm.frames.length - 1), pose = arm.frames[now];
-      pen.globalAlpha = 0.6; line(arm.frames.slice(Math.max(0, now - 2 * data.rate), now + 1).map(points => points[points.length - 1]), arm.colour, 1.5); pen.globalAlpha = 1;
-      line(pose, arm.colour, 6);
-      for (const point of pose) { const [a, b] = place(point); pen.fillStyle = "#1a1a1a"; pen.beginPath(); pen.arc(a, b, 4, 0, 2 * Math.PI); pen.fill(); }
+      line(arm.frames.slice(Math.max(0, now - 2 * data.rate), now + 1).map(points => points[points.length - 1]), arm.colour, 2, 0.7);
+      line(pose, arm.colour, 6, 0.9);
+      pose.slice(0, -1).forEach(point => dot(point, "#1a1a1a", 4));
+      dot(pose[pose.length - 1], arm.colour, 7);
     }
     slider.value = frame; clock.textContent = (frame / data.rate).toFixed(2) + " s";
   }
@@ -39,9 +57,14 @@ function play(box, data) {
   button.onclick = () => { playing = !playing; button.textContent = playing ? "pause" : "play"; };
   slider.oninput = () => { time = +slider.value; playing = false; button.textContent = "play"; };
   if (data.spatial) {
+    canvas.style.cursor = "grab"; canvas.style.touchAction = "none";
     canvas.onpointerdown = event => { held = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); };
-    canvas.onpointermove = event => { if (held) { turn -= (event.clientX - held[0]) * 0.008; tilt = Math.max(-1.5, Math.min(1.5, tilt + (event.clientY - held[1]) * 0.008)); held = [event.clientX, event.clientY]; } };
-    canvas.onpointerup = () => { held = null; };
+    canvas.onpointermove = event => {
+      if (!held) return;
+      turn -= (event.clientX - held[0]) * 0.008; tilt = Math.max(-1.5, Math.min(1.5, tilt + (event.clientY - held[1]) * 0.008));
+      held = [event.clientX, event.clientY]; fit();
+    };
+    canvas.onpointerup = canvas.onpointercancel = () => { held = null; };
   }
-  requestAnimationFrame(step);
+  fit(); requestAnimationFrame(step);
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
 COLUMNS = 3  # joints in a row
+LEGEND: Any = {"frameon": False, "fontsize": 8.5}
 BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
 
 
@@ -26,7 +27,7 @@ def tip(run: Run, rival: Run | None = None) -> Figure:
     rows = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3] if spatial else [["x-y", "error"], ["x-y", "torque"]]
     figure, panels = sheet(rows, f"{run.info.title}: the tip", height=3.2)
     for name, plane in (("x-y", (0, 1)), ("x-z", (0, 2)))[: 1 + spatial]:
-        _plane(panels[name], run, rival, plane)
+        _plane(panels[name], run, rival, plane, f" in {name}" if spatial else "")
     for one, colour in _both(run, rival):
         assert one.tip is not None
         assert one.tip_r is not None
@@ -52,7 +53,7 @@ def phase(run: Run) -> Figure:
         axes.set_xlim(*_range(run.x[run.shown, i]))
         axes.set_ylim(*_range(run.x[run.shown, joints + i]))
         finish(axes, name, label("q'", run.unit(f"x[{joints + i}]")), label("q", run.unit(f"x[{i}]")), legend=0)
-    figure.legend(*panels["0"].get_legend_handles_labels(), loc="upper right", ncols=3, frameon=False, fontsize=8.5)
+    figure.legend(*panels["0"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
     return figure
 
 
@@ -66,16 +67,17 @@ def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
     return [(run, ESTIMATE)] + ([] if rival is None else [(rival, PRINTED)])
 
 
-def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int]) -> None:
+def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
     """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
-    axes.margins(0.05)
+    axes.margins(0.05, 0.2)
     axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
         half = slice(one.t.size // 2 if one.diverged_at is None else 0, one.shown.stop)
         axes.plot(*one.tip[half][:, plane].T, color=colour, linewidth=1.1, label=one.name)
-    finish(axes, "The tip, last half of the run", label("xyz"[plane[1]], "m"), label("xyz"[plane[0]], "m"), legend=3)
+    finish(axes, f"The tip{where}, last half of the run", label("xyz"[plane[1]], "m"), label("xyz"[plane[0]], "m"), legend=0)
+    axes.legend(loc="upper right", ncols=3, borderaxespad=0.2, **LEGEND)
     axes.set_aspect("equal", adjustable="datalim")
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, label, plot_magnitude, shade_zone, sheet
 from undeadzone.run import Run
 
@@ -13,20 +11,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
+
 
 def overview(run: Run) -> Figure:
     """Per output: z, reading, reference and estimate over the dead zone; errors; widths against truth; then V.
 
-    A run that diverged is drawn up to where it did.
+    Many outputs have a row each. A run that diverged is drawn up to where it did.
     """
+    shown, outputs = run.shown, run.z.shape[1]
     rows: list[list[str]] = []
-    for i in range(run.z.shape[1]):
-        below = [f"error {i}", f"widths {i}"] + (["V"] if run.V is not None and i == 0 else [])
+    for i in range(outputs):
+        below = [f"error {i}", f"widths {i}"]
+        if outputs > STACKED:
+            rows += [[f"output {i}"] * 6 + [name for name in below for _ in range(3)]]
+            continue
+        below += ["V"] * (run.V is not None and i == 0)
         rows += [[f"output {i}"] * 6, [name for name in below for _ in range(6 // len(below))]]
-    figure, panels = sheet(rows, run.info.title)
-    shown = slice(None, max(2, int(np.searchsorted(run.t, run.diverged_at)))) if run.diverged_at is not None else slice(None)
-    for i in range(run.z.shape[1]):
-        of = f" {i}" if run.z.shape[1] > 1 else ""
+    if outputs > STACKED and run.V is not None:
+        rows += [["V"] * 12]
+    figure, panels = sheet(rows, run.info.title, *((15.0, 2.2) if outputs > STACKED else ()))
+    for i in range(outputs):
+        of = f" {run.outputs[i]}" if outputs > 1 else ""
         _output(panels[f"output {i}"], run, i, of, shown)
         _errors(panels[f"error {i}"], run, i, of, shown)
         _widths(panels[f"widths {i}"], run, i, of, shown)
@@ -60,4 +66,4 @@ def _widths(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
     for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
         axes.axhline(run.info.widths[column], color=colour, linewidth=3.0, alpha=0.3)
         axes.plot(run.t[shown], run.d_hat[shown, column], color=colour, label=rf"$\hat d_{name}$")
-    finish(axes, f"Widths{of}: estimates, truth pale", label("d", run.unit("d_hat")))
+    finish(axes, f"Widths{of}, truth pale", label("d", run.unit("d_hat")))

@@ -10,9 +10,9 @@ import numpy as np
 
 from undeadzone.arrays import listed
 from undeadzone.design.account import Account, Gains, Trial
-from undeadzone.design.check import Known
 from undeadzone.design.design import Design
 from undeadzone.design.identifiability import DIRECTIONS
+from undeadzone.design.known import Known
 from undeadzone.files import write_text
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.proof_figures import courses, nyquist, root_locus

@@ -128,7 +128,7 @@ def _numbers(run: Run) -> dict[str, Any]:
     """The numbers of a run, in words."""
     unit = run.info.units.output
     return {
-        "observer": run.info.method,
+        "observer": run.name,
         "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
         "diverged at [s]": run.diverged_at,
         f"rms of z − r, last 2 s [{unit}]": run.rms_tracking,

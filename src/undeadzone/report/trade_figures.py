@@ -9,10 +9,10 @@ import numpy as np
 
 from undeadzone.arrays import Floats
 from undeadzone.design.account import Account
-from undeadzone.design.check import Known
 from undeadzone.design.design import Design, Point
 from undeadzone.design.errordynamics import delta, growth
 from undeadzone.design.identifiability import DIRECTIONS
+from undeadzone.design.known import Known
 from undeadzone.report.style import ESTIMATE, PRINTED, TRUTH, finish, label, sheet
 
 if TYPE_CHECKING:

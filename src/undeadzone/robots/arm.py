@@ -120,6 +120,6 @@ def numbers(names: tuple[str, ...], values: Floats, given: Mapping[str, float], 
             raise InputError(f"{key}.parameters.{name}: unknown; {f'did you mean {near[0]!r}? ' if near else ''}this arm has {', '.join(names)}")
     found = dict(zip(names, values, strict=True)) | {name: scalar(f"{key}.parameters.{name}", value) for name, value in given.items()}
     for name, value in found.items():
-        if value < 0 and (name == "payload" or (name[0] in "bf" and name[1:].isdigit())):
+        if value < 0 and (name == "payload" or (name[0] in "mbf" and name[1:].isdigit())):
             raise InputError(f"{key}.parameters.{name}: must not be negative, found {value:g}")
     return np.array(list(found.values()), float)

@@ -82,6 +82,8 @@ def _stops(given: Rigid, chain: Chain, key: str) -> Any:
     if given.stops is None:
         return lambda q, v: 0.0
     stiffness, damping = (scalar(f"{key}.arm.stops[{i}]", value, least=0.0) for i, value in enumerate(given.stops))
+    if not np.isfinite(chain.limits).any():
+        raise InputError(f"{key}.arm.stops: they stand where the joints' limits are, and these have none; give {key}.arm.limits")
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
 
     def hold(q: Any, v: Any) -> Any:
@@ -96,6 +98,5 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
     for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (8, body.size)):
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
-            raise InputError(
-                f"{key}.parameters: the arm's mass matrix is singular or negative (eigenvalues {values[0]:.3g} to {values[-1]:.3g}): give every link mass and inertia"
-            )
+            found = f"eigenvalues {values[0]:.3g} to {values[-1]:.3g}"
+            raise InputError(f"{key}.parameters: the arm's mass matrix is singular or negative ({found}): give every link mass and inertia")

@@ -1,0 +1,160 @@
+"""How often the claimed 95 % intervals of `extended` hold the truth over random two-link arms, and its errors in closed loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from benchmarks.coverage import Verdict, covariance, row, verdict
+from undeadzone import noise as noises
+from undeadzone import sensor, tree
+from undeadzone.arrays import Floats
+from undeadzone.engine import lanes
+from undeadzone.observers import Estimate, Extended, Reading
+from undeadzone.plant import Plant, System, sampled, system
+from undeadzone.robots.arm import torque
+from undeadzone.robots.options import TwoLink
+from undeadzone.scenario import read
+from undeadzone.sensor import Sensor, Zone, resolve
+from undeadzone.simulation import simulate
+
+STEP, DURATION, CORRELATION = 4e-3, 4.0, 0.1  # [s]
+RANGE = (0.02, 0.15)  # [rad] declared range of the widths, from which they are drawn evenly
+NOISE = 1e-3  # [rad]
+START = np.array([0.02, 0.02, 0.05, 0.05])  # [rad, rad/s] rms of what is not known of the state
+PULSES = np.array([2.0, 3.0])  # [rad/s] of the joints' sines
+EXAMPLE = Path(__file__).parents[1] / "examples" / "two_link.toml"
+
+
+class Case(NamedTuple):
+    """What the filter claims and what is true besides: rms of the disturbance [N m], of the payload's error [kg], amplitude of the sines [rad]."""
+
+    claimed: str
+    true: str
+    options: dict[str, Any]
+    disturbance: float = 0.0
+    payload: float = 0.0
+    amplitude: float = 0.5
+
+
+SHAKEN: dict[str, Any] = {"disturbance": 0.5, "correlation_time": CORRELATION}
+EXACT = SHAKEN | {"disturbance": 0.0}
+SEPARATE, LOADED = SHAKEN | {"joints": "separate"}, {"uncertain": {"payload": 0.3}}
+CASES = (
+    Case("exact model", "the same", EXACT),
+    Case("0.5 N m", "the same", SHAKEN, 0.5),
+    Case("0.5 N m, separate joints", "the same", SEPARATE, 0.5),
+    Case("0.5 N m, payload 1 +- 0.3 kg", "the same", SHAKEN | LOADED, 0.5, 0.3),
+    Case("payload 1 +- 0.3 kg", "the same", EXACT | LOADED, 0.0, 0.3),
+    Case("0.5 N m", "payload off by 0.3 kg rms, too", SHAKEN, 0.5, 0.3),
+    Case("0.5 N m, separate joints", "payload off by 0.3 kg rms, too", SEPARATE, 0.5, 0.3),
+    Case("exact model, sines of 0.12 rad", "the same", EXACT, amplitude=0.12),
+    Case("0.5 N m, sines of 0.12 rad", "the same", SHAKEN, 0.5, amplitude=0.12),
+)
+
+
+class Watch(NamedTuple):
+    """An arm held on a path by its true state, and the filter that watches it.
+
+    next, out = step(s, w, p): s = [x; filter], w = [q, q', q'' of the path; noise over its rms; disturbance], p = [d_r; d_l; arm; filter],
+    out = [x; estimate; mean]; filter, numbers: its first state and its parameters; sizes: of x and of the parts of the estimate.
+    """
+
+    step: ca.Function
+    filter: Floats
+    numbers: Floats
+    sizes: tuple[int, ...]
+
+
+def watch(options: Extended, arm: System, where: Zone) -> Watch:
+    """The graph; the torque is computed from the true state and parameters."""
+    observer, N = options.build(arm, where), arm.p
+    first = observer.init(observer.params)
+    column, state = tree.symbols(first, "s")
+    numbers, params = tree.symbols(observer.params, "o")
+    x, path, noise, w, widths, truth = (
+        ca.SX.sym(*given) for given in [("x", 2 * N), ("path", 3 * N), ("e", N), ("w", N), ("d", 2 * N), ("p", len(arm.params))]
+    )
+    assert arm.arm is not None
+    q, v, a = ca.vertsplit(path, N)
+    u = torque(arm.arm, truth, x[:N], x[N:], a + 100 * (q - x[:N]) + 20 * (v - x[N:]))
+    read = sensor.jump if where.kind == "jump" else sensor.deadzone
+    y = read(arm.output(truth, x), widths[:N], widths[N:]) + noise * where.noise
+    after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
+    step = ca.Function(
+        "watch", [ca.vertcat(x, column), ca.vertcat(path, noise, w), ca.vertcat(widths, truth, numbers)],
+        [ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)), ca.vertcat(x, *estimate, state.mean)],
+        ["s", "w", "p"], ["next", "out"], {"cse": True},
+    )  # fmt: skip
+    return Watch(step, tree.pack(first), tree.pack(observer.params), (2 * N, *(part.shape[0] for part in estimate)))
+
+
+def sines(seconds: float, amplitude: float, pulses: Any, step: float) -> Floats:
+    """Positions, speeds and accelerations of joints that move as amplitude sin(pulse t), through 0."""
+    t, pulses = np.arange(0.0, seconds, step)[:, None], np.asarray(pulses)
+    return np.hstack([amplitude * np.sin(pulses * t), amplitude * pulses * np.cos(pulses * t), -amplitude * pulses**2 * np.sin(pulses * t)])
+
+
+def observe(case: Case, count: int, seed: int) -> Verdict:
+    """The verdict on `count` arms, a lane each: their joints are the problems."""
+    rng = np.random.default_rng([seed, CASES.index(case)])
+    path = sines(DURATION, case.amplitude, PULSES, STEP)
+    arm = sampled(system(Plant(arm=TwoLink(), parameters={"b1": 0.5, "payload": 1.0})), STEP, 1)
+    where = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=NOISE), 2, STEP)
+    found = watch(Extended(right=RANGE, start=path[0, :4], x_std=START, **case.options), arm, where)
+    kernel = lanes.build(found.step, exogenous=range(6, 10), params=range(4 + len(arm.params)))
+    d, params = rng.uniform(*RANGE, (count, 4)), np.tile(arm.params, (count, 1))
+    params[:, arm.names.index("payload")] += case.payload * rng.normal(size=count)
+    disturbance = np.stack([noises.coloured(seed, len(path), np.full(2, case.disturbance), CORRELATION, STEP, run) for run in range(count)], axis=2)
+    own = np.concatenate([rng.normal(size=(len(path), 2, count)), disturbance], axis=1)
+    states = np.hstack([path[0, :4] + START * rng.normal(size=(count, 4)), np.tile(found.filter, (count, 1))])
+    numbers = np.concatenate([np.zeros(4), arm.params, found.numbers])
+    out, _ = lanes.run(kernel, states, np.pad(path, ((0, 0), (0, 4))), numbers, own, np.hstack([d, params]))
+    x, *parts = np.split(out, np.cumsum(found.sizes), axis=2)
+    estimate, last = Estimate(*parts[:-1]), Estimate(*(part[:, -1] for part in parts[:-1]))
+    used = estimate.innovation != 0
+    return verdict(
+        np.stack([d[:, :2], d[:, 2:], x[:, -1, :2]], axis=2).reshape(-1, 3),
+        np.stack([last.right, last.left, last.z], axis=2).reshape(-1, 3),
+        covariance(last.right_std.ravel(), last.left_std.ravel(), last.width_std.ravel()),
+        last.x_std[:, :2].ravel(),
+        estimate.innovation[used] / estimate.innovation_std[used],
+    )
+
+
+def closed_loop() -> list[str]:
+    """Errors of the joints' angles on the example's figure of eight, whose controller sees the estimate."""
+    scenario = read(EXAMPLE)
+    assert isinstance(scenario.observer, Extended)
+    watching = {
+        "as in the file": scenario.observer,
+        "separate joints, 2 N m claimed, no parameter uncertain": msgspec.structs.replace(scenario.observer, joints="separate", disturbance=2.0, uncertain={}),
+        "blind": scenario.compare,
+    }
+    lines = [row("`examples/two_link.toml`", "rms error of the joints' angles, second half [mrad]"), row("---", "---")]
+    for label, observer in watching.items():
+        run = simulate(msgspec.structs.replace(scenario, observer=observer, compare=None))
+        error = (run.x_hat - run.x)[len(run.t) // 2 :, :2]
+        lines.append(row(label, f"{1e3 * np.sqrt(np.mean(error**2)):.2g}"))
+    return lines
+
+
+def table(count: int = 400, seed: int = 0) -> str:
+    """Both tables."""
+    heads = ("claimed", "true", "d_r", "d_l", "width", "centre", "q", "NEES", "NIS", "rms error of width, of centre [mrad]")
+    lines = ["## Coverage of claimed 95 % intervals: `extended` on two links\n", row(*heads), row(*["---"] * len(heads))]
+    for case in CASES:
+        found = observe(case, count, seed)
+        shares = [f"{share:.3f}" for share in found.covered()]
+        width, centre = 1e3 * np.sqrt(np.mean(found.errors[:, 2:4] ** 2, axis=0))
+        lines.append(row(case.claimed, case.true, *shares, f"{found.nees():.3g}", f"{found.nis:.3g}", f"{width:.2g}, {centre:.2g}"))
+    note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
+    return "\n".join([*lines, "", note, "", *closed_loop(), ""])
+
+
+if __name__ == "__main__":
+    print(table())
