@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 import pytest
+from benchmarks.arm_coverage import PULSES, START, sines, watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import on_numbers, random_plant, scene
-from undeadzone import sensor, tree
+from undeadzone import sensor
 from undeadzone.arrays import Floats
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.observers import Censored, Estimate, Extended, Kalman, Reading
+from undeadzone.observers import Censored, Estimate, Extended, Kalman
 from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.robots.arm import torque
 from undeadzone.robots.options import OneLink, TwoLink
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation import simulate
@@ -54,17 +53,17 @@ class Watched(NamedTuple):
 
 def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watched]:
     """How the filter watches an arm that follows a path by its true state: (path, seed, widths, x0, disturbance, params) -> `Watched`."""
-    N, given = arm.p, watch(options, arm, where)
+    N, seen = arm.p, watch(options, arm, where)
 
     def run(
         path: Floats, seed: int, widths: Any, x0: Floats | None = None, disturbance: Floats | float = 0.0, params: Floats | None = None, noise: float = 1.0
     ) -> Watched:
         rng = np.random.default_rng(seed)
-        first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, given.filter])
+        first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, seen.filter])
         rows = np.hstack([path, noise * rng.normal(size=(len(path), N)), np.broadcast_to(disturbance, (len(path), N))])
-        numbers = np.concatenate([np.ravel(widths), arm.params if params is None else params, given.numbers])
-        out, _ = interpret.run(given.step, first, rows, numbers)
-        x, *parts = np.split(out, np.cumsum(given.sizes), axis=1)
+        numbers = np.concatenate([np.ravel(widths), arm.params if params is None else params, seen.numbers])
+        out, _ = interpret.run(seen.step, first, rows, numbers)
+        x, *parts = np.split(out, np.cumsum(seen.sizes), axis=1)
         return Watched(x, Estimate(*parts[:-1]), parts[-1][-1, 4 * N :])
 
     return run
@@ -198,7 +197,7 @@ def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
     """20 s of sines through 0, an exact model: widths to 5 %; the centres by weight alone where the covariance knows of it."""
     model, widths = arm(Ts=1e-3), np.array([[0.05, 0.08], [0.08, 0.05]])
     options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1} if joints == "separate" else EXACT
-    path = sines(20.0, Ts=1e-3)
+    path = sines(20.0, 0.5, [2.0, 4.0], 1e-3)
     found = watcher(Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options), model, zone(2, 1e-3))(path, 0, widths)
     width = found.found.right[-1] + found.found.left[-1]
     assert width == pytest.approx(widths.sum(axis=0), rel=0.05)
@@ -212,7 +211,7 @@ def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
 def test_homing_tells_the_centre_that_nothing_else_does() -> None:
     """One link on a table: no force tells where it points, so that only a known start tells d_r from d_l."""
     model, widths = arm(OneLink, g=0.0), np.array([0.05, 0.08])
-    path = sines(8.0, pulses=[3.0])
+    path = sines(8.0, 0.5, [3.0], TS)
     homed, lost = (
         watcher(Extended(right=RANGE, x_std=[std, 0.01], start=[0.0, 1.5], **EXACT), model, zone())(path, 1, widths, x0=np.array([0.0, 1.5]))
         for std in (1e-4, 1.0)
@@ -226,7 +225,7 @@ def test_homing_tells_the_centre_that_nothing_else_does() -> None:
 
 
 def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
-    believed, widths, path = arm(payload=0.6), np.array([[0.05, 0.08], [0.08, 0.05]]), sines(10.0, pulses=[2.0, 3.0])
+    believed, widths, path = arm(payload=0.6), np.array([[0.05, 0.08], [0.08, 0.05]]), sines(10.0, 0.5, PULSES, TS)
     options: dict[str, Any] = {"right": RANGE, "start": path[0, :4], "x_std": [0.02, 0.02, 0.1, 0.1], "disturbance": 0.05, "correlation_time": 0.1}
     loaded = believed.params + 0.5 * np.array([name == "payload" for name in believed.names])
     told, untold = (
@@ -251,7 +250,7 @@ def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
 def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     """Readings show z itself; that they are 0, or not, bounds each width: from both sides in the end."""
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
-    model, widths, path = sampled(flow, TS, 1), np.array([[0.3, 0.5], [0.4, 0.6]]), sines(8.0)
+    model, widths, path = sampled(flow, TS, 1), np.array([[0.3, 0.5], [0.4, 0.6]]), sines(8.0, 0.5, [2.0, 4.0], TS)
     options = Extended(right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02, **EXACT)
     found = watcher(options, model, zone(2, kind="jump", noise=0.01))(path, 4, widths)
     assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(widths.ravel(), abs=0.05)
@@ -270,7 +269,7 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
 def test_claims_are_true_over_random_arms(options: dict[str, Any], rms: float, payload: float) -> None:
     """2 standard deviations hold the truth in 95 %: at least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed."""
     Ts, runs = 4e-3, 25
-    model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, pulses=[2.0, 3.0], Ts=Ts), np.array([0.02, 0.02, 0.05, 0.05])
+    model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, 0.5, PULSES, Ts), START
     run = watcher(Extended(right=RANGE, start=path[0, :4], x_std=x_std, **options), model, zone(2, Ts))
     fade, errors = np.exp(-Ts / 0.1), []
     for seed in range(runs):

@@ -247,9 +247,13 @@ def test_a_known_start_tells_the_centre() -> None:
 
 def test_what_else_is_unknown_costs_the_centre() -> None:
     """A constant torque, or the place of a spring's rest, shifts a mass on a spring as its edges do."""
-    run = swinging("duffing")
-    (found,) = run.verdicts(bias=np.eye(1))
-    assert found.centre  # the spring is not linear: a shift changes the motion
+    for name, growth in (("duffing", 1.5), ("pendulum", 3.6)):
+        run = swinging(name)
+        (alone,), (found,) = run.verdicts(), run.verdicts(bias=np.eye(1))
+        assert found.centre  # not linear in the position: a shift changes the motion
+        assert alone.std is not None
+        assert found.std is not None
+        assert found.std["centre"] == pytest.approx(growth * alone.std["centre"], rel=0.05)
     soft = Plant(f=["v", "-k*(s - s0) - c*v + F"], h=["s"], states=["s", "v"], inputs=["F"], parameters={"k": 2.0, "c": 0.5, "s0": 0.0})
     model = sampled(system(soft), STEP, 1)
     u = 2 * np.sin(1.5 * STEP * np.arange(3000))[:, None]

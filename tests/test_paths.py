@@ -136,6 +136,8 @@ def test_quintic_goes_through_its_points_from_rest_to_rest() -> None:
     one = exosystem("reference", Quintic(points=[1.0, 3.0], times=[0.5, 2.5]), 1)
     share = (T.clip(0.5, 2.5) - 0.5) / 2
     assert one.value(T).ravel() == pytest.approx(1 + 2 * (10 * share**3 - 15 * share**4 + 6 * share**5))
+    uneven = exosystem("reference", Quintic(points=[0.0, 2.0, 0.0], times=[0.0, 2.0, 5.0]), 1)
+    assert uneven.value(np.linspace(0, 5, 1001)).max() == pytest.approx(2.16, abs=5e-3)
 
 
 def test_quintic_has_the_least_jerk() -> None:

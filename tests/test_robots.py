@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from scenes import scene
-from test_engines import compiled, distance, generated, parts
+from test_engines import compiled, distance, generated, own_cache, parts  # noqa: F401 (a fixture for all tests here)
 from test_ensemble import table
 from test_report import Auditor
 from undeadzone.cli.run import _told_apart, write
@@ -242,7 +242,7 @@ VARIED = {"sensor.right": {"uniform": [0.02, 0.1]}, "plant.parameters.l1": {"uni
 
 
 def test_the_tip_s_error_in_an_ensemble_is_that_of_the_run_itself() -> None:
-    fleet = prepare(two_link(0.3, ensemble={"runs": 8} | VARIED))
+    fleet = prepare(two_link(0.3, observer={"method": "full_state"}, ensemble={"runs": 8} | VARIED))
     values = fleet.binding.draw(0, 8, 8)
     column = table(fleet, fleet.rows(np.arange(8), values))["rms_tip"]
     assert np.ptp(column) > 1e-3
@@ -268,6 +268,7 @@ def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
 def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
     figure = arm_figures.tip(*both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["The tip, last half of the run", "Distance of the tip from where it should be", "Torques"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["path", "extended, blind", "extended"]
     assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["extended", "extended, blind"]
     assert len(figure.axes[2].lines) == 2
     planes = arm_figures.phase(both[0])

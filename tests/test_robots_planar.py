@@ -315,6 +315,12 @@ def test_linearisation_has_the_poles_of_the_closed_form(measured: str, row: int,
         assert gain[0, 0] == pytest.approx(numerator / np.polyval(polynomial, s))
 
 
+@pytest.mark.parametrize(("motor", "frequency"), [(0.05, 6.2), (1e9, 3.6)], ids=["free", "held"])
+def test_the_spring_swings_as_the_page_says(motor: float, frequency: float) -> None:
+    poles = np.linalg.eigvals(elastic(g=0.0, J=motor).linear.A)
+    assert np.abs(poles.imag).max() / (2 * np.pi) == pytest.approx(frequency, abs=0.05)
+
+
 @given(st.floats(-3, 3))
 def test_gravity_hold_is_an_equilibrium(angle: float) -> None:
     numbers = params(ELASTIC, payload=0.4, f1=0.2)
@@ -322,6 +328,8 @@ def test_gravity_hold_is_an_equilibrium(angle: float) -> None:
     x, u = ELASTIC.flat.solve(numbers, angle * np.eye(1, 5))
     assert move(ELASTIC, numbers, x, u) == pytest.approx(0, abs=1e-10)
     assert column(u)[0] == pytest.approx((1.2 * 0.25 + 0.4 * 0.5) * 9.81 * np.cos(angle))
+    x, _ = ELASTIC.flat.solve(ELASTIC.params, angle * np.eye(1, 5))
+    assert column(x)[0] - angle == pytest.approx(0.059 * np.cos(angle), abs=2e-4)
 
 
 def test_the_elastic_joint_draws_motor_and_link() -> None:

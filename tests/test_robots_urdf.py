@@ -178,6 +178,7 @@ def test_digits_of_pi_cost_nothing(tmp_path: Path, ur5: Arm) -> None:
     assert worst(forward(rounded), forward(ur5), states(6, 50, 2)) < 1e-9
     short = arm(chain(written(tmp_path, UR5.read_text().replace("1.5707963267948966", "1.5708"))))
     assert 1e-9 < worst(forward(short), forward(ur5), states(6, 50, 2)) < 1e-3  # other angles are what the file says
+    assert forward(short).n_instructions() == pytest.approx(4 / 3 * forward(ur5).n_instructions(), rel=0.05)
 
 
 def test_what_the_file_says_of_the_joints(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

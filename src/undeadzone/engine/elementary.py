@@ -84,7 +84,9 @@ def turned(x: Any) -> Any:
     rest = fma(-n, QUARTER[2], ((first - r) - second) - fma(n, QUARTER[1], -second))
     z = r * r
     sine = r + fma(z * r, polynomial(z, SIN), rest)
-    cosine = 1.0 + fma(z, fma(z, polynomial(z, COS), -0.5), -(r * rest))
+    half = 0.5 * z
+    most = 1.0 - half
+    cosine = most + fma(z * z, polynomial(z, COS), ((1.0 - most) - half) - r * rest)
     return sine, cosine, bits(shifted)
 
 

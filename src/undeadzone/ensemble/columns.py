@@ -7,7 +7,7 @@ import math
 import re
 from typing import NamedTuple
 
-from undeadzone.ensemble.quantities import Quantity, least, matching, stem
+from undeadzone.ensemble.quantities import Quantity, matching, stem
 from undeadzone.ensemble.vary import Distribution, Spread, place, spread
 from undeadzone.errors import InputError
 from undeadzone.problem import Problem
@@ -48,7 +48,7 @@ def _drawn(address: str, given: Distribution, known: dict[str, Quantity], proble
 
 def _column(address: str, given: Distribution, title: str, members: dict[str, Quantity]) -> Column:
     sizes = {name: quantity.nominal if given.relative else 1.0 for name, quantity in members.items()}
-    floor = max(least(name) / abs(size) for name, size in sizes.items())
+    floor = max(members[name].least / abs(size) for name, size in sizes.items())
     slots = tuple((slot, quantity.gain * sizes[name]) for name, quantity in members.items() for slot in quantity.slots)
     return Column(title, spread(address, given, floor), slots)
 

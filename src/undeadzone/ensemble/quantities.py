@@ -15,6 +15,7 @@ from undeadzone.loop import Loop
 from undeadzone.observers import Oracle
 from undeadzone.plant import System
 from undeadzone.problem import Problem
+from undeadzone.robots.arm import signless
 from undeadzone.signals import Random, Signal, Sine, Step, Trapezoid
 
 PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
@@ -31,21 +32,17 @@ SCALES: Final = {
 
 
 class Quantity(NamedTuple):
-    """A number in the scenario's unit; it sets the packed numbers `slots` of [params, state] to gain times its value."""
+    """A number in the scenario's unit, not below `least`; it sets the packed numbers `slots` of [params, state] to gain times its value."""
 
     nominal: float
     slots: tuple[int, ...]
     gain: float = 1.0
+    least: float = -np.inf
 
 
 def stem(name: str) -> str:
     """An address without its index."""
     return name.partition("[")[0]
-
-
-def least(name: str) -> float:
-    """The least value that a quantity may have."""
-    return LEAST.get(stem(name), -np.inf)
 
 
 def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
@@ -56,11 +53,12 @@ def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
         key, index = stem(name), name[len(stem(name)) :]
         if key in ("h", "controller.tau", "controller.rate") or key in _absent(problem):
             continue
-        gain = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0
+        gain, floor = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0, -np.inf
         if key in ("plant", "observer.model", "controller.model"):
             name = f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
+            floor = 0.0 if problem.plant.arm is not None and signless(problem.plant.names[int(index[1:-1])]) else floor
         name = SCALES[key] + index if key in SCALES else name
-        found[name] = Quantity(value / gain, (slot, *_told(problem, name, slots)), gain)
+        found[name] = Quantity(value / gain, (slot, *_told(problem, name, slots)), gain, LEAST.get(stem(name), floor))
     found |= {f"plant.x0[{i}]": Quantity(x, (tree.size(loop.params) + i,)) for i, x in enumerate(problem.x0)}
     return found | dict(_amplitudes(problem, found))
 
@@ -100,7 +98,7 @@ def _amplitudes(problem: Problem, found: dict[str, Quantity]) -> Iterator[tuple[
     name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
     for i, size in enumerate(sizes(signal, problem.plant.m)):
         if size:
-            yield f"{name}[{i}]", Quantity(size, found[f"disturbance.scale[{i}]"].slots, 1 / size)
+            yield f"{name}[{i}]", Quantity(size, found[f"disturbance.scale[{i}]"].slots, 1 / size, LEAST.get(name, -np.inf))
 
 
 def sizes(signal: Signal | Random | None, channels: int) -> Floats:

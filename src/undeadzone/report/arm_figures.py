@@ -28,6 +28,7 @@ def tip(run: Run, rival: Run | None = None) -> Figure:
     figure, panels = sheet(rows, f"{run.info.title}: the tip", height=3.2)
     for name, plane in (("x-y", (0, 1)), ("x-z", (0, 2)))[: 1 + spatial]:
         _plane(panels[name], run, rival, plane, f" in {name}" if spatial else "")
+    figure.legend(*panels["x-y"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
     for one, colour in _both(run, rival):
         assert one.tip is not None
         assert one.tip_r is not None
@@ -70,14 +71,13 @@ def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
 def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
     """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
-    axes.margins(0.05, 0.2)
+    axes.margins(0.05)
     axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
         half = slice(one.t.size // 2 if one.diverged_at is None else 0, one.shown.stop)
         axes.plot(*one.tip[half][:, plane].T, color=colour, linewidth=1.1, label=one.name)
     finish(axes, f"The tip{where}, last half of the run", label("xyz"[plane[1]], "m"), label("xyz"[plane[0]], "m"), legend=0)
-    axes.legend(loc="upper right", ncols=3, borderaxespad=0.2, **LEGEND)
     axes.set_aspect("equal", adjustable="datalim")
 
 

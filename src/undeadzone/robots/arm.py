@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -112,6 +113,11 @@ def along(f: ca.Function, params: Floats, q: Floats) -> Floats:
     return each[..., 0] if f.size2_out(0) == 1 else each
 
 
+def signless(name: str) -> bool:
+    """Whether a parameter of an arm has no sign: masses, lengths, inertias, a spring's stiffness, friction."""
+    return name == "payload" or re.fullmatch(r"[mlIJkbf]\d*", name) is not None
+
+
 def numbers(names: tuple[str, ...], values: Floats, given: Mapping[str, float], key: str) -> Floats:
     """The values of named parameters, some of them given otherwise. Raises InputError."""
     for name in given:
@@ -120,6 +126,6 @@ def numbers(names: tuple[str, ...], values: Floats, given: Mapping[str, float], 
             raise InputError(f"{key}.parameters.{name}: unknown; {f'did you mean {near[0]!r}? ' if near else ''}this arm has {', '.join(names)}")
     found = dict(zip(names, values, strict=True)) | {name: scalar(f"{key}.parameters.{name}", value) for name, value in given.items()}
     for name, value in found.items():
-        if value < 0 and (name == "payload" or (name[0] in "mbf" and name[1:].isdigit())):
+        if value < 0 and signless(name):
             raise InputError(f"{key}.parameters.{name}: must not be negative, found {value:g}")
     return np.array(list(found.values()), float)

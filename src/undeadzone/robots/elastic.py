@@ -51,8 +51,8 @@ def elastic(plant: Plant, given: ElasticJoint, key: str = "plant") -> System:
     Raises InputError, ShapeError that name the key.
     """
     body = arm(joint(), scalar(f"{key}.arm.rest", given.rest, above=0.0))
+    planar.check({name: plant.parameters.get(name, value) for name, value in body.chain.parameters.items()}, key)
     params = numbers(body.names, body.values, plant.parameters, key)
-    planar.check(dict(zip(body.names, params, strict=True)), key)
     offset = scalar(f"{key}.arm.reference", given.reference)
     limit = np.inf if given.torque_max is None else scalar(f"{key}.arm.torque_max", given.torque_max, above=0.0)
 
