@@ -22,7 +22,7 @@ from undeadzone.cli.run import _told_apart, write
 from undeadzone.engine import interpret
 from undeadzone.ensemble.compute import prepare
 from undeadzone.ensemble.replay import replay
-from undeadzone.errors import FileError, InputError, ShapeError, TrackingError
+from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.plant import Plant, system
 from undeadzone.problem import resolve_scenario
 from undeadzone.report import animation, arm_figures
@@ -133,6 +133,14 @@ def test_a_path_that_the_arm_cannot_follow_is_refused_before_the_run(words: str,
 
 
 # --- Torques and stops
+
+
+def test_steep_friction_asks_for_shorter_steps() -> None:
+    with pytest.raises(StepError, match=r"mode at 2\d\d\d 1/s .* use simulation.substeps = (\d+)") as error:
+        simulate(two_link(plant={"parameters": {"f2": 10.0}}))
+    enough = int(re.findall(r"substeps = (\d+)", str(error.value))[0])
+    run = simulate(two_link(plant={"parameters": {"f2": 10.0}}, simulation=SAMPLED | {"duration": 0.4, "substeps": enough}))
+    assert run.diverged_at is None
 
 
 def test_torques_saturate_for_plant_and_observer_alike() -> None:

@@ -22,6 +22,7 @@ from undeadzone.scenario import Scenario
 from undeadzone.sensor import Zone, resolve
 from undeadzone.signals import Exosystem
 
+STABLE = 2.5  # largest |pole| times a Runge-Kutta step: beyond about 2.78 it is unstable
 MEMORY = 4e9  # [bytes] of signals that one run may hold
 
 
@@ -178,6 +179,11 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
         raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that")
     if growth * step > 10:
         raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} grows at {growth:.4g} 1/s, e^{growth * step:.3g}-fold within one sample")
+    if system.nonlinear and (fastest := float(np.abs(poles).max())) * step / substeps > STABLE:
+        raise StepError(
+            f"simulation.step: {step:g} s in {substeps} Runge-Kutta steps is too coarse: the {key} has a mode at {fastest:.4g} 1/s where it is linearised "
+            f"(an arm's Coulomb friction is steep near rest); use simulation.substeps = {int(np.ceil(fastest * step / STABLE))} or more"
+        )
     found = plants.sampled(system, step, substeps)
     if not all(np.isfinite(part).all() for part in found.linear):
         raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} cannot be sampled (its matrices overflow)")
@@ -226,5 +232,5 @@ def _require_fine_step(plant: System, model: System, observer: Observer | Numeri
         parts["the controller's filter"] = np.array([[-1.0 / tau]])
     for name, matrix in parts.items():
         fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
-        if fastest * step > 2.5:
+        if fastest * step > STABLE:
             raise StepError(f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} rad/s; use at most {1.0 / fastest:.2g} s")

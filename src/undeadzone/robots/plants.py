@@ -94,7 +94,7 @@ def _stops(given: Rigid, chain: Chain, key: str) -> Any:
 
 
 def _require_mass(body: Arm, params: Floats, key: str) -> None:
-    """Raise InputError where the mass matrix is not positive definite, in the arm's zero position and elsewhere."""
+    """Raise InputError where the mass matrix is not positive definite in some random postures."""
     for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (8, body.size)):
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
