@@ -12,7 +12,6 @@ import numpy as np
 
 from undeadzone import inputs, live, tree
 from undeadzone.arrays import Floats
-from undeadzone.design.along import verdicts_along
 from undeadzone.design.identifiability import DIRECTIONS, Verdict, unknown_bias, verdicts
 from undeadzone.design.passivity import Certificate, certify
 from undeadzone.design.schedule import recorded
@@ -108,6 +107,8 @@ def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
     if not problem.plant.nonlinear:
         schedule = recorded(signal.z, sensor, step, problem.model.Ts)
         return verdicts(problem.model.linear, schedule, unknown_bias(disturbance, problem.model.linear.B), sensor.kind == "jump")
+    from undeadzone.design.along import verdicts_along
+
     observer, bias = problem.scenario.observer, unknown_bias(disturbance, np.eye(problem.plant.m))
     uncertain = tuple(getattr(observer, "uncertain", ()))
 

@@ -57,7 +57,6 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
 
     import msgspec
 
-    from undeadzone.ensemble.variation import require_bound
     from undeadzone.errors import InputError
     from undeadzone.scenario import read
     from undeadzone.simulation import simulate
@@ -65,7 +64,10 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
     if path.suffix in (".npz", ".parquet"):
         raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
     scenario = read(path)
-    require_bound(scenario)
+    if scenario.ensemble is not None:
+        from undeadzone.ensemble.variation import require_bound
+
+        require_bound(scenario)
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
     both = [scenario] if scenario.compare is None else [scenario, msgspec.structs.replace(scenario, observer=scenario.compare)]
