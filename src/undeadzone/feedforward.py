@@ -145,10 +145,10 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
 def flat_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
     """Targets at times t [s] for a continuous model with `flat` coordinates, whose path is exo; r: the tracked outputs on it."""
     assert model.flat is not None
-    orders = range(model.flat.order + 1)
-    path = ca.SX.sym("path", exo.Q.shape[0], len(orders))
+    rows = [exo.Q @ np.linalg.matrix_power(exo.S, order) for order in range(model.flat.order + 1)]
+    path = ca.SX.sym("path", exo.Q.shape[0], len(rows))
     params = ca.SX(model.params)
     x, u = model.flat.solve(params, path)
     solve = ca.Function("flat", [path], [model.output(params, x)[tracked], x, u], {"cse": True})
-    paths = np.stack([exo.value(t, order) for order in orders], axis=2)
+    paths = np.tensordot(exo.state(t), np.stack(rows, axis=2), (1, 1))
     return Target(*(part.full().T for part in solve.map(t.size)(np.hstack(list(paths)))))

@@ -22,15 +22,15 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
     """
     reference, duration, body = scenario.reference, scenario.simulation.duration, model.arm
     assert body is not None
+    t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
     if getattr(reference, "space", "joint") == "joint":
         path = signals.exosystem("reference", reference, model.m)
+        if model.m == body.size:
+            require_range(body.chain, t, path.value(t), path.value(t, 1))
     elif model.m < body.size:
         raise InputError("reference.space: the path of an elastic joint is its link's angle; use space = 'joint'")
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
         path = joint_path(body, model.params, task, duration, step, start[: body.size])
-    t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
-    if model.m == body.size:
-        require_range(body.chain, t, path.value(t), path.value(t, 1))
     require_torque(model, path, t)
     return path
