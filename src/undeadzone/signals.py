@@ -34,15 +34,6 @@ class Exosystem(NamedTuple):
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
-def seen(exo: Exosystem, order: int, offset: Floats, channels: list[int]) -> Exosystem:
-    """The exosystem of some channels of its derivative of that order, less an offset each (of all channels)."""
-    k = exo.S.shape[0]
-    S = np.zeros((k + 1, k + 1))
-    S[:k, :k] = exo.S
-    Q = np.hstack([exo.Q @ np.linalg.matrix_power(exo.S, order), -offset[:, None]])[channels]
-    return exo._replace(S=S, Q=Q, state=lambda t: np.hstack([exo.state(t), np.ones((t.size, 1))]))
-
-
 class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """amplitude * sin(2 pi frequency t + phase); frequency [Hz], phase [rad]."""
 

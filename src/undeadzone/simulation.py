@@ -112,12 +112,12 @@ def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
     observer, bias = problem.scenario.observer, unknown_bias(disturbance, np.eye(problem.plant.m))
     uncertain = tuple(getattr(observer, "uncertain", ()))
 
-    def along(prior: Floats | None) -> list[Verdict]:
+    def told(prior: Floats | None) -> list[Verdict]:
         return verdicts_along(problem.plant, signal.x, signal.u, signal.z, sensor, step, bias, uncertain, prior)
 
     start = getattr(observer, "x_std", None) if hasattr(observer, "start") else None
-    alone = along(None)
-    return alone if start is None else list(map(_homed, alone, along(np.broadcast_to(np.asarray(start, float), problem.plant.n))))
+    alone = told(None)
+    return alone if start is None else list(map(_homed, alone, told(np.broadcast_to(np.asarray(start, float), problem.plant.n))))
 
 
 def _homed(alone: Verdict, homed: Verdict) -> Verdict:
