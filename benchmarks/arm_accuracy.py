@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 import undeadzone as uz
-from undeadzone.arrays import Floats
-from undeadzone.design.identifiability import MARGIN
+from undeadzone.analysis.identifiability.linear import MARGIN
 from undeadzone.ensemble.bands import true_width
-from undeadzone.ensemble.compute import Fleet, prepare
-from undeadzone.ensemble.statistics import Interval, proportion, quantile
-from undeadzone.scenario import Scenario, read
+from undeadzone.ensemble.batch import Fleet, prepare
+from undeadzone.scenario.reader import read
+from undeadzone.scenario.schema import Scenario
+from undeadzone.statistics.intervals import Interval, proportion, quantile
+from undeadzone.support.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RUNS = 100

@@ -10,17 +10,20 @@ import msgspec
 import numpy as np
 
 from benchmarks.coverage import Verdict, covariance, row, verdict
-from undeadzone import noise as noises
-from undeadzone import sensor, tree
-from undeadzone.arrays import Floats
+from undeadzone import sensor
 from undeadzone.engine import lanes
 from undeadzone.observers import Estimate, Extended, Reading
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.robots.arm import torque
-from undeadzone.robots.options import TwoLink
-from undeadzone.scenario import read
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.arm import torque
+from undeadzone.plants.robots.options import TwoLink
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.reader import read
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.signals import noise as noises
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 STEP, DURATION, CORRELATION = 4e-3, 4.0, 0.1  # [s]
 RANGE = (0.02, 0.15)  # [rad] declared range of the widths, from which they are drawn evenly

@@ -9,14 +9,17 @@ from typing import Any
 import casadi as ca
 
 from benchmarks.coverage import row
-from undeadzone import sensor, tree
+from undeadzone import sensor
 from undeadzone.controllers import LQR, ComputedTorque, GravityPD
-from undeadzone.feedforward import Target
+from undeadzone.feedforward.targets import Target
 from undeadzone.observers import Estimate, Extended, Reading
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.robots.arm import acceleration
-from undeadzone.robots.options import URDF
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.arm import acceleration
+from undeadzone.plants.robots.options import URDF
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, resolve
+from undeadzone.support import tree
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 STEP = 1e-3  # [s]

@@ -9,12 +9,12 @@ from typing import Any, Literal, NamedTuple, get_args
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.engine import interpret, lanes
-from undeadzone.ensemble.compute import known_params
-from undeadzone.integrate import rk4
-from undeadzone.robots import urdf
-from undeadzone.robots.arm import acceleration, arm, torque
+from undeadzone.ensemble.batch import known_params
+from undeadzone.numerics.runge_kutta import rk4
+from undeadzone.plants.robots import urdf
+from undeadzone.plants.robots.arm import acceleration, arm, torque
+from undeadzone.support.arrays import Floats
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 JOINTS = 6

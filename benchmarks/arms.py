@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks import arm_accuracy
 from benchmarks.arm_work import MOVES, Move, draw, lanes_run, virtual_machine
-from undeadzone.ensemble.compute import Fleet
+from undeadzone.ensemble.batch import Fleet
 
 STEPS = 100
 THREADS = (1, 2)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.designs import random_design
-from undeadzone.design.falsify import falsify
-from undeadzone.design.passivity import certify
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence.falsify import falsify
 
 ORDERS = range(1, 9)
 

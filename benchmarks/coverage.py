@@ -8,13 +8,17 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone import noise as noises
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
 from undeadzone.observers import Censored, Kalman, Reading
-from undeadzone.plant import Matrices, Plant, sampled, system, zoh
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import sampled
 from undeadzone.sensor import Sensor, deadzone, resolve, side
+from undeadzone.signals import noise as noises
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 STEP, DURATION, RAMP = 0.01, 10.0, 2.0  # [s]
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly

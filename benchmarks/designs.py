@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.errordynamics import dynamics
-from undeadzone.design.passivity import margin
-from undeadzone.plant import Matrices, zoh
+from undeadzone.analysis.certificate.passivity import margin
+from undeadzone.analysis.error_dynamics import dynamics
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.support.arrays import Floats
 
 
 def random_matrices(rng: np.random.Generator, n: int, p: int, spread: float = 1.0) -> Matrices:

@@ -10,10 +10,10 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.accuracy import scenario
-from undeadzone import tree
 from undeadzone.engine import interpret, lanes
-from undeadzone.problem import resolve_scenario
-from undeadzone.simulation import prepare
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation.simulate import prepare
+from undeadzone.support import tree
 
 LANES = 1000
 

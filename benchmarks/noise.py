@@ -8,8 +8,8 @@ import time
 import numpy as np
 from scipy import stats
 
-from undeadzone import noise
 from undeadzone.engine import lanes, normal
+from undeadzone.signals import noise
 
 STEPS, CHANNELS = 512, 2
 NUMBERS = 400_000_000

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 
 from benchmarks.workload import Result, Work, draw
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
-from undeadzone.ensemble.compute import known_inputs, known_params
-from undeadzone.loop import Loop
-from undeadzone.simulation import closed
-from undeadzone.simulation import prepare as prepare_run
+from undeadzone.ensemble.batch import known_inputs, known_params
+from undeadzone.simulation.loop import Loop
+from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import prepare as prepare_run
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 WIDTHS = ("sensor.right[0]", "sensor.left[0]")
 UNITS = ("sensor.slope", "sensor.threshold", "observer.slope", "observer.threshold", "scale")  # 1 or 0: rivals have no such numbers

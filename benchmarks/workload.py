@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 
 import undeadzone as uz
-from undeadzone import tree
-from undeadzone.arrays import Floats
-from undeadzone.feedforward import steady_state
-from undeadzone.problem import Problem, resolve_scenario
-from undeadzone.simulation import prepare
+from undeadzone.feedforward.targets import steady_state
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.simulation.simulate import prepare
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 Time = Literal["continuous", "sampled"]
 

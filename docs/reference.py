@@ -10,8 +10,8 @@ from pathlib import Path
 
 import msgspec
 
-from undeadzone.arrays import Array
-from undeadzone.scenario import Scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.support.arrays import Array
 
 PAGE = Path(__file__).with_name("scenario.md")
 HEAD = """# The scenario file

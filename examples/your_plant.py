@@ -11,4 +11,4 @@ scenario = uz.Scenario(
 )
 run = uz.simulate(scenario)
 print(run.summary())
-run.plot("your_plant.png")
+uz.plot(run, "your_plant.png")

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.ensemble import execute
-from undeadzone.ensemble.job import Layout
+from undeadzone.ensemble.blocks import run_blocks as execute
+from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.support.arrays import Floats
 
 
 class Sines(NamedTuple):

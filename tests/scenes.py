@@ -9,11 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone import tree
-from undeadzone.arrays import Floats
+from undeadzone.linear.matrices import Matrices
 from undeadzone.observers import Estimate, Observer, Reading
-from undeadzone.plant import Matrices, Plant, System, system
-from undeadzone.scenario import Scenario, convert
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System
+from undeadzone.scenario.reader import convert
+from undeadzone.scenario.schema import Scenario
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 PAPER = """
 title = "Paper example"

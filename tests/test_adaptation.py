@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, on_numbers, scene
 from undeadzone import sensor
-from undeadzone.arrays import Floats
-from undeadzone.design.passivity import certify
+from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError
 from undeadzone.observers import Certified, Estimate
-from undeadzone.observers.adaptation import Adaptation, EModification, Gradient, LeastSquares, Normalised, Sigma
-from undeadzone.plant import System, sampled
+from undeadzone.observers.parts.width_laws import Adaptation, EModification, Gradient, LeastSquares, Normalised, Sigma
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TRUTH = np.array([1.3, 0.6])

@@ -9,8 +9,8 @@ import pytest
 
 from scenes import scene, slopes
 from undeadzone.errors import InputError
-from undeadzone.run import Run
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
 
 TWO = {
     "plant": {"A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]], "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]], "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]},

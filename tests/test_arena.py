@@ -17,26 +17,31 @@ import pytest
 from click.testing import CliRunner
 
 from scenes import scene, slopes
-from undeadzone import inputs, noise, toml
-from undeadzone.arena import leaderboard, tuned, tuning
+from undeadzone.arena import leaderboard
+from undeadzone.arena import tune as tuning
+from undeadzone.arena import tuned_file as tuned
 from undeadzone.arena.contest import hold
-from undeadzone.arena.grounds import given, scenarios
 from undeadzone.arena.leaderboard import CAP, REFUSED, intervals, regrets
 from undeadzone.arena.methods import METHODS, catalogue, entered, middle, numbers
 from undeadzone.arena.metric import Result, Worth
-from undeadzone.arena.run import score, trial
-from undeadzone.arena.situation import declaration, situation
+from undeadzone.arena.prior_knowledge import declaration, situation
+from undeadzone.arena.scenario_sets import given, scenarios
 from undeadzone.arena.traces import traced
+from undeadzone.arena.trials import score, trial
 from undeadzone.cli import group
-from undeadzone.ensemble.drawn import drawn
-from undeadzone.ensemble.variation import bind
-from undeadzone.ensemble.vary import Vary
+from undeadzone.ensemble.binding import bind
+from undeadzone.ensemble.run_noise import drawn
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import ObserverOptions
-from undeadzone.problem import resolve_scenario
 from undeadzone.report.arena_page import arena_page, figures
-from undeadzone.scenario import Scenario, read
-from undeadzone.simulation import closed, simulate
+from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import read
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals import noise
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.simulate import closed, simulate
+from undeadzone.support import toml
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
@@ -433,10 +438,12 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array
-from undeadzone.observers.certified import bounded_widths, gains, measured_side
-from undeadzone.observers.interface import Observer
-from undeadzone.plant import System
+from undeadzone.support.arrays import Array
+from undeadzone.observers.certified import measured_side
+from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 
 

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from scenes import PAPER_PLANT, scene
-from undeadzone import tree
-from undeadzone.arena.grounds import scenarios
 from undeadzone.arena.leaderboard import regrets
 from undeadzone.arena.methods import Method
-from undeadzone.arena.run import score
+from undeadzone.arena.scenario_sets import scenarios
+from undeadzone.arena.trials import score
 from undeadzone.errors import InputError
 from undeadzone.observers import Auto, Censored, Certified, HighGain
-from undeadzone.plant import Plant, System, sampled, system
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support import tree
 
 RANGE = [0.3, 2.0]
 NOTHING_ELSE = {"disturbance": 0.0, "bias": 0.0, "tolerance": 0.0}

@@ -14,18 +14,25 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
-from undeadzone import gaussian, sensor, tree
-from undeadzone.arrays import Floats
+from undeadzone import sensor
 from undeadzone.controllers.state_feedback import rest
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Estimate, Kalman
-from undeadzone.observers.unknowns import coloured, time_scale, tolerances
-from undeadzone.plant import Matrices, Plant, System, sampled, system, zoh
-from undeadzone.problem import resolve_scenario
-from undeadzone.run import Run
+from undeadzone.observers.parts.unknown_inputs import coloured, tolerances
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import time_scale
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import prepare, simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import prepare, simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.02

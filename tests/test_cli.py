@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undeadzone.run import Run
+from undeadzone.simulation.run import Run
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

@@ -20,7 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.jobs import sines
 
-from undeadzone.ensemble import cluster, execute, journal
+from undeadzone.ensemble.blocks import dask_cluster as cluster
+from undeadzone.ensemble.blocks import journal
+from undeadzone.ensemble.blocks import run_blocks as execute
 from undeadzone.errors import ClusterError, InputError
 
 ROOT = Path(__file__).parents[1]

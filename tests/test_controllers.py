@@ -11,13 +11,13 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
 from scenes import PAPER_PLANT, linear, random_plant
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import PD, Controller, Robust, StateFeedback
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.feedforward import Target
+from undeadzone.feedforward.targets import Target
 from undeadzone.observers import Estimate
-from undeadzone.plant import System, sampled
+from undeadzone.plants.system import System, sampled
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 TWO_INPUTS = random_plant(np.random.default_rng(3), 3, 2, 2)
 

@@ -18,19 +18,19 @@ from scipy.linalg import expm
 
 from scenes import PAPER, scene
 from test_report import check_page
+from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.analysis.convergence.falsify import Mode, generator
+from undeadzone.analysis.convergence.trajectories import Course, courses, settling
+from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
 from undeadzone.cli.check import plain
-from undeadzone.design.account import Account, account, trial
-from undeadzone.design.courses import Course, courses, settling
-from undeadzone.design.design import Design
-from undeadzone.design.errordynamics import pattern
-from undeadzone.design.falsify import Mode, generator
 from undeadzone.errors import UndeadzoneError
-from undeadzone.problem import resolve_scenario
 from undeadzone.report.gains_page import figures, gains_page
 from undeadzone.report.proof_figures import courses as courses_figure
 from undeadzone.report.proof_figures import nyquist, root_locus
 from undeadzone.report.trade_figures import ellipses
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.synthesis.assessment import Account, account, trial
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}

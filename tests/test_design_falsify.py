@@ -8,14 +8,15 @@ from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene
-from undeadzone.arrays import Floats
-from undeadzone.design.errordynamics import dynamics, pattern
-from undeadzone.design.falsify import Cycle, Mode, diverge, falsify, generator
-from undeadzone.design.passivity import certify, passive_gain
+from undeadzone.analysis.certificate.passivity import certify, passive_gain
+from undeadzone.analysis.convergence.falsify import Cycle, Mode, diverge, falsify, generator
+from undeadzone.analysis.error_dynamics import dynamics, pattern
 from undeadzone.errors import InputError
-from undeadzone.integrate import rk4
-from undeadzone.plant import Matrices, zoh
-from undeadzone.simulation import simulate
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.numerics.runge_kutta import rk4
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 

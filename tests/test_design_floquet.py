@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import random_plant, scene
-from undeadzone.design.errordynamics import adaptation, pattern
-from undeadzone.design.floquet import Rates, error_matrices, product, rates, transitions
-from undeadzone.design.schedule import Schedule, merged, planned, recorded, roots
-from undeadzone.problem import constant_gains, resolve_scenario
-from undeadzone.scenario import Scenario
-from undeadzone.signals import Samples, Sine, Sines, Tone, Trapezoid, exosystem
-from undeadzone.simulation import simulate
+from undeadzone.analysis.convergence.floquet import Rates, error_matrices, product, rates, transitions
+from undeadzone.analysis.error_dynamics import adaptation, pattern
+from undeadzone.analysis.side_schedule import Schedule, merged, planned, recorded, roots
+from undeadzone.scenario.problem import constant_gains, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, exosystem
+from undeadzone.simulation.simulate import simulate
 
 seeds = st.integers(0, 2**32 - 1)
 SAMPLED = {"time": "sampled", "step": 1e-2}

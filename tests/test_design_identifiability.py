@@ -12,16 +12,19 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene
-from undeadzone.arrays import Floats
-from undeadzone.design.errordynamics import pattern
-from undeadzone.design.identifiability import DIRECTIONS, Verdict, cures, invisible, verdicts
-from undeadzone.design.information import deviations, information
-from undeadzone.design.schedule import Schedule, planned
-from undeadzone.plant import Matrices, Plant, TransferFunction, matrices, zoh
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import Scenario
+from undeadzone.analysis.error_dynamics import pattern
+from undeadzone.analysis.identifiability.information import deviations, information
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, cures, invisible, verdicts
+from undeadzone.analysis.side_schedule import Schedule, planned
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.plants.build import matrices
+from undeadzone.plants.options import Plant, TransferFunction
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import deadzone
-from undeadzone.simulation import simulate
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 CHAIN = matrices(Plant(integrators=2))

@@ -11,13 +11,14 @@ import pytest
 from benchmarks.designs import random_design, random_matrices
 
 from scenes import PAPER_PLANT, random_plant
-from undeadzone.arrays import Floats
-from undeadzone.design import frequency
-from undeadzone.design.errordynamics import Dynamics, adaptation, delta, dynamics
-from undeadzone.design.limits import decay_limit, nearest
-from undeadzone.design.passivity import Certificate, certify, certify_dynamics, margin, passive_gain, recheck
+from undeadzone.analysis.certificate import positive_real as frequency
+from undeadzone.analysis.certificate.nearest import decay_limit, nearest
+from undeadzone.analysis.certificate.passivity import Certificate, certify, certify_dynamics, margin, passive_gain, recheck
+from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.plant import Matrices, zoh
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.support.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 TIMES = [None, 1e-4, 1e-3, 1e-2, 0.1, 1.0]

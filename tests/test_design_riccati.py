@@ -11,11 +11,12 @@ from scipy.linalg.tests.test_solvers import TestSolveContinuousAre as Carex
 from scipy.linalg.tests.test_solvers import TestSolveDiscreteAre as Darex
 
 from scenes import random_plant
-from undeadzone.arrays import Floats
-from undeadzone.design.poles import place
-from undeadzone.design.riccati import paper_riccati, riccati
 from undeadzone.errors import StructureError
-from undeadzone.plant import Matrices, zoh
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import place
+from undeadzone.linear.riccati import paper_riccati, riccati
+from undeadzone.support.arrays import Floats
 
 REAL = [k for k, case in enumerate(Darex.cases) if not any(np.iscomplexobj(M) for M in case[:4])]
 for published in (Carex, Darex):

@@ -11,14 +11,15 @@ from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, scene
-from undeadzone.arrays import Floats
-from undeadzone.design.errordynamics import Dynamics, dynamics, pattern
-from undeadzone.design.falsify import Mode, falsify, generator
-from undeadzone.design.passivity import certify, certify_dynamics, passive_gain
-from undeadzone.design.robust import certified_radius, closed_loop, l2_gain, project, sector, ultimate_bound
+from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
+from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain, project, sector, ultimate_bound
+from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
+from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.plant import Matrices, zoh
-from undeadzone.simulation import simulate
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 B, C = PAPER.B, PAPER.C

@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 
 from scenes import scene, table
-from undeadzone.arrays import Floats
-from undeadzone.design.check import check
-from undeadzone.design.design import Design, design, rounds
-from undeadzone.design.errordynamics import adaptation
-from undeadzone.design.floquet import error_matrices, rates
-from undeadzone.design.passivity import certify
-from undeadzone.design.search import evolve, pareto, undominated
-from undeadzone.design.synthesis import Weights, assess
-from undeadzone.design.task import certified, make_task, watched
+from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence.floquet import error_matrices, rates
+from undeadzone.analysis.error_dynamics import adaptation
 from undeadzone.errors import FileError, InputError, ProofError, StructureError, UndeadzoneError
-from undeadzone.feedforward import linear_targets
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import convert
-from undeadzone.simulation import simulate
+from undeadzone.feedforward.targets import linear_targets
+from undeadzone.numerics.optimise import evolve, pareto, undominated
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.check import check
+from undeadzone.synthesis.criteria import certified, make_task, watched
+from undeadzone.synthesis.design import design, rounds
+from undeadzone.synthesis.gain_search import Weights, assess
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {

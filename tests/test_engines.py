@@ -18,16 +18,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import scene
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import ControllerOptions
 from undeadzone.engine import cache, interpret, lanes
 from undeadzone.engine.emit import straight_line
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import ObserverOptions
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import Scenario
-from undeadzone.simulation import prepare, simulate
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.simulate import prepare, simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 BOTH, SAMPLED, CONTINUOUS = ("continuous", "sampled"), ("sampled",), ("continuous",)
 PLAIN: tuple[tuple[str, ...], dict[str, Any]] = (BOTH, {})  # for a method that is not listed below

@@ -16,19 +16,19 @@ import numpy as np
 import pytest
 
 from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, small
-from undeadzone import inputs
-from undeadzone.arrays import Floats
 from undeadzone.cli import main
 from undeadzone.engine import interpret, lanes
-from undeadzone.ensemble.compute import Fleet, prepare
+from undeadzone.ensemble.batch import Fleet, prepare
 from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble
-from undeadzone.ensemble.vary import Vary
-from undeadzone.ensemble.whole import deviation, replay_run, run_ensemble
+from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError
-from undeadzone.run import LAST, Run
-from undeadzone.scenario import Scenario
-from undeadzone.toml import dumps
+from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.run import LAST, Run
+from undeadzone.support.arrays import Floats
+from undeadzone.support.toml import dumps
 
 RUNS = 150  # more than one block of lanes
 WIDTHS: dict[str, Any] = {"sensor.right": {"uniform": [0.3, 0.8]}, "sensor.left": {"uniform": [0.2, 0.4]}}

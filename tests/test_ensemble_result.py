@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from undeadzone.arrays import Floats
 from undeadzone.ensemble.bands import LEVELS, bands, true_width
 from undeadzone.ensemble.result import Ensemble, Info
-from undeadzone.ensemble.statistics import describe, proportion
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.ensemble_page import figures, write_ensemble
-from undeadzone.scenario import Units
+from undeadzone.scenario.schema import Units
+from undeadzone.statistics.intervals import describe, proportion
+from undeadzone.support.arrays import Floats
 
 ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
 NASTY = "<b>Ω & more</b>"

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from undeadzone.errors import InputError
-from undeadzone.expression import evaluate
+from undeadzone.plants.formulas import evaluate
 
 NUMPY_NAMES = {name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")} | {"abs": abs, "min": min, "max": max}
 leaves = st.sampled_from(["x", "y", "pi", "2", "0.5", "1e-1"])

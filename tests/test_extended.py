@@ -13,14 +13,16 @@ from hypothesis import strategies as st
 
 from scenes import on_numbers, random_plant, scene
 from undeadzone import sensor
-from undeadzone.arrays import Floats
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Extended, Kalman
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.robots.options import OneLink, TwoLink
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.options import OneLink, TwoLink
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 TS = 2e-3
 RANGE = [0.02, 0.15]

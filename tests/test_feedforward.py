@@ -12,9 +12,11 @@ from scipy.integrate import solve_ivp
 
 from scenes import PAPER_PLANT, linear, random_plant, response
 from undeadzone.errors import TrackingError
-from undeadzone.feedforward import inverted_targets, linear_targets, regulator
-from undeadzone.plant import Plant, SecondOrder, System, TransferFunction, sampled, system
-from undeadzone.signals import Exosystem, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
+from undeadzone.feedforward.targets import inverted_targets, linear_targets, regulator
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
+from undeadzone.plants.system import System, sampled
+from undeadzone.signals.exosystem import Exosystem, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
 
 seeds = st.integers(0, 2**32 - 1)
 T = np.linspace(0.0, 3.0, 301)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone.scenario import convert
+from undeadzone.scenario.reader import convert
 
 
 def run(**observer: Any) -> uz.Run:

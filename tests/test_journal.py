@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from tests.jobs import Sines, layout, sines
 
-from undeadzone.ensemble import execute, journal
-from undeadzone.ensemble.journal import Store
+from undeadzone.ensemble.blocks import journal
+from undeadzone.ensemble.blocks import run_blocks as execute
+from undeadzone.ensemble.blocks.journal import Store
 from undeadzone.errors import FileError, InputError, ShapeError
 
 ROOT = Path(__file__).parents[1]
@@ -292,7 +293,7 @@ def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
 
 def test_imports() -> None:
     code = (
-        "import sys\nsys.modules['fcntl'] = sys.modules['distributed'] = None\nimport undeadzone.ensemble.execute\n"
+        "import sys\nsys.modules['fcntl'] = sys.modules['distributed'] = None\nimport undeadzone.ensemble.blocks.run_blocks\n"
         "print([name for name in ('numba', 'scipy', 'casadi', 'dask') if name in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

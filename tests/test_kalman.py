@@ -16,16 +16,20 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
-from undeadzone import gaussian, sensor
-from undeadzone.arrays import Floats
+from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.gaussian import Gaussian
-from undeadzone.observers import Kalman, filtering
-from undeadzone.observers.filtering import State
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.run import Run
+from undeadzone.numerics import gaussian
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers import Kalman
+from undeadzone.observers.parts import measured_kalman as filtering
+from undeadzone.observers.parts.measured_kalman import State
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05

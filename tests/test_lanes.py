@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.engine import lanes
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import InputError
-from undeadzone.problem import resolve_scenario
-from undeadzone.simulation import prepare
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation.simulate import prepare
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
-from undeadzone import noise
-from undeadzone.arrays import Floats
-from undeadzone.run import Run
-from undeadzone.simulation import simulate
+from undeadzone.signals import noise
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 A, B, C = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
 L, GAMMA = np.array([1.0, 1.5]), 10.0

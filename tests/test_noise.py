@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from undeadzone import noise
-from undeadzone.arrays import Floats
 from undeadzone.engine import lanes, normal
 from undeadzone.engine.philox import box_muller, philox
 from undeadzone.errors import ShapeError
+from undeadzone.signals import noise
+from undeadzone.support.arrays import Floats
 
 UNLIKELY = 1e-6  # of a test of true Gaussian numbers to fail, were the seed not fixed
 STREAMS = [(noise.AFTER, 0), (noise.AFTER, 1), (noise.BEFORE, 0), (noise.DISTURBANCE, 0), (noise.DISTURBANCE, 3)]

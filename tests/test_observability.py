@@ -12,18 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import linear, random_plant
-from undeadzone.arrays import Floats
-from undeadzone.design import observability as design
-from undeadzone.design.along import variance, verdicts_along
-from undeadzone.design.identifiability import Verdict, unknown_bias, verdicts
-from undeadzone.design.observability import Observability, observability
-from undeadzone.design.schedule import reading_levels, recorded
-from undeadzone.plant import Plant, System, initial_state, sampled, system
-from undeadzone.robots.options import ElasticJoint, OneLink, TwoLink
-from undeadzone.scenario import convert
+from undeadzone.analysis.identifiability import observability as design
+from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.nonlinear import variance, verdicts_along
+from undeadzone.analysis.identifiability.observability import Observability, observability
+from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.plants.build import initial_state, system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.reader import convert
 from undeadzone.sensor import Sensor, Zone, deadzone, resolve, zone
-from undeadzone.signals import Step
-from undeadzone.simulation import simulate
+from undeadzone.signals.exosystem import Step
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 STEP = 2e-3
 TABLE = {"g": 0.0}

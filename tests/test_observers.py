@@ -12,13 +12,13 @@ from scipy.linalg import solve_continuous_are
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
 from undeadzone import sensor
-from undeadzone.arrays import Floats
-from undeadzone.design.passivity import certify
+from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.observers import Certified, Luenberger, Oracle, Printed
-from undeadzone.plant import System, sampled
+from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 L = np.array([1.0, 1.5])

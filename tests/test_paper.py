@@ -23,10 +23,11 @@ from undeadzone.paper.evidence import BEGUN, RESTING, SIGNED
 from undeadzone.paper.example import ALPHA, READINGS, D, printed
 from undeadzone.paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
 from undeadzone.paper.trials import measure
-from undeadzone.plant import system
-from undeadzone.run import Run
-from undeadzone.scenario import Scenario, Simulation, read
-from undeadzone.simulation import simulate
+from undeadzone.plants.build import system
+from undeadzone.scenario.reader import read
+from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
 
 STEADY = 5.0 / (1.0 + 4.0 * np.pi**2)
 

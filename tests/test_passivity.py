@@ -8,9 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, response
-from undeadzone.design.passivity import certify, passive_gain
+from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
-from undeadzone.plant import Plant, companion, matrices, zoh
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import companion
+from undeadzone.plants.build import matrices
+from undeadzone.plants.options import Plant
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA = np.array([10.0])

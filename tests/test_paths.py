@@ -13,15 +13,17 @@ import pytest
 from scipy.linalg import expm
 from tests.scenes import linear
 
-from undeadzone.arrays import Floats, decode
 from undeadzone.errors import InputError, ShapeError, TrackingError
-from undeadzone.feedforward import linear_targets
-from undeadzone.paths import Circle, FigureEight, Path, Quintic
-from undeadzone.plant import Matrices, System
-from undeadzone.robots import kinematics, planar
-from undeadzone.robots.arm import Arm, Chain, arm
-from undeadzone.robots.plants import flat
-from undeadzone.signals import Exosystem, Signal, exosystem
+from undeadzone.feedforward import joint_path as kinematics
+from undeadzone.feedforward.targets import linear_targets
+from undeadzone.linear.matrices import Matrices
+from undeadzone.plants.robots import planar
+from undeadzone.plants.robots.arm import Arm, Chain, arm
+from undeadzone.plants.robots.build import flat
+from undeadzone.plants.system import System
+from undeadzone.signals.exosystem import Exosystem, Signal, exosystem
+from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic
+from undeadzone.support.arrays import Floats, decode
 
 T = np.linspace(-0.9, 9.9, 541) + 0.003
 VIA = Quintic(points=[[0.0, 1.0], [1.0, -1.0], [0.5, 2.0], [0.0, 1.0]], times=[0.0, 1.0, 3.0, 4.0])
@@ -293,7 +295,7 @@ def test_spatial_arms(count: int) -> None:
 
 def ur5() -> tuple[Arm, Floats]:
     pytest.importorskip("adam")
-    from undeadzone.robots import urdf
+    from undeadzone.plants.robots import urdf
 
     return arm(urdf.chain(UR5)), np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])
 

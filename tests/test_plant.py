@@ -14,11 +14,15 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, response, scene, slopes
-from undeadzone.arrays import Floats
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interop import from_control, from_scipy, to_control, to_scipy
-from undeadzone.plant import Matrices, Plant, SecondOrder, System, TransferFunction, initial_state, matrices, sampled, system, zoh
-from undeadzone.simulation import simulate
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.plants.build import initial_state, matrices, system
+from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
+from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
+from undeadzone.plants.system import System, sampled
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]

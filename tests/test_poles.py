@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, random_plant
-from undeadzone.design.poles import observer_gain, parse_poles, place, state_gain
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.plant import Matrices, zoh
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import observer_gain, parse_poles, place, state_gain
 
 seeds = st.integers(0, 2**32 - 1)
 

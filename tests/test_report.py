@@ -13,12 +13,12 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError
-from undeadzone.files import write_text
-from undeadzone.report.figures import overview
+from undeadzone.report.figures import overview, plot
 from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table
 from undeadzone.report.style import png, sheet, write
-from undeadzone.run import Run
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.files import write_text
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
 VOID = {"meta", "img", "link", "br", "hr", "input"}
@@ -150,4 +150,4 @@ def test_an_unwritable_path_is_a_file_error(tmp_path: Path, run: Run) -> None:
     with pytest.raises(FileError, match="cannot write"):
         write_text(page("t"), tmp_path / "file" / "page.html")
     with pytest.raises(FileError, match="cannot write"):
-        run.plot(tmp_path / "file" / "figure.png")
+        plot(run, tmp_path / "file" / "figure.png")

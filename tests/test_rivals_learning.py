@@ -15,21 +15,24 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
-from undeadzone import sensor, tree
-from undeadzone.arrays import Floats
-from undeadzone.basis import Basis, gaussians, jumps, monomials
+from undeadzone import sensor
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, TaylorFeedback
-from undeadzone.controllers.approximating import relative_degree
+from undeadzone.controllers.parts.learned_feedback import relative_degree
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
-from undeadzone.feedforward import Target
+from undeadzone.feedforward.targets import Target
+from undeadzone.linear.matrices import Matrices
+from undeadzone.numerics.approximators import Basis, gaussians, jumps, monomials
 from undeadzone.observers import AdaptiveInverse, Estimate, FuzzyResidual, InverseNetwork, Observer, RBFResidual, Reading, RobustGradient, TaylorResidual
-from undeadzone.observers.injection import fast_gain, fastest_pole, injection
-from undeadzone.plant import Matrices, System, sampled
-from undeadzone.problem import resolve_scenario
-from undeadzone.run import Run
+from undeadzone.observers.parts.gain import fast_gain, injection
+from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import prepare, simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import prepare, simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])

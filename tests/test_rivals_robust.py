@@ -16,24 +16,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, response, scene, slopes
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import SlidingMode
-from undeadzone.design.poles import state_gain
-from undeadzone.design.structure import output_chains
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
-from undeadzone.feedforward import Target
-from undeadzone.integrate import rk4
+from undeadzone.feedforward.targets import Target
+from undeadzone.linear.matrices import companion
+from undeadzone.linear.poles import state_gain
+from undeadzone.linear.structure import output_chains
+from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.observers import Estimate, HighGain, Interval, Observer, Reading, SuperTwisting, WalcottZak
 from undeadzone.observers.full_state import FullState
-from undeadzone.observers.modal import modes, turned
-from undeadzone.plant import Plant, System, companion, sampled, system
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import Scenario
+from undeadzone.observers.parts.modal_form import modes, turned
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import Sensor, Zone, deadzone, resolve, side
 from undeadzone.sensor import jump as jump_sensor
-from undeadzone.simulation import prepare, run_loop, simulate
+from undeadzone.simulation.simulate import prepare, run_loop, simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]

@@ -14,18 +14,23 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
-from undeadzone import inputs, live, sensor, unscented
-from undeadzone.arrays import Floats
+from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.gaussian import symmetric, triangle
+from undeadzone.numerics import unscented
+from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import EKF, UKF, Kalman, MovingHorizon, NumericObserver, ParticleFilter, Reading
-from undeadzone.observers.joint import agitation, quarter_period
 from undeadzone.observers.particle import systematic
-from undeadzone.online import Online
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.problem import resolve_scenario
+from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.sensor import Sensor, Zone, resolve
-from undeadzone.simulation import simulate
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation import sample_by_sample as live
+from undeadzone.simulation.online import Online
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05

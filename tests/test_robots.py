@@ -20,19 +20,20 @@ from test_ensemble import table
 from test_report import Auditor
 from undeadzone.cli.run import _told_apart, write
 from undeadzone.engine import interpret
-from undeadzone.ensemble.compute import prepare
+from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.replay import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
-from undeadzone.plant import Plant, system
-from undeadzone.problem import resolve_scenario
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.arm import along, torque
+from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
 from undeadzone.report import animation, arm_figures
 from undeadzone.report.figures import overview
-from undeadzone.robots.arm import along, torque
-from undeadzone.robots.options import URDF, OneLink, TwoLink
-from undeadzone.run import FRAMES, Run
-from undeadzone.scenario import Scenario
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import quantised, side
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import FRAMES, Run
+from undeadzone.simulation.simulate import simulate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RIGHT, LEFT = np.array([0.05, 0.08]), np.array([0.03, 0.06])

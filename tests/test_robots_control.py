@@ -11,21 +11,23 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from scenes import random_plant, scene, slopes, table
-from undeadzone import inputs, tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import LQR, ComputedTorque, Controller, GravityPD
 from undeadzone.controllers.lqr import Params, gains, linearised
-from undeadzone.design.riccati import riccati, riccati_along
-from undeadzone.ensemble.candidates import graph
 from undeadzone.errors import InputError, ShapeError, StepError
-from undeadzone.feedforward import Target, flat_targets
+from undeadzone.feedforward.targets import Target, flat_targets
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import riccati, riccati_along
 from undeadzone.observers import Estimate
-from undeadzone.plant import Matrices, System, sampled
-from undeadzone.problem import Problem, resolve_scenario
-from undeadzone.robots.arm import acceleration
-from undeadzone.run import Run
-from undeadzone.scenario import Scenario
-from undeadzone.simulation import prepare, run_loop, simulate
+from undeadzone.plants.robots.arm import acceleration
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import prepare, run_loop, simulate
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+from undeadzone.tuning.candidates import graph
 
 TWO = {"kind": "two_link"}
 FAST = {"kind": "sine", "amplitude": [0.5, 1.2], "frequency": 1.0, "phase": [0.0, -1.5707963], "offset": [-1.5, 1.5]}

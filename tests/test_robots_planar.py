@@ -11,12 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.plant import Plant, System, system
-from undeadzone.robots import planar
-from undeadzone.robots.arm import Arm, acceleration, arm, torque
-from undeadzone.robots.options import ElasticJoint, OneLink, TwoLink
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots import planar
+from undeadzone.plants.robots.arm import Arm, acceleration, arm, torque
+from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 CHAINS = {"one_link": planar.one_link(), "two_link": planar.two_link()}

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import FileError, InputError
-from undeadzone.plant import Plant
-from undeadzone.robots.arm import Arm, acceleration, arm
-from undeadzone.robots.options import URDF
-from undeadzone.robots.plants import robot
-from undeadzone.robots.urdf import chain
+from undeadzone.plants.options import Plant
+from undeadzone.plants.robots.arm import Arm, acceleration, arm
+from undeadzone.plants.robots.build import robot
+from undeadzone.plants.robots.options import URDF
+from undeadzone.plants.robots.urdf import chain
+from undeadzone.support.arrays import Floats
 
 pytest.importorskip("adam.casadi")
 
@@ -287,7 +287,7 @@ def test_gravity_has_three_numbers(tmp_path: Path) -> None:
 
 
 def test_adam_is_imported_when_it_is_used_and_named_when_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "import sys, undeadzone.robots.urdf; sys.exit('adam' in sys.modules or 'urdf_parser_py' in sys.modules)"
+    code = "import sys, undeadzone.plants.robots.urdf; sys.exit('adam' in sys.modules or 'urdf_parser_py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     monkeypatch.setitem(sys.modules, "adam.casadi.casadi_like", None)
     with pytest.raises(InputError, match=r"pip install 'undeadzone\[robots\]'"):

@@ -16,8 +16,8 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError, InputError
-from undeadzone.run import ARRAYS, Run
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import ARRAYS, Run
+from undeadzone.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from undeadzone.arrays import Floats
-from undeadzone.ensemble.sampling import ROUNDS, permuted, points
-from undeadzone.ensemble.sobol import BITS, DIMENSIONS, _directions
 from undeadzone.errors import InputError
+from undeadzone.statistics.sampling import ROUNDS, permuted, points
+from undeadzone.statistics.sobol import BITS, DIMENSIONS, _directions
+from undeadzone.support.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
 

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 from scenes import PAPER, scene, table
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, StructureError, TrackingError, UndeadzoneError
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import Scenario, convert, parse, read
-from undeadzone.simulation import simulate
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert, parse, read
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.simulate import simulate
 
 SAMPLED = """
 # What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, a plant that is not quite the model.

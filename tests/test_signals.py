@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from undeadzone import signals
 from undeadzone.errors import FileError, InputError, ShapeError
-from undeadzone.signals import Random, Samples, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
+from undeadzone.signals import exosystem as signals
+from undeadzone.signals.exosystem import Random, Samples, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
 
 T = np.linspace(0.013, 5.987, 523)
 

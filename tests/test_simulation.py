@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, scene
 from undeadzone.errors import TrackingError
-from undeadzone.run import Run
-from undeadzone.simulation import simulate
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
 
 IDLE: dict[str, Any] = {"method": "state_feedback", "K": [0.0, 0.0]}
 NO_REFERENCE: dict[str, Any] = {"kind": "step", "amplitude": 0.0}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from undeadzone.arrays import Floats
-from undeadzone.ensemble.sensitivity import chance, first_order, given, indices, rank_correlations, saltelli
-from undeadzone.ensemble.statistics import LEVEL, QUANTILES, Extreme, Interval, describe, deviation, jackknife, mean, proportion, quantile
+from undeadzone.statistics.intervals import LEVEL, QUANTILES, Extreme, Interval, describe, deviation, jackknife, mean, proportion, quantile
+from undeadzone.statistics.sensitivity import chance, first_order, given, indices, rank_correlations, saltelli
+from undeadzone.support.arrays import Floats
 
 TRIALS = 400
 SLACK = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / TRIALS)  # of a coverage counted in so many trials

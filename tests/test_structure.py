@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenes import linear, random_plant
-from undeadzone.design.structure import require_structure, uncontrollable_modes, unobservable_modes
 from undeadzone.errors import StructureError
-from undeadzone.plant import Matrices, Plant, matrices
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.structure import require_structure, uncontrollable_modes, unobservable_modes
+from undeadzone.plants.build import matrices
+from undeadzone.plants.options import Plant
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -13,29 +13,31 @@ import pytest
 from click.testing import CliRunner
 
 from scenes import scene
-from undeadzone import inputs, toml
-from undeadzone.arrays import Floats
+from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
-from undeadzone.design.passivity import certify
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.candidates import graph
-from undeadzone.ensemble.compute import prepare
-from undeadzone.ensemble.objective import Frame, Objective, losses, objective, statistic
-from undeadzone.ensemble.options import numbers, parameters, with_numbers
-from undeadzone.ensemble.singles import row
-from undeadzone.ensemble.statistics import Interval
-from undeadzone.ensemble.sweep import sweep
-from undeadzone.ensemble.tune import REACH, Judged, gradient, tune
-from undeadzone.ensemble.tuned import HeldOut, Worth, change
-from undeadzone.ensemble.tuning import Range, Tune
-from undeadzone.ensemble.vary import Distribution, Vary
+from undeadzone.ensemble.batch import prepare
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain, ParticleFilter, TaylorResidual
-from undeadzone.problem import resolve_scenario
-from undeadzone.run import LIMIT
-from undeadzone.scenario import Scenario, convert, read
-from undeadzone.simulation import prepare as prepare_loop
-from undeadzone.simulation import run_loop
+from undeadzone.scenario.ensemble_table import Distribution, Vary
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert, read
+from undeadzone.scenario.schema import Scenario
+from undeadzone.scenario.tune_table import Range, Tune
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.simulate import prepare as prepare_loop
+from undeadzone.simulation.simulate import run_loop
+from undeadzone.statistics.intervals import Interval
+from undeadzone.support import toml
+from undeadzone.support.arrays import Floats
+from undeadzone.tuning.candidates import graph
+from undeadzone.tuning.objective import Frame, Objective, losses, objective, statistic
+from undeadzone.tuning.one_by_one import row
+from undeadzone.tuning.parameters import numbers, parameters, with_numbers
+from undeadzone.tuning.result import HeldOut, Worth, change
+from undeadzone.tuning.sweep import sweep
+from undeadzone.tuning.tune import REACH, Judged, gradient, tune
 
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
 GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}

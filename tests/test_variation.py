@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from scenes import random_plant, scene, table
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.engine import interpret
-from undeadzone.ensemble import hold
-from undeadzone.ensemble.variation import Binding, bind, initial_copies
-from undeadzone.ensemble.vary import Distribution, Vary, decoded, spread
+from undeadzone.ensemble.binding import Binding, bind, initial_copies
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.plant import sampled
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import convert, parse
-from undeadzone.simulation import prepare
+from undeadzone.linear import batched_hold as hold
+from undeadzone.plants.system import sampled
+from undeadzone.scenario.ensemble_table import Distribution, Vary, decoded, spread
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert, parse
+from undeadzone.simulation.simulate import prepare
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 2.0}
 MODEL = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}

@@ -11,7 +11,7 @@ import pytest
 
 from test_engines import small
 from test_ensemble import NOISE, PLANT, WIDTHS, vary
-from undeadzone.ensemble.compute import prepare
+from undeadzone.ensemble.batch import prepare
 
 ARITHMETIC = r"(?:fadd|fsub|fmul|fdiv)(?: contract)?"
 

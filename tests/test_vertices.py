@@ -12,17 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
-from undeadzone.arrays import Floats
-from undeadzone.design.check import check
-from undeadzone.design.passivity import Certificate, certify, passive_gain
-from undeadzone.design.slopes import slopes_on
-from undeadzone.design.vertices import certify_on, design_on
+from undeadzone.analysis.certificate.jacobian_bounds import slopes_on
+from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
+from undeadzone.analysis.certificate.polytopic import certify_on, design_on
 from undeadzone.engine.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.plant import Plant, System, sampled, system
-from undeadzone.problem import resolve_scenario
-from undeadzone.region import Box, Region, box
-from undeadzone.robots.options import ElasticJoint, TwoLink
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.region import Box, Region, box
+from undeadzone.plants.robots.options import ElasticJoint, TwoLink
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.check import check
 
 GRAVITY = 9.81
 NONE = np.zeros((2, 1))

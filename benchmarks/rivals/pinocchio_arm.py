@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.arm_work import MOVES, Work
-from undeadzone.arrays import Floats
-from undeadzone.integrate import rk4
+from undeadzone.numerics.runge_kutta import rk4
+from undeadzone.support.arrays import Floats
 
 SOURCE = Path(__file__).with_name("pinocchio_arm.cpp")
 HEADERS = (Path(pin.__file__).parents[4] / "include", Path(ca.__file__).with_name("include") / "eigen3")  # CasADi brings Eigen's

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative, scalar, vector
 from undeadzone.errors import InputError
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent
 

@@ -13,14 +13,14 @@ import undeadzone
 from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, RESAMPLES, Row, leaderboard, regrets
 from undeadzone.arena.methods import NOTHING, Numbers, catalogue, entered
 from undeadzone.arena.metric import TAIL, Result
-from undeadzone.arena.run import score, signals
-from undeadzone.arena.situation import situation
-from undeadzone.arrays import finite
-from undeadzone.ensemble.statistics import LEVEL
-from undeadzone.files import write_text
-from undeadzone.loop import Outputs
-from undeadzone.problem import Problem, resolve_scenario
-from undeadzone.scenario import Scenario
+from undeadzone.arena.prior_knowledge import situation
+from undeadzone.arena.trials import score, signals
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.loop import Outputs
+from undeadzone.statistics.intervals import LEVEL
+from undeadzone.support.arrays import finite
+from undeadzone.support.files import write_text
 
 
 class Contest(NamedTuple):

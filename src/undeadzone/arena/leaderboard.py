@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.arena.metric import Result, Worth
-from undeadzone.arrays import Floats
-from undeadzone.ensemble.statistics import LEVEL, Interval
+from undeadzone.statistics.intervals import LEVEL, Interval
+from undeadzone.support.arrays import Floats
 
 FRAME: Final = ("full_state", "luenberger")  # regret 0 and 1
 CAP: Final = 10.0  # regret of a run that diverged, and the largest of any

@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple, get_args
 import msgspec
 import numpy as np
 
-from undeadzone.arena.situation import UNITS, Ground, Situation, situation
-from undeadzone.arena.tuned import load
+from undeadzone.analysis.certificate.passivity import passive_gain
+from undeadzone.arena.prior_knowledge import UNITS, Ground, Situation, situation
+from undeadzone.arena.tuned_file import load
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
-from undeadzone.design.passivity import passive_gain
 from undeadzone.errors import InputError
-from undeadzone.observers import (
+from undeadzone.observers import (  # fmt: skip
     EKF,
     UKF,
     AdaptiveInverse,
@@ -42,8 +42,8 @@ from undeadzone.observers import (
     SuperTwisting,
     TaylorResidual,
     WalcottZak,
-)  # fmt: skip
-from undeadzone.scenario import Scenario
+)
+from undeadzone.scenario.schema import Scenario
 
 Options = dict[str, Any]
 Numbers = Mapping[str, Mapping[str, float]]  # of the knobs, by method and address

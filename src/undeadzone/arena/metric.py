@@ -7,12 +7,12 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.identifiability import unknown_bias, verdicts
-from undeadzone.design.schedule import recorded
-from undeadzone.loop import Outputs
-from undeadzone.problem import Problem
-from undeadzone.run import LIMIT
+from undeadzone.analysis.identifiability.linear import unknown_bias, verdicts
+from undeadzone.analysis.side_schedule import recorded
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.run import LIMIT
+from undeadzone.support.arrays import Floats
 
 TAIL: Final = 0.2  # share of the run, its last, over which errors are taken
 SETTLED: Final = 0.1  # |z - r| within this share of the largest |r| has settled

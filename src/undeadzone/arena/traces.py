@@ -8,8 +8,8 @@ import numpy as np
 
 from undeadzone.arena.contest import Contest
 from undeadzone.arena.leaderboard import CAP, FRAME, regrets
-from undeadzone.arrays import Floats
 from undeadzone.errors import UndeadzoneError
+from undeadzone.support.arrays import Floats
 
 PAPER: Final = "printed"
 

@@ -12,8 +12,8 @@ from undeadzone.cli.common import print_json, print_table, progress
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
     from undeadzone.arena.leaderboard import Row
-    from undeadzone.arena.tuned import Tuned
-    from undeadzone.scenario import Scenario
+    from undeadzone.arena.tuned_file import Tuned
+    from undeadzone.scenario.schema import Scenario
 
 FOLDER = Path("arena-results")
 
@@ -38,8 +38,8 @@ def arena(
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is full state feedback, 1 a
     Luenberger observer that ignores the dead zone; the median over the scenarios, and the worst, with 95 % intervals. See docs/arena.md.
     """
-    from undeadzone.arena.grounds import given
-    from undeadzone.arena.grounds import scenarios as built_in
+    from undeadzone.arena.scenario_sets import given
+    from undeadzone.arena.scenario_sets import scenarios as built_in
 
     names = None if methods is None else [name.strip() for name in methods.split(",") if name.strip()]
     own = given(scenarios)
@@ -65,8 +65,8 @@ def _held(names: list[str] | None, grounds: dict[str, Scenario], seeds: tuple[in
 
 def _tune(names: list[str] | None, grounds: dict[str, Scenario], budget: int, processes: int | None, folder: Path, as_json: bool) -> int:
     from undeadzone.arena.methods import catalogue, require
-    from undeadzone.arena.tuned import save
-    from undeadzone.arena.tuning import tune
+    from undeadzone.arena.tune import tune
+    from undeadzone.arena.tuned_file import save
 
     chosen = list(catalogue()) if names is None else [require(name) for name in names]
     with progress("tuning", len(chosen), "methods") as advance:
@@ -83,11 +83,11 @@ def _tune(names: list[str] | None, grounds: dict[str, Scenario], budget: int, pr
 
 def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     """Results, figures and page; of scenarios of one's own also each with the best method in it."""
-    from undeadzone import toml
     from undeadzone.arena.traces import traced
     from undeadzone.errors import InputError
-    from undeadzone.files import write_text
     from undeadzone.report.arena_page import write_arena
+    from undeadzone.support import toml
+    from undeadzone.support.files import write_text
 
     written = [contest.save(folder / "results.json"), *write_arena(contest, traced(contest), folder)]
     if own and contest.contestants:

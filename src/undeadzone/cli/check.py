@@ -10,8 +10,8 @@ import click
 from undeadzone.cli.common import common, json_text, print_json, print_pairs, progress, yes_no
 
 if TYPE_CHECKING:
-    from undeadzone.design.account import Gains
-    from undeadzone.scenario import Scenario
+    from undeadzone.scenario.schema import Scenario
+    from undeadzone.synthesis.assessment import Gains
 
 REFUSED = "not certified: "  # before the reason, where `design.check` gives it
 
@@ -28,11 +28,11 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     DIR (default: NAME-check); with --no-figures and no --out it writes nothing. Exit code 1: not certified (observers
     without constant gains need not be), a run leaves the region, or not every width can be identified.
     """
-    from undeadzone.design.account import account, trial
-    from undeadzone.design.check import summary as told
-    from undeadzone.files import write_text
-    from undeadzone.problem import resolve_scenario
-    from undeadzone.scenario import read
+    from undeadzone.scenario.problem import resolve_scenario
+    from undeadzone.scenario.reader import read
+    from undeadzone.support.files import write_text
+    from undeadzone.synthesis.assessment import account, trial
+    from undeadzone.synthesis.check import summary as told
 
     problem = read(scenario)
     with progress("judging", None) as advance:

@@ -34,7 +34,7 @@ def print_json(value: Any) -> None:
 
 def json_text(value: Any) -> str:
     """A value as JSON; numbers that are not finite become null."""
-    from undeadzone.arrays import finite
+    from undeadzone.support.arrays import finite
 
     return json.dumps(finite(value), indent=2, allow_nan=False)
 

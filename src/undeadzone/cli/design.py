@@ -11,8 +11,8 @@ from undeadzone.cli.check import in_words, plain
 from undeadzone.cli.common import common, print_json, print_pairs, progress
 
 if TYPE_CHECKING:
-    from undeadzone.design.design import Design
-    from undeadzone.scenario import Scenario
+    from undeadzone.analysis.certificate.design_file import Design
+    from undeadzone.scenario.schema import Scenario
 
 
 def powers(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[float, ...] | None:
@@ -60,11 +60,11 @@ def design(
 
     and the proof is checked again whenever it is read. Exit code 1: no gains can be certified for this plant.
     """
-    from undeadzone.design.check import check as judge
-    from undeadzone.design.design import design as search
-    from undeadzone.design.design import rounds
-    from undeadzone.design.synthesis import Weights
-    from undeadzone.scenario import read
+    from undeadzone.scenario.reader import read
+    from undeadzone.synthesis.check import check as judge
+    from undeadzone.synthesis.design import design as search
+    from undeadzone.synthesis.design import rounds
+    from undeadzone.synthesis.gain_search import Weights
 
     if maximise is not None and weights is not None:
         raise click.UsageError("give --maximise or --weights, not both", click.get_current_context())
@@ -95,8 +95,8 @@ def impossible(scenario: Scenario) -> str:
     """Why no gains can be certified for a linear model, or an empty string. Raises InputError and its kinds for a wrong scenario."""
     import numpy as np
 
-    from undeadzone.design.passivity import certify
-    from undeadzone.problem import systems
+    from undeadzone.analysis.certificate.passivity import certify
+    from undeadzone.scenario.problem import systems
 
     _, flow, _ = systems(scenario)
     return "" if flow.nonlinear else certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
@@ -116,9 +116,9 @@ def write(found: Design, scenario: Scenario, folder: Path, figures: bool) -> lis
     """The files of a design and of the scenario that has its gains: design.toml always, figures and page where wanted."""
     written = [found.save(folder / "design.toml")]
     if figures:
-        from undeadzone.design.account import account, trial
-        from undeadzone.problem import resolve_scenario
         from undeadzone.report.gains_page import write_gains
+        from undeadzone.scenario.problem import resolve_scenario
+        from undeadzone.synthesis.assessment import account, trial
 
         of = account(resolve_scenario(scenario))
         written += write_gains(of, trial(of, found.seed), folder, found)

@@ -12,7 +12,7 @@ from undeadzone.cli.common import common, print_json, print_pairs, print_table, 
 
 if TYPE_CHECKING:
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.scenario import Scenario
+    from undeadzone.scenario.schema import Scenario
 
 METRICS = {
     "rms_tracking": "rms z - r, last 2 s",
@@ -62,8 +62,8 @@ def ensemble(
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume computes the rest.
     docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
-    from undeadzone.ensemble.whole import run_ensemble
-    from undeadzone.scenario import read
+    from undeadzone.ensemble.run_ensemble import run_ensemble
+    from undeadzone.scenario.reader import read
 
     problem = _sized(read(scenario), runs)
     folder = out if out is not None else Path(f"{scenario.stem}-ensemble")
@@ -98,7 +98,7 @@ def _sized(problem: Scenario, runs: int | None) -> Scenario:
 
 def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: list[Path]) -> None:
     from undeadzone.report.style import label
-    from undeadzone.run import LAST
+    from undeadzone.simulation.run import LAST
 
     info, path = result.info, written[0]
     click.echo(f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, {info.sampling.replace('_', ' ')} sampling, seed {info.seed}\n")

@@ -18,7 +18,7 @@ def init(file: Path, force: bool, out: Path | None, as_json: bool, no_figures: b
     """Write a commented scenario to FILE (default: scenario.toml), ready to run and to change."""
     from importlib.resources import files
 
-    from undeadzone.files import write_text
+    from undeadzone.support.files import write_text
 
     path = file if out is None else out / file
     if path.exists() and not force:

@@ -11,7 +11,7 @@ import click
 from undeadzone.cli.common import common, print_json, print_pairs, progress, yes_no
 
 if TYPE_CHECKING:
-    from undeadzone.run import Run
+    from undeadzone.simulation.run import Run
 
 TIP = "The tip against its path, its distance from it, and the torques."
 PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
@@ -58,14 +58,14 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
     import msgspec
 
     from undeadzone.errors import InputError
-    from undeadzone.scenario import read
-    from undeadzone.simulation import simulate
+    from undeadzone.scenario.reader import read
+    from undeadzone.simulation.simulate import simulate
 
     if path.suffix in (".npz", ".parquet"):
         raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
     scenario = read(path)
     if scenario.ensemble is not None:
-        from undeadzone.ensemble.variation import require_bound
+        from undeadzone.ensemble.binding import require_bound
 
         require_bound(scenario)
     if animated and scenario.plant.arm is None:
@@ -83,7 +83,7 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
 
 def _told_apart(first: Any, second: Any) -> tuple[str, str]:
     """Names of two observers: their methods, and, where these are the same, one option that differs, a switch before all others."""
-    from undeadzone.toml import tables
+    from undeadzone.support.toml import tables
 
     one, other = tables(first), tables(second)
     differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
@@ -102,7 +102,7 @@ def _told(options: dict[str, Any], name: str) -> str:
 def _replayed(path: Path, number: int) -> tuple[tuple[Run, None], float]:
     """A run of an ensemble, and how far it lies from what it was there."""
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.ensemble.whole import deviation, replay_run
+    from undeadzone.ensemble.run_ensemble import deviation, replay_run
 
     ensemble = Ensemble.load(path)
     return (replay_run(ensemble, number), None), deviation(ensemble, number)
@@ -119,10 +119,10 @@ def write(result: Run, folder: Path, figures: bool, rival: Run | None = None) ->
     """The files of a run: signals always, figure and page where wanted, with a rival's run beside it if there is one."""
     written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
     if figures:
-        from undeadzone.files import write_text
         from undeadzone.report.figures import overview
         from undeadzone.report.html import run_page
         from undeadzone.report.style import write as write_figure
+        from undeadzone.support.files import write_text
 
         figure = overview(result)
         written.append(write_figure(figure, folder / "figure.png"))

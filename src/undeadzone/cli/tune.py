@@ -10,9 +10,9 @@ import click
 from undeadzone.cli.common import common, print_json, print_pairs, progress
 
 if TYPE_CHECKING:
-    from undeadzone.ensemble.tuned import Tuned
-    from undeadzone.ensemble.tuning import Tune
-    from undeadzone.scenario import Scenario
+    from undeadzone.scenario.schema import Scenario
+    from undeadzone.scenario.tune_table import Tune
+    from undeadzone.tuning.result import Tuned
 
 
 @click.command(epilog="Example: undeadzone tune examples/tune.toml --out tuned && undeadzone run tuned/tuned.toml")
@@ -42,8 +42,8 @@ def tune(scenario: Path, over: tuple[str, ...], out: Path | None, as_json: bool,
     scenario with these numbers, and figures to DIR (default: NAME-tune); with --no-figures and no --out it writes nothing.
     Exit code 1: no better on the held-out runs, or not certified though this was asked for.
     """
-    from undeadzone.ensemble.tune import tune as search
-    from undeadzone.scenario import read
+    from undeadzone.scenario.reader import read
+    from undeadzone.tuning.tune import tune as search
 
     problem = read(scenario)
     what = _wanted(problem, over, changes)
@@ -66,7 +66,7 @@ def _wanted(problem: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -
     """The [tune] of a scenario with what the options say. Raises InputError."""
     import msgspec
 
-    from undeadzone.ensemble.tuning import Tune
+    from undeadzone.scenario.tune_table import Tune
 
     what = problem.tune or Tune()
     given = {name: value for name, value in changes.items() if value is not None}
@@ -75,8 +75,8 @@ def _wanted(problem: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -
 
 def _bounds(text: str) -> tuple[str, Any]:
     """An address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
-    from undeadzone.ensemble.tuning import Range
     from undeadzone.errors import InputError
+    from undeadzone.scenario.tune_table import Range
 
     address, _, bounds = text.partition("=")
     low, _, rest = bounds.partition(":")

@@ -15,7 +15,7 @@ import click
 from undeadzone.errors import FileError
 
 if TYPE_CHECKING:
-    from undeadzone.online import Live
+    from undeadzone.simulation.online import Live
 
 NAMES = (
     "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
@@ -33,9 +33,9 @@ def watch(scenario: Path, as_json: bool) -> int:
     and passed through, and so is a header line. Samples are simulation.step apart. An empty or NaN reading counts as
     missing: the estimate is predicted, not corrected. The observer and [model] (or [plant]) of the scenario are used.
     """
-    from undeadzone.online import Online
-    from undeadzone.problem import believed_plant
-    from undeadzone.scenario import read
+    from undeadzone.scenario.problem import believed_plant
+    from undeadzone.scenario.reader import read
+    from undeadzone.simulation.online import Online
 
     problem = read(scenario)
     online = Online(problem.observer, believed_plant(problem), problem.sensor, problem.simulation.step, problem.simulation.substeps)

@@ -3,13 +3,13 @@
 from undeadzone.controllers.computed_torque import ComputedTorque
 from undeadzone.controllers.fuzzy_feedback import FuzzyFeedback
 from undeadzone.controllers.gravity_pd import GravityPD
-from undeadzone.controllers.interface import Controller, Plan
 from undeadzone.controllers.lqr import LQR
 from undeadzone.controllers.pd import PD
 from undeadzone.controllers.rbf_feedback import RBFFeedback
 from undeadzone.controllers.sliding_mode import SlidingMode
 from undeadzone.controllers.state_feedback import Robust, StateFeedback
 from undeadzone.controllers.taylor_feedback import TaylorFeedback
+from undeadzone.interfaces import Controller, Plan
 
 ControllerOptions = StateFeedback | PD | SlidingMode | FuzzyFeedback | RBFFeedback | TaylorFeedback | ComputedTorque | GravityPD | LQR
 

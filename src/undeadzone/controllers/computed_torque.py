@@ -8,13 +8,12 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, positive
-from undeadzone.controllers.interface import Controller, Plan
 from undeadzone.errors import InputError, StepError
-from undeadzone.feedforward import Target
-from undeadzone.observers.interface import Estimate
-from undeadzone.plant import System
-from undeadzone.robots.arm import Arm, acceleration, torque
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate, Plan
+from undeadzone.plants.robots.arm import Arm, acceleration, torque
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, positive
 
 
 class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="computed_torque"):

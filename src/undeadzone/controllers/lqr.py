@@ -8,13 +8,13 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats
-from undeadzone.controllers.interface import Controller, Plan
-from undeadzone.design.riccati import riccati, riccati_along, weight
 from undeadzone.errors import InputError
-from undeadzone.feedforward import Target
-from undeadzone.observers.interface import Estimate
-from undeadzone.plant import Matrices, System
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate, Plan
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import riccati, riccati_along, weight
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats
 
 
 class LQR(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="lqr"):

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, scalar, vector
-from undeadzone.controllers.interface import Controller
-from undeadzone.design.riccati import paper_riccati, weight
 from undeadzone.errors import InputError
-from undeadzone.feedforward import Target
-from undeadzone.observers.interface import Estimate
-from undeadzone.plant import System
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.riccati import paper_riccati, weight
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, scalar, vector
 
 
 class PD(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="pd"):

@@ -8,15 +8,15 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative, scalar, vector
-from undeadzone.controllers.interface import Controller
-from undeadzone.design.poles import state_gain
 from undeadzone.errors import InputError, StepError, StructureError
-from undeadzone.feedforward import Target
-from undeadzone.observers.injection import fastest_pole
-from undeadzone.observers.interface import Estimate
-from undeadzone.plant import Matrices, System
-from undeadzone.scaling import sizes
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import state_gain
+from undeadzone.linear.scaling import sizes
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 
 class SlidingMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="sliding_mode"):

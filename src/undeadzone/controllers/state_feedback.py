@@ -8,14 +8,13 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, array, matrix, scalar
-from undeadzone.controllers.interface import Controller
-from undeadzone.design.poles import state_gain
-from undeadzone.design.riccati import feedback, lyapunov, weight
 from undeadzone.errors import InputError
-from undeadzone.feedforward import Target
-from undeadzone.observers.interface import Estimate
-from undeadzone.plant import System
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.poles import state_gain
+from undeadzone.linear.riccati import feedback, lyapunov, weight
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
-from undeadzone.arrays import Array
-from undeadzone.basis import monomials
-from undeadzone.controllers.approximating import approximating
-from undeadzone.controllers.interface import Controller
-from undeadzone.plant import System
+from undeadzone.controllers.parts.learned_feedback import approximating
+from undeadzone.interfaces import Controller
+from undeadzone.numerics.approximators import monomials
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array
 
 
 class TaylorFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="taylor_feedback"):

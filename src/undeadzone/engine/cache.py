@@ -17,7 +17,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.files import replacing
+from undeadzone.support.files import replacing
 
 NUMBERS: Final[dict[str, Any]] = {"int64": ctypes.c_int64, "uint64": ctypes.c_uint64, "float64": ctypes.c_double}
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
+from undeadzone.support.arrays import Floats
 
 CHUNK = 500
 

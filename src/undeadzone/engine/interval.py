@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.engine.graph import listed
 from undeadzone.errors import InputError
+from undeadzone.support.arrays import Floats
 
 PAD = 16 * np.finfo(float).eps  # relative error of NumPy's elementary functions, amply
 SMOOTH = "a condition, sign, abs, min or max changes within the bounds; only smooth functions can be bounded"

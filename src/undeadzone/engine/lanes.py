@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats, Integers
 from undeadzone.engine import cache
 from undeadzone.engine.kernel import KINDS, Shape, source, stride
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 128
 BUFFER = 2**17  # numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB, which stays in L2

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats, Integers
 from undeadzone.engine import cache, philox
 from undeadzone.errors import ShapeError
+from undeadzone.support.arrays import Floats, Integers
 
 
 class Template(NamedTuple):

@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.ensemble.quantities import matching
+from undeadzone.ensemble.addresses import matching
+from undeadzone.support.arrays import Floats
 
 LEVELS: Final = (0.01, 0.05, 0.5, 0.95, 0.99)
 EDGES: Final = ("right", "left")

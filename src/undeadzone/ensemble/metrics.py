@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone import tree
-from undeadzone.arrays import Floats
-from undeadzone.loop import Exogenous, Loop, Outputs, Params
-from undeadzone.plant import System
-from undeadzone.problem import Problem
-from undeadzone.robots.arm import Arm
-from undeadzone.run import LIMIT
+from undeadzone.plants.robots.arm import Arm
+from undeadzone.plants.system import System
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
+from undeadzone.simulation.run import LIMIT
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 
 class Tally(NamedTuple):

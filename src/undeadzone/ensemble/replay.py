@@ -10,16 +10,17 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone import tree
-from undeadzone.arrays import Floats, Integers
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.bands import Bands, bands
-from undeadzone.ensemble.compute import Fleet
+from undeadzone.ensemble.batch import Fleet
 from undeadzone.errors import InputError
-from undeadzone.loop import Params
-from undeadzone.problem import Problem
-from undeadzone.run import Run
-from undeadzone.simulation import collect, named
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.collect import collect
+from undeadzone.simulation.loop import Params
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import named
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats, Integers
 
 POINTS = 1000  # samples of a recorded trajectory, or a few more
 

@@ -13,14 +13,14 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from undeadzone.arrays import Floats, finite
-from undeadzone.ensemble import storage
 from undeadzone.ensemble.bands import Bands, true_width
-from undeadzone.ensemble.sensitivity import Correlation, given, saltelli
-from undeadzone.ensemble.statistics import LEVEL, Interval, describe, proportion
+from undeadzone.ensemble.blocks import table_file as storage
 from undeadzone.errors import FileError, InputError
-from undeadzone.run import LAST
-from undeadzone.scenario import Units
+from undeadzone.scenario.schema import Units
+from undeadzone.simulation.run import LAST
+from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
+from undeadzone.statistics.sensitivity import Correlation, given, saltelli
+from undeadzone.support.arrays import Floats, finite
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end

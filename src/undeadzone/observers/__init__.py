@@ -1,5 +1,6 @@
 """The catalogue of observers: one file each. To add one, write its file and name its options class here."""
 
+from undeadzone.interfaces import Estimate, NumericObserver, Observer, Reading
 from undeadzone.observers.adaptive_inverse import AdaptiveInverse
 from undeadzone.observers.auto import Auto
 from undeadzone.observers.censored import Censored
@@ -9,7 +10,6 @@ from undeadzone.observers.extended import Extended
 from undeadzone.observers.full_state import FullState
 from undeadzone.observers.fuzzy_residual import FuzzyResidual
 from undeadzone.observers.high_gain import HighGain
-from undeadzone.observers.interface import Estimate, NumericObserver, Observer, Reading
 from undeadzone.observers.interval import Interval
 from undeadzone.observers.inverse_network import InverseNetwork
 from undeadzone.observers.kalman import Kalman

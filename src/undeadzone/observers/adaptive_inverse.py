@@ -8,14 +8,15 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array
-from undeadzone.observers.certified import bounded_widths
-from undeadzone.observers.injection import hiding, in_poles, injection
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.learning import Compensator, learning
-from undeadzone.observers.weights import gradient, least_squares
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.adaptive_laws import gradient, least_squares
+from undeadzone.observers.parts.gain import hiding, injection
+from undeadzone.observers.parts.learned_residual import Compensator, learning
+from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import in_poles
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array
 
 
 class AdaptiveInverse(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="adaptive_inverse"):

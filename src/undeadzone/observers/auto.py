@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.interfaces import Observer
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
-from undeadzone.observers.claims import Claims
-from undeadzone.observers.filtering import declared
 from undeadzone.observers.high_gain import HighGain
-from undeadzone.observers.injection import fastest_pole
-from undeadzone.observers.interface import Observer
-from undeadzone.plant import System
+from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.measured_kalman import declared
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
 
 EPSILON, GAMMA = 0.25, 4.5  # of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 
-from undeadzone.arrays import nonnegative, scalar
 from undeadzone.errors import InputError
-from undeadzone.observers.bank import bank
-from undeadzone.observers.claims import Claims
-from undeadzone.observers.filtering import Params, measured_filter, prior
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.joint import presumed
-from undeadzone.observers.unknowns import coloured, correlation_time, span, tolerances, unknowns
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.augmented_state import presumed
+from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.measured_kalman import Params, measured_filter, prior
+from undeadzone.observers.parts.model_bank import bank
+from undeadzone.observers.parts.unknown_inputs import coloured, correlation_time, span, tolerances, unknowns
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is given
 WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is given

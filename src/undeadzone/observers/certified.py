@@ -8,12 +8,14 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, array, matrix, vector
-from undeadzone.errors import InputError, ShapeError
-from undeadzone.observers.adaptation import GRADIENT, Adaptation, Edge, Gradient, Law
-from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.plant import System
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.width_laws import GRADIENT, Adaptation, Edge, Gradient, Law
+from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, offset, present
+from undeadzone.support.arrays import Array, Floats, vector
 
 
 class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="certified"):
@@ -53,7 +55,7 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 def _designed(path: str, model: System) -> tuple[Floats, Floats]:
-    from undeadzone.design.design import Design
+    from undeadzone.analysis.certificate.design_file import Design
 
     found = Design.load(path)
     found.require_proof(model.linear, model.Ts, f"observer.design: {path}")
@@ -83,40 +85,6 @@ class State(NamedTuple):
     left: Any
     right_gain: Any
     left_gain: Any
-
-
-def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
-    """L as n x p (a plain list for one output), or P^-1 C' of the model where L is not given. Raises ShapeError."""
-    n, p = model.n, model.p
-    if L is None:
-        from undeadzone.design.passivity import passive_gain
-
-        return passive_gain(model.linear, model.Ts)
-    found = array(key, L)
-    if found.ndim == 1 and p == 1:
-        found = found[:, None]
-    if found.ndim != 2:
-        raise ShapeError(f"{key}: expected {n} x {p} (states x outputs), found {found.size} number{'s' * (found.size != 1)}")
-    return matrix(key, found, n, p, "states x outputs")
-
-
-def pairs(key: str, value: Array, p: int) -> Floats:
-    """(p x 2) of [right, left] from one number, one pair, or one pair per output. Raises ShapeError."""
-    found = array(key, value)
-    if found.ndim < 2 and found.size in (1, 2):
-        return np.broadcast_to(found, (p, 2)).astype(float)
-    return matrix(key, found, p, 2, "one [right, left] per output")
-
-
-def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
-    """(d^(0) (p x 2), its upper bound d_M (p), inf if none is given). Raises InputError, ShapeError."""
-    limit = np.full(p, np.inf) if width_max is None else vector("observer.width_max", width_max, p, "one per output")
-    if (limit <= 0).any():
-        raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
-    widths = pairs("observer.widths0", widths0, p)
-    if (widths < 0).any() or (widths > limit[:, None]).any():
-        raise InputError(f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} with width_max {limit.tolist()}")
-    return widths, limit
 
 
 def measured_side(

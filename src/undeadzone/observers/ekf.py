@@ -7,11 +7,11 @@ from typing import Any, Literal
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.gaussian import Gaussian, linearise, predict, update
-from undeadzone.observers.filtering import Params
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.joint import Declared, Habits, Sight, claims, joint_filter
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.numerics.gaussian import Gaussian, linearise, predict, update
+from undeadzone.observers.parts.augmented_state import Declared, Habits, Sight, claims, joint_filter
+from undeadzone.observers.parts.measured_kalman import Params
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, branch, zone
 
 HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)

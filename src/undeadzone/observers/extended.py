@@ -8,14 +8,14 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative
 from undeadzone.errors import InputError
-from undeadzone.observers.filtering import Extension, Params, measured_filter, prior
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.joint import presumed
-from undeadzone.observers.unknowns import Colour, coloured, correlation_time, named, unknowns
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.augmented_state import presumed
+from undeadzone.observers.parts.measured_kalman import Extension, Params, measured_filter, prior
+from undeadzone.observers.parts.unknown_inputs import Colour, coloured, correlation_time, named, unknowns
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, nonnegative
 
 
 class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="extended"):

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import msgspec
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import InputError
-from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.plant import System
+from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Floats
 
 
 class FullState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="full_state"):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, scalar
-from undeadzone.basis import gaussians
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.learning import residual
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.numerics.approximators import gaussians
+from undeadzone.observers.parts.learned_residual import residual
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, scalar
 
 
 class FuzzyResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="fuzzy_residual"):

@@ -7,14 +7,14 @@ import math
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, scalar
-from undeadzone.design.structure import output_chains
 from undeadzone.errors import StepError
-from undeadzone.observers.injection import fastest_pole
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.output_error import adapted, output_error
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.linear.structure import output_chains
+from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, scalar
 
 
 class HighGain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="high_gain"):

@@ -9,16 +9,17 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative, scalar
 from undeadzone.errors import InputError
-from undeadzone.observers.boxes import FAR, Bounds, Boxes, cut, each, meet
-from undeadzone.observers.filtering import FLOOR, declared
-from undeadzone.observers.injection import fastest_pole, injection
-from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.observers.modal import Modes, modes, turned
-from undeadzone.plant import System
-from undeadzone.scaling import sizes
+from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.linear.scaling import sizes
+from undeadzone.observers.parts.boxes import FAR, Bounds, Boxes, cut, each, meet
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.measured_kalman import FLOOR, declared
+from undeadzone.observers.parts.modal_form import Modes, modes, turned
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone, present
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 

@@ -7,14 +7,15 @@ from typing import Any
 import casadi as ca
 import msgspec
 
-from undeadzone.arrays import Array, positive
-from undeadzone.basis import jumps
-from undeadzone.observers.injection import hiding, in_poles, injection
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.learning import Compensator, learning
-from undeadzone.observers.weights import gradient
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.numerics.approximators import jumps
+from undeadzone.observers.parts.adaptive_laws import gradient
+from undeadzone.observers.parts.gain import hiding, injection
+from undeadzone.observers.parts.learned_residual import Compensator, learning
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import in_poles
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, positive
 
 
 class InverseNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="inverse_network"):

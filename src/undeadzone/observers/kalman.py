@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import msgspec
 
-from undeadzone.arrays import Array, nonnegative
 from undeadzone.errors import InputError
-from undeadzone.observers.filtering import measured_filter, prior, white
-from undeadzone.observers.interface import Observer
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.measured_kalman import measured_filter, prior, white
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, nonnegative
 
 
 class Kalman(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="kalman"):

@@ -8,13 +8,13 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats
-from undeadzone.design.poles import observer_gain
 from undeadzone.errors import InputError
-from undeadzone.observers.certified import gains
-from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.plant import System
+from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.linear.poles import observer_gain
+from undeadzone.observers.parts.gain import gains
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
+from undeadzone.support.arrays import Array, Floats
 
 
 class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="luenberger"):

@@ -7,15 +7,15 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, nonnegative, scalar
 from undeadzone.errors import InputError
-from undeadzone.observers import horizon
-from undeadzone.observers.filtering import sample_time
-from undeadzone.observers.horizon import Weights, Window
-from undeadzone.observers.interface import NumericObserver, Reading, numeric_estimate
-from undeadzone.observers.joint import Claims, Declared, Habits, claims, quarter_period
-from undeadzone.plant import System
+from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
+from undeadzone.observers.parts import window as horizon
+from undeadzone.observers.parts.augmented_state import Claims, Declared, Habits, claims, quarter_period
+from undeadzone.observers.parts.measured_kalman import sample_time
+from undeadzone.observers.parts.window import Weights, Window
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given

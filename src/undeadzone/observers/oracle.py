@@ -5,11 +5,12 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array
-from undeadzone.observers.certified import gains, measured_side
-from undeadzone.observers.interface import Observer
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.observers.certified import measured_side
+from undeadzone.observers.parts.gain import gains
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array
 
 
 class Oracle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="oracle"):

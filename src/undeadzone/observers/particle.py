@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import InputError
-from undeadzone.observers.interface import NumericObserver, Reading, numeric_estimate
-from undeadzone.observers.joint import Claims, Declared, Habits, claims, read
-from undeadzone.plant import System
+from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
+from undeadzone.observers.parts.augmented_state import Claims, Declared, Habits, claims, read
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Floats
 
 HABITS = Habits(noise=0.1, drift=0.1, x_std=0.5)  # a likelihood that few particles meet leaves copies of these few
 STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise and disturbance

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, scalar
-from undeadzone.design.riccati import paper_riccati, weight
 from undeadzone.errors import InputError
-from undeadzone.observers.certified import gains, pairs
-from undeadzone.observers.interface import Estimate, Observer, Reading, estimate
-from undeadzone.plant import System
+from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.linear.riccati import paper_riccati, weight
+from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.widths import pairs
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, indicators, saturation
+from undeadzone.support.arrays import Array, Floats, scalar
 
 STAND_INS = {
     "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",

@@ -8,13 +8,14 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, scalar
 from undeadzone.errors import InputError, StructureError
-from undeadzone.observers.injection import fastest_pole, hiding, injection
-from undeadzone.observers.interface import Observer, Reading
-from undeadzone.observers.output_error import State, adapted, output_error
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer, Reading
+from undeadzone.observers.parts.gain import hiding, injection
+from undeadzone.observers.parts.output_error import State, adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone, indicators
+from undeadzone.support.arrays import Array, Floats, scalar
 
 
 class RobustGradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="robust_gradient"):

@@ -8,14 +8,15 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, vector
-from undeadzone.design.structure import output_chains
 from undeadzone.errors import InputError, StructureError
-from undeadzone.observers.injection import fastest_pole, injection
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.output_error import adapted, output_error
-from undeadzone.plant import System
+from undeadzone.interfaces import Observer
+from undeadzone.linear.structure import output_chains
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, vector
 
 LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)  # gains of the recursive differentiator, from the last derivative up
 

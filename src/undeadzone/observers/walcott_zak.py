@@ -8,15 +8,17 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Array, Floats, listed, nonnegative, vector
-from undeadzone.design.riccati import lyapunov, weight
 from undeadzone.errors import InputError, StepError, StructureError
-from undeadzone.observers.injection import fastest_pole, injection
-from undeadzone.observers.interface import Observer
-from undeadzone.observers.output_error import adapted, output_error
-from undeadzone.plant import Matrices, System
-from undeadzone.scaling import sizes
+from undeadzone.interfaces import Observer
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import lyapunov, weight
+from undeadzone.linear.scaling import sizes
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
 
 
 class WalcottZak(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="walcott_zak"):

@@ -1,5 +1,6 @@
 """The paper's example as printed and repaired: its variants, facts, figures 3-8, its claims judged, its equations placed."""
 
-from undeadzone.paper.report import Paper, audit, write
+from undeadzone.paper.audit import Paper, audit
+from undeadzone.paper.report import write
 
 __all__ = ["Paper", "audit", "write"]

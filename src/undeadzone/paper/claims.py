@@ -10,9 +10,9 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import finite
 from undeadzone.paper.evidence import DISTURBANCE, MISMATCH, NOISE, SLOPE, Evidence
 from undeadzone.paper.trials import measure
+from undeadzone.support.arrays import finite
 
 Verdict = Literal["holds", "holds after repair", "does not hold"]
 

@@ -10,11 +10,11 @@ import msgspec
 from undeadzone.observers import Certified, Luenberger
 from undeadzone.paper.example import AMPLITUDES, L_POLES, L_REPAIRED, STARTED, D, printed, reference, repaired
 from undeadzone.paper.measures import with_printed_V
-from undeadzone.run import Run
-from undeadzone.scenario import Model, Scenario, Simulation
+from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.sensor import Sensor
-from undeadzone.signals import Sine
-from undeadzone.simulation import simulate
+from undeadzone.signals.exosystem import Sine
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
 
 NOISE: Final = 0.02  # rms on y
 DISTURBANCE: Final = 1.0  # amplitude at the input, 0.3 Hz

@@ -9,10 +9,10 @@ import numpy as np
 
 from undeadzone.controllers import PD, StateFeedback
 from undeadzone.observers import Certified, Printed
-from undeadzone.plant import Plant, SecondOrder
-from undeadzone.scenario import Scenario, Simulation
+from undeadzone.plants.options import Plant, SecondOrder
+from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.sensor import Sensor
-from undeadzone.signals import Sine
+from undeadzone.signals.exosystem import Sine
 
 OMEGA: Final = 2 * np.pi  # [rad/s] of the reference, and the omega_n that the text gives
 D: Final = 1.0  # d_r = d_l

@@ -6,14 +6,15 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.passivity import certify
-from undeadzone.design.poles import observer_gain
-from undeadzone.design.riccati import paper_riccati
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import observer_gain
+from undeadzone.linear.riccati import paper_riccati
 from undeadzone.paper.example import ALPHA, AMPLITUDES, L_POLES, L_PRINTED, OMEGA, POLES, READINGS, printed
-from undeadzone.plant import Matrices, matrices, system
-from undeadzone.problem import resolve_scenario
-from undeadzone.simulation import prepare, run_loop
+from undeadzone.plants.build import matrices, system
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.support.arrays import Floats
 
 STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
 

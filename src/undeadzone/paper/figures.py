@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.paper.equations import FIGURES
 from undeadzone.paper.example import D
 from undeadzone.paper.measures import predicted_reading
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, plot_magnitude, shade_zone, sheet
-from undeadzone.run import Run
+from undeadzone.simulation.run import Run
+from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.riccati import paper_riccati
+from undeadzone.linear.riccati import paper_riccati
 from undeadzone.paper.example import ALPHA, L_PRINTED, printed
-from undeadzone.plant import matrices
-from undeadzone.run import LAST, LIMIT, Run
+from undeadzone.plants.build import matrices
 from undeadzone.sensor import deadzone, indicators, zone
+from undeadzone.simulation.run import LAST, LIMIT, Run
+from undeadzone.support.arrays import Floats
 
 
 def predicted_reading(run: Run) -> Floats:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from undeadzone.files import write_text
 from undeadzone.observers.printed import STAND_INS
 from undeadzone.paper.equations import EQUATIONS, FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING
@@ -17,9 +16,10 @@ from undeadzone.paper.figures import Trio, figure, silence
 from undeadzone.paper.printed import DEFINITION
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.style import write
+from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
-    from undeadzone.paper.report import Paper
+    from undeadzone.paper.audit import Paper
 
 _COLOURS: Final = {"holds": "yes", "holds after repair": "mid", "does not hold": "no"}
 

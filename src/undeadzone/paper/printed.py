@@ -14,17 +14,18 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone import tree
-from undeadzone.arrays import Floats
 from undeadzone.controllers import PD
-from undeadzone.design.poles import observer_gain
-from undeadzone.loop import Loop, Outputs
+from undeadzone.linear.poles import observer_gain
 from undeadzone.observers import Printed
 from undeadzone.paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
-from undeadzone.plant import System, system
-from undeadzone.problem import resolve_scenario
-from undeadzone.scenario import Simulation
-from undeadzone.simulation import prepare, run_loop
+from undeadzone.plants.build import system
+from undeadzone.plants.system import System
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Simulation
+from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 STEP: Final = 5e-3  # [s]
 DURATION: Final = 12.0  # [s]; what diverges has done so by then

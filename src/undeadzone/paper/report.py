@@ -1,61 +1,15 @@
-"""The audit of the paper as one value, its numbers for JSON, its files."""
+"""The audit's files: its numbers as JSON, its variants as CSV, figures 3-8, its page."""
 
 from __future__ import annotations
 
 import csv
 import json
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import numpy as np
-
-from undeadzone.files import replacing, write_text
-from undeadzone.paper.claims import Claim, judge
-from undeadzone.paper.equations import EQUATIONS
-from undeadzone.paper.evidence import RESTING, Evidence, gather
-from undeadzone.paper.facts import Fact, facts
-from undeadzone.paper.measures import rate
-from undeadzone.paper.printed import DEFINITION, LAST, Count, Outcome, Variant, count, run_variants
-from undeadzone.run import Run
-
-Progress = Callable[[int], None]
-
-
-class Paper(NamedTuple):
-    """Everything that the audit found."""
-
-    evidence: Evidence
-    variants: list[Outcome]
-    facts: list[Fact]
-    claims: list[Claim]
-
-    @property
-    def counts(self) -> list[Count]:
-        """The variants counted by plant and start."""
-        return count(self.variants)
-
-    def summary(self) -> dict[str, Any]:
-        """All numbers, ready for JSON; `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair."""
-        five, two = self.evidence.repaired
-        return {
-            "printed": _printed(self.evidence.printed[RESTING][0]),
-            "repaired": _repaired(five),
-            "repaired_2sin": _repaired(two),
-            "repaired_sampled": _repaired(self.evidence.sampled),
-            "variants": {"definition": DEFINITION, "counts": [item._asdict() for item in self.counts]},
-            "facts": [fact._asdict() for fact in self.facts],
-            "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
-            "claims": [claim.summary() for claim in self.claims],
-            "equations": [equation._asdict() for equation in EQUATIONS],
-        }
-
-
-def audit(progress: Progress | None = None) -> Paper:
-    """Run the example in every variant and repaired, and judge the claims; progress is told of steps done."""
-    evidence = gather(progress)
-    return Paper(evidence, run_variants(progress), facts(), judge(evidence))
+from undeadzone.paper.audit import Paper, Progress
+from undeadzone.paper.page import write_figures, write_report
+from undeadzone.paper.printed import Outcome, Variant
+from undeadzone.support.files import replacing, write_text
 
 
 def write(paper: Paper, folder: Path, figures: bool = True, progress: Progress | None = None) -> list[Path]:
@@ -63,8 +17,6 @@ def write(paper: Paper, folder: Path, figures: bool = True, progress: Progress |
 
     progress is told of each figure written.
     """
-    from undeadzone.paper.page import write_figures, write_report
-
     written = [
         write_text(json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", folder / "paper.json"),
         _write_variants(paper.variants, folder / "variants.csv"),
@@ -81,17 +33,3 @@ def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
         writer.writerow([*Variant._fields, *Outcome._fields[1:]])
         writer.writerows([*outcome.variant, *outcome[1:]] for outcome in outcomes)
     return path
-
-
-def _printed(run: Run) -> dict[str, Any]:
-    steady = run.t >= run.t[-1] - LAST
-    return {
-        "max_abs_z": float(np.abs(run.z[steady]).max()),
-        "peak_abs_z": float(np.abs(run.z).max()),
-        "max_abs_y": float(np.abs(run.y).max()),
-        **{name: value for name, value in run.summary().items() if name in ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")},
-    }
-
-
-def _repaired(run: Run) -> dict[str, Any]:
-    return {**run.summary(), "rate": rate(run)}

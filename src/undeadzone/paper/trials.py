@@ -7,20 +7,21 @@ from collections.abc import Callable, Iterable
 import casadi as ca
 import numpy as np
 
-from undeadzone import tree
-from undeadzone.arrays import Floats
-from undeadzone.design.poles import observer_gain
-from undeadzone.design.riccati import paper_riccati
+from undeadzone.interfaces import graph_of
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import observer_gain
+from undeadzone.linear.riccati import paper_riccati
 from undeadzone.observers import Reading
-from undeadzone.observers.interface import graph_of
 from undeadzone.paper import measures as m
 from undeadzone.paper.equations import FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING, Evidence, Pair
 from undeadzone.paper.example import ALPHA, L_POLES, L_PRINTED, POLES, D, printed, repaired
-from undeadzone.plant import Matrices, matrices, system
-from undeadzone.run import Run
-from undeadzone.scenario import Scenario
+from undeadzone.plants.build import matrices, system
+from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import bound, deadzone, offset, resolve, saturation, zone
+from undeadzone.simulation.run import Run
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 Numbers = dict[str, tuple[dict[str, float], float]]
 

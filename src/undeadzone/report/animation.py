@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import FileError, InputError
-from undeadzone.files import replacing
 from undeadzone.report.html import Html, html
 from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE
-from undeadzone.run import FRAMES, Run
+from undeadzone.simulation.run import FRAMES, Run
+from undeadzone.support.arrays import Floats
+from undeadzone.support.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

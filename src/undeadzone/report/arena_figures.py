@@ -9,8 +9,8 @@ import numpy as np
 
 from undeadzone.arena.leaderboard import CAP, Row
 from undeadzone.arena.traces import Trace
-from undeadzone.arrays import Floats
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, shade_zone, sheet
+from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,10 +10,10 @@ from undeadzone.arena.contest import Contest
 from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, Row, regrets
 from undeadzone.arena.metric import TAIL
 from undeadzone.arena.traces import Trace
-from undeadzone.files import write_text
 from undeadzone.report.arena_figures import costs, heat, places, traces
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table
 from undeadzone.report.style import write
+from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, label, plot_magnitude, sheet
-from undeadzone.run import Run
+from undeadzone.simulation.run import Run
+from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

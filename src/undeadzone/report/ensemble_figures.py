@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.ensemble.result import JUDGED, MAIN, WIDTHS, Ensemble
-from undeadzone.ensemble.statistics import LEVEL
 from undeadzone.report.style import ESTIMATE, FLOOR, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, label, sheet
+from undeadzone.statistics.intervals import LEVEL
+from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

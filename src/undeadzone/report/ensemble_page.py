@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
-from undeadzone.files import write_text
 from undeadzone.report.ensemble_figures import WORDS, distributions, influence, over_time, tornado, words
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.style import label, write
+from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, label, plot_magnitude, shade_zone, sheet
-from undeadzone.run import Run
+from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, label, plot_magnitude, shade_zone, sheet, write
+from undeadzone.simulation.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
+
+
+def plot(run: Run, path: str | os.PathLike[str]) -> Path:
+    """Write a figure of a run (PNG, PDF or SVG by suffix): output, error, widths, V. Raises FileError."""
+    return write(overview(run), Path(path))
 
 
 def overview(run: Run) -> Figure:

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.arrays import listed
-from undeadzone.design.account import Account, Gains, Trial
-from undeadzone.design.design import Design
-from undeadzone.design.identifiability import DIRECTIONS
-from undeadzone.design.known import Known
-from undeadzone.files import write_text
+from undeadzone.analysis.certificate.design_file import Design, Known
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.proof_figures import courses, nyquist, root_locus
 from undeadzone.report.style import label, write
 from undeadzone.report.trade_figures import ellipses, front
+from undeadzone.support.arrays import listed
+from undeadzone.support.files import write_text
+from undeadzone.synthesis.assessment import Account, Gains, Trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

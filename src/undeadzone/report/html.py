@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import png
-from undeadzone.run import Run
+from undeadzone.simulation.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.account import Account, Gains, Trial
-from undeadzone.design.errordynamics import Dynamics, pattern
-from undeadzone.design.falsify import Mode, generator
-from undeadzone.design.floquet import rates
-from undeadzone.design.passivity import margin
+from undeadzone.analysis.certificate.passivity import margin
+from undeadzone.analysis.convergence.falsify import Mode, generator
+from undeadzone.analysis.convergence.floquet import rates
+from undeadzone.analysis.error_dynamics import Dynamics, pattern
 from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, TRUTH, ZONE, finish, sheet
+from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.assessment import Account, Gains, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.arrays import Floats
 from undeadzone.errors import FileError
-from undeadzone.files import replacing
+from undeadzone.support.arrays import Floats
+from undeadzone.support.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

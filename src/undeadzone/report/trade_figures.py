@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.design.account import Account
-from undeadzone.design.design import Design, Point
-from undeadzone.design.errordynamics import delta, growth
-from undeadzone.design.identifiability import DIRECTIONS
-from undeadzone.design.known import Known
+from undeadzone.analysis.certificate.design_file import Design, Known, Point
+from undeadzone.analysis.error_dynamics import delta, growth
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.style import ESTIMATE, PRINTED, TRUTH, finish, label, sheet
+from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.assessment import Account
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

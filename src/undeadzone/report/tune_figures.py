@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from undeadzone.arrays import Floats
-from undeadzone.ensemble.options import Parameter
-from undeadzone.ensemble.sweep import Sweep, sweep
-from undeadzone.ensemble.tuned import Tuned
 from undeadzone.report.ensemble_figures import WORDS
 from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, sheet, write
+from undeadzone.support.arrays import Floats
+from undeadzone.tuning.parameters import Parameter
+from undeadzone.tuning.result import Tuned
+from undeadzone.tuning.sweep import Sweep, sweep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

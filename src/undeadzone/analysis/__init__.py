@@ -1,0 +1,1 @@
+"""What can be proved and known, of matrices and schedules alone."""

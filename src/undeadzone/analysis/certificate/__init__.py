@@ -1,0 +1,1 @@
+"""Whether one V never rises, whatever the sensor shows."""

@@ -1,0 +1,1 @@
+"""How fast errors die, and attempts to make them grow."""

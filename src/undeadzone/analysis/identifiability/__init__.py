@@ -1,0 +1,1 @@
+"""Which widths the readings can tell."""

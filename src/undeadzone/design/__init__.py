@@ -1,1 +1,0 @@
-"""What can be computed before anything runs: gains, certificates, structure. Each answer carries its residual."""

@@ -1,0 +1,110 @@
+"""The runs of an ensemble on the lanes engine: a block of run numbers in, a row of drawn values and metrics for each out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.engine import lanes
+from undeadzone.ensemble import binding as variation
+from undeadzone.ensemble import metrics
+from undeadzone.ensemble.binding import Binding, Lanes
+from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble.metrics import Measured, Tally
+from undeadzone.ensemble.run_noise import Drawn, drawn
+from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.loop import Loop
+from undeadzone.simulation.run import last_samples
+from undeadzone.simulation.simulate import closed
+from undeadzone.support import toml, tree
+from undeadzone.support.arrays import Floats, Integers
+
+BLOCK = 16 * lanes.WIDTH  # runs that are computed, and kept, together
+
+
+class Fleet(NamedTuple):
+    """The runs of a scenario, ready to be computed: a `Job`.
+
+    kernel: the loop with its metrics, compiled; exogenous: what all runs share, with time [s] and tail; params: nominal,
+    with the tolerance [z]; own: what each run draws for itself; tail: samples of the last 2 s.
+    """
+
+    layout: Layout
+    problem: Problem
+    loop: Loop
+    binding: Binding
+    measured: Measured
+    kernel: lanes.Kernel
+    exogenous: Floats
+    params: Floats
+    own: Drawn
+    tail: int
+
+    def block(self, index: int, threads: int | None = None) -> Floats:
+        """The rows of one block, on that many threads (default: one per processor)."""
+        within = self.layout.within(index)
+        runs = np.arange(within.start, within.stop)
+        return self.rows(runs, self.binding.draw(int(runs[0]), runs.size, self.layout.runs), threads)
+
+    def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
+        """The values and metrics (a row each) of runs given by number, with these values (runs x columns)."""
+        return np.hstack([values, self.measure(runs, self.binding.lanes(values), threads)])
+
+    def measure(self, runs: Integers, given: Lanes, threads: int | None = None) -> Floats:
+        """The metrics (a row each) of lanes; runs: the number of the run whose noise each of them has."""
+        _, finals = lanes.run(self.kernel, self.started(given.states), self.exogenous, self.params, self.own.supply(runs), given.params, threads=threads)
+        plain, tallied = np.split(finals, [given.states.shape[1]], axis=1)
+        tally: Tally = tree.rebuild(self.measured.tally, iter(np.split(tallied, np.cumsum([np.size(part) for part in self.measured.tally])[:-1], axis=1)))
+        return metrics.rows(tally, plain, len(self.exogenous), self.tail, len(self.problem.tracked))
+
+    def started(self, states: Floats) -> Floats:
+        """The states (lanes x S) of the loop with nothing counted yet."""
+        return np.hstack([states, np.zeros((len(states), tree.size(self.measured.tally)))])
+
+
+def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
+    """The runs of a scenario's [ensemble]; moved: packed params that each lane has for itself though they do not vary. Raises InputError and its kinds."""
+    problem = resolve_scenario(scenario)
+    loop = closed(problem)
+    binding = variation.bind(problem, loop)
+    binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
+    vary = problem.scenario.ensemble or Vary()
+    measured = metrics.measured(loop, problem)
+    shared = inputs.exogenous(problem, run=None)
+    t = np.arange(len(shared)) * scenario.simulation.step
+    tail = np.zeros(t.size)
+    tail[last_samples(t)] = 1.0
+    largest = np.abs(problem.reference.value(t)).max()
+    params = np.append(binding.params, vary.tolerance * largest)
+    own = drawn(problem, loop, binding)
+    kernel = lanes.build(
+        measured.step,
+        measured.rare,
+        exogenous=own.entries,
+        params=binding.indices,
+        record=[],
+        known_exogenous=known_inputs(shared, own.entries),
+        known_params=known_params(params, binding.indices),
+        fused=True,
+    )
+    names = (*binding.names, *metrics.columns(problem.plant))
+    exogenous = np.column_stack([shared, t, tail])
+    digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
+    layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})
+    return Fleet(layout, problem, loop, binding, measured, kernel, exogenous, params, own, int(tail.sum()))
+
+
+def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
+    """The exogenous inputs that are 0 throughout and for all runs: with them known, a kernel is shorter."""
+    return {i: 0.0 for i, column in enumerate(shared.T) if i not in own and not column.any()}
+
+
+def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
+    """The zeros and ones among the params that do not vary: likewise."""
+    return {i: float(value) for i, value in enumerate(params) if value in (0.0, 1.0) and i not in varied}

@@ -1,0 +1,1 @@
+"""Blocks of runs: kept on disk, resumed, spread over processes."""

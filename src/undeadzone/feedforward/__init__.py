@@ -1,0 +1,1 @@
+"""The targets along which a reference is followed exactly."""

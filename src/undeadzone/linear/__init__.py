@@ -1,0 +1,1 @@
+"""Linear systems as matrices: poles, Riccati equations, structure, sampling."""

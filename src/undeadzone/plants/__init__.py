@@ -1,0 +1,1 @@
+"""Plants as pure functions, linear, by formulas, or robot arms."""

@@ -1,0 +1,99 @@
+"""Every plant as one shape, `System`: pure functions on CasADi expressions and their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
+from undeadzone.numerics.runge_kutta import rk4
+from undeadzone.plants.robots.arm import Arm
+from undeadzone.support.arrays import LARGEST, Floats
+
+
+class Flat(NamedTuple):
+    """Coordinates that, with their derivatives up to `order`, say what state and input are (flatness: Fliess and others 1995).
+
+    solve(params, derivatives (coordinates x order + 1)): (x, u) in continuous time.
+    """
+
+    order: int
+    solve: Callable[[Any, Any], tuple[Any, Any]]
+
+
+class System(NamedTuple):
+    """Dynamics as pure functions on CasADi expressions, and their numbers.
+
+    move(params, x, u): the derivative of x, or its next value when Ts [s] is set; output(params, x): z.
+    linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant; flow: those in continuous
+    time of a sampled plant. Of robots: arm: links and joints, of rigid ones x = [q; q'];
+    flat: the state and input along a path of the joints; limit: largest |u| (m), infinite where there is none.
+    names: of the parameters of a nonlinear plant, in the order of params; rate: what `move` was before it was sampled.
+    """
+
+    params: Any
+    move: Callable[[Any, Any, Any], Any]
+    output: Callable[[Any, Any], Any]
+    linear: Matrices
+    nonlinear: bool
+    Ts: float | None = None
+    flow: Matrices | None = None
+    arm: Arm | None = None
+    flat: Flat | None = None
+    limit: Floats | None = None
+    names: tuple[str, ...] = ()
+    rate: Callable[[Any, Any, Any], Any] | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.linear.A.shape[0]
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return self.linear.B.shape[1]
+
+    @property
+    def p(self) -> int:
+        """Number of outputs."""
+        return self.linear.C.shape[0]
+
+
+def linearise(key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats) -> Matrices:
+    """The linearisation of a continuous plant. Raises ShapeError, InputError."""
+    x, u = ca.SX.sym("x", x_eq.size), ca.SX.sym("u", u_eq.size)
+    dx, z = move(ca.SX(params), x, u), output(ca.SX(params), x)
+    if dx.shape != x.shape:
+        raise ShapeError(f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {dx.shape[0]} x {dx.shape[1]}")
+    jacobians = ca.Function("jacobians", [x, u], [ca.jacobian(dx, x), ca.jacobian(dx, u), ca.jacobian(z, x)])
+    found = Matrices(*(np.asarray(value.full()) for value in jacobians(x_eq, u_eq)))
+    if not all((np.abs(value) < LARGEST**2).all() for value in found):
+        raise InputError(f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)")
+    return found
+
+
+def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
+    """The plant seen every Ts [s] with u held: exact zero-order hold if linear, else RK4 with `substeps`."""
+    linear = zoh(plant.linear, Ts)
+    if not plant.nonlinear:
+        return plant._replace(params=linear, linear=linear, Ts=Ts, flow=plant.linear)
+
+    def move(params: Any, x: Any, u: Any) -> Any:
+        for _ in range(substeps):
+            x = rk4(lambda state, _: plant.move(params, state, u), x, Ts / substeps)
+        return x
+
+    return plant._replace(move=move, linear=linear, Ts=Ts, flow=plant.linear, rate=plant.move)
+
+
+def held(model: System) -> Floats:
+    """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w, w held over a step (n x n): the integral of e^(A t)."""
+    assert model.flow is not None
+    assert model.Ts is not None
+    return zoh(model.flow._replace(B=np.eye(model.n)), model.Ts).B

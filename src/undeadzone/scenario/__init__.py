@@ -1,0 +1,1 @@
+"""The problem in words, and as checked parts."""

@@ -1,0 +1,113 @@
+"""What varies from run to run, in the words of a scenario's [ensemble] table: an address and a distribution."""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.scenario.address_table import Table
+from undeadzone.support.arrays import LARGEST, Floats, scalar
+
+POSITIVE: Final = float(np.finfo(float).tiny)
+REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further out
+
+
+class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Exactly one of uniform: [low, high]; normal: [mean, standard deviation]; log_normal: [median, standard deviation of the logarithm].
+
+    A normal distribution is cut off where a value cannot be, such as a width below 0; what is cut off is spread over the rest.
+    relative: what is drawn is a factor on the nominal value, which must not be 0. shared: one draw for all entries that
+    the address names, else each has its own.
+    """
+
+    uniform: tuple[float, float] | None = None
+    normal: tuple[float, float] | None = None
+    log_normal: tuple[float, float] | None = None
+    relative: bool = False
+    shared: bool = False
+
+
+class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Many runs of the scenario. A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.
+
+    Addresses: `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `plant.A[1,0]`, `B`, `C` in continuous
+    time, whatever form the plant is given in; `plant.parameters.NAME`; `plant.x0[0]`; `reference.scale`, a factor on the
+    whole reference, or `reference.amplitude` of a sine, step or trapezoid about 0; likewise `disturbance.scale`,
+    `disturbance.amplitude` (a bias is a step at time 0), `disturbance.rms`; the numbers of observer and controller by their
+    names in the loop, such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and `observer.model.A[1,0]`
+    for what the observer alone believes. Without an index, or with `:` for one, an address names several entries; `+` joins
+    addresses: `"plant.A[1,:] + plant.B[1,:]"` with `relative` and `shared` divides the second equation by a mass. `sensor`
+    and `plant` are the truth: observer, controller and feedforward stay as designed for the nominal plant or [model],
+    sensor and noise; but `oracle` is told the widths, and `certified` the threshold. A width beyond `width_max` is not refused.
+    runs: how many. sampling: random; latin_hypercube, which depends on the number of runs; sobol, best with a power of 2;
+    saltelli, the design for Sobol indices, whose runs are a multiple of the varied entries plus 2. seed: default that of
+    [simulation]. tolerance: share of the largest |r| within which z - r has settled. entries: what varies, by address; a
+    key with a dot directly in [ensemble] is one of them.
+    """
+
+    runs: int = 10_000
+    sampling: Literal["random", "latin_hypercube", "sobol", "saltelli"] = "random"
+    seed: int | None = None
+    tolerance: float = 0.02
+    entries: dict[str, Distribution] = {}
+
+
+class Spread(NamedTuple):
+    """A distribution that has been checked, cut off below `least`."""
+
+    kind: str
+    first: float
+    second: float
+    least: float
+
+    def quantile(self, u: Floats) -> Floats:
+        """The values below which the shares u, between 0 and 1, of the distribution lie."""
+        from scipy.special import ndtr, ndtri
+
+        first, second = self.first, self.second
+        if self.kind == "uniform":
+            return first + u * (second - first)
+        if self.kind == "log_normal":
+            return np.asarray(first * np.exp(second * ndtri(u)))
+        below = ndtr((self.least - first) / second) if second > 0 else 0.0
+        return np.maximum(first + second * ndtri(below + u * (1 - below)), self.least)
+
+
+TABLE: Final = Table("ensemble", Distribution, "a distribution", '"sensor.right" = { uniform = [0.3, 2.0] }')
+
+
+def place(address: str) -> str:
+    """How messages name an entry of [ensemble]."""
+    return TABLE.place(address)
+
+
+def decoded(table: Any) -> Any:
+    """An [ensemble] table as TOML gives it, with the keys that are addresses moved to `entries`. Raises InputError."""
+    return TABLE.decoded(table)
+
+
+def spread(address: str, given: Distribution, least: float) -> Spread:
+    """The distribution of a number that is at least `least`, checked. Raises InputError."""
+    key = place(address)
+    kinds = [kind for kind in ("uniform", "normal", "log_normal") if getattr(given, kind) is not None]
+    if len(kinds) != 1:
+        raise InputError(f"{key}: expected exactly one of uniform, normal, log_normal, found {' and '.join(kinds) or 'none'}")
+    kind, pair = kinds[0], getattr(given, kinds[0])
+    if np.shape(pair) != (2,):
+        raise InputError(f"{key}.{kind}: expected two numbers, found {pair!r:.60}")
+    first, second = (scalar(f"{key}.{kind}[{i}]", number) for i, number in enumerate(pair))
+    if kind == "uniform" and first > second:
+        raise InputError(f"{key}.uniform: expected [low, high] with low <= high, found [{first:g}, {second:g}]")
+    if kind != "uniform" and second < 0:
+        raise InputError(f"{key}.{kind}: the standard deviation must not be negative, found {second:g}")
+    if kind == "log_normal" and first <= 0:
+        raise InputError(f"{key}.log_normal: the median must be positive, found {first:g}; for a negative number vary a factor on it (relative = true)")
+    if kind == "log_normal" and np.log(first) + REACH * second > np.log(LARGEST):
+        raise InputError(f"{key}.log_normal: expected a smaller standard deviation of the logarithm, found {second:g}: values would exceed {LARGEST:g}")
+    if first < least:
+        limit = "must not be negative" if least == 0 else "must be positive"
+        raise InputError(f"{key}.{kind}: this {limit}, found {'low' if kind == 'uniform' else 'mean'} = {first:g}")
+    return Spread(kind, first, second, least)

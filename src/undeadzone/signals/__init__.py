@@ -1,0 +1,1 @@
+"""References, disturbances, paths and noise."""

@@ -1,0 +1,58 @@
+"""Seeded Gaussian numbers, one independent stream per purpose and channel; each is a function of its place alone.
+
+The key of a Philox counter is the seed; its words are step // 4, stream and channel, and the run's number. Run 0 is the
+scenario on its own; run k of an ensemble draws as run k, also when it is replayed alone. `engine.normal` draws the same
+numbers, bit for bit, for many runs at once.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.engine.philox import LOW, box_muller, philox
+from undeadzone.support.arrays import Floats
+
+AFTER, BEFORE, DISTURBANCE, WEAR, LOSS = range(5)
+
+
+class Colour(NamedTuple):
+    """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard normal."""
+
+    memory: float
+    drive: float
+
+
+def word(stream: int, channel: int) -> int:
+    """The second word of the counter."""
+    return stream << 24 | channel
+
+
+def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) -> Floats:
+    """samples x channels standard normal numbers, a function of (seed, run, stream, channel, sample) alone.
+
+    seed, run: from 0 to 2^64 - 1.
+    """
+    fours = np.arange(-(-samples // 4), dtype=np.uint64)[:, None]
+    words = np.array([word(stream, channel) for channel in range(channels)], np.uint64)
+    a, b, c, d = philox(fours, words, np.uint64(run) & LOW, np.uint64(run >> 32), np.uint64(seed))
+    four = np.stack([*box_muller(a, b), *box_muller(c, d)], axis=1)
+    return four.reshape(4 * fours.size, channels)[:samples].astype(float)
+
+
+def colour(correlation: float, step: float) -> Colour:
+    """Of a correlation time [s] on a grid of `step` [s]."""
+    memory = math.exp(-step / correlation)
+    return Colour(memory, math.sqrt(1 - memory**2))
+
+
+def coloured(seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0) -> Floats:
+    """First-order Gaussian noise of given rms and correlation time [s] on a grid of `step` [s], stationary from the start."""
+    memory, drive = colour(correlation, step)
+    white = gaussian(seed, DISTURBANCE, samples, rms.size, run)
+    white[1:] *= drive
+    columns = [list(accumulate(column.tolist(), lambda last, new: memory * last + new)) for column in white.T]
+    return np.reshape(columns, white.T.shape).T * rms

@@ -1,0 +1,1 @@
+"""One run: the loop closed, its inputs, its result."""

@@ -1,0 +1,105 @@
+"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
+
+import numpy as np
+
+from undeadzone.engine import interpret
+from undeadzone.errors import InputError
+from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation import sample_by_sample as live
+from undeadzone.simulation.collect import collect
+from undeadzone.simulation.loop import Loop, Outputs, close
+from undeadzone.simulation.run import Run
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+Engine = Literal["interpret", "lanes"]
+
+
+def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Run:
+    """Simulate a scenario.
+
+    check_step: in continuous time, run again with half the step and report the difference as `integration_error`.
+    progress: called with the number of steps just done, from two threads. engine: CasADi's virtual machine (interpret), or the loop
+    compiled for this CPU (lanes), which takes seconds the first time; they agree to the last bits. Raises InputError
+    and its kinds for what is wrong.
+    """
+    began = time.perf_counter()
+    problem = resolve_scenario(scenario)
+    if isinstance(problem.observer, NumericObserver) and engine == "interpret":
+        return collect(problem, live.run(problem, problem.observer, inputs.exogenous(problem), progress), None, began)
+    loop, state, exogenous = prepare(problem)
+    if not check_step or problem.plant.Ts is not None:
+        return collect(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
+    interrupted = threading.Event()
+
+    def tick(done: int) -> None:
+        if interrupted.is_set():
+            raise InterruptedError
+        if progress is not None:
+            progress(done)
+
+    def finer() -> Outputs:
+        halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
+        return Outputs(*(part[::2] for part in run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)))
+
+    with ThreadPoolExecutor(1) as beside:
+        twin = beside.submit(finer)
+        try:
+            signal = run_loop(loop, state, exogenous, progress, engine)
+            error = _difference(signal, twin.result())
+        except BaseException:
+            interrupted.set()
+            raise
+    return collect(problem, signal, error, began)
+
+
+def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
+    """(the closed loop, its initial state with the plant at x0, exogenous inputs (steps + 1 rows))."""
+    loop = closed(problem)
+    return loop, tree.pack(loop.state._replace(plant=problem.x0)), inputs.exogenous(problem)
+
+
+def closed(problem: Problem) -> Loop:
+    """The closed loop of a problem. Raises InputError for an observer that is no graph."""
+    simulation = problem.scenario.simulation
+    located = simulation.switching == "located"
+    return close(
+        problem.plant, problem.sensor, graph_of(problem.observer), problem.controller, len(problem.tracked), simulation.step, located, simulation.order
+    )
+
+
+def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Outputs:
+    """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time). Raises InputError for an unknown engine."""
+    params = tree.pack(loop.params)
+    if engine == "lanes":
+        from undeadzone.engine import lanes
+
+        outputs = lanes.run(lanes.build(loop.step, width=1), state, exogenous, params, progress=progress)[0][0]
+    elif engine == "interpret":
+        outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
+    else:
+        raise InputError(f"engine: expected interpret or lanes, found {engine!r}")
+    return named(loop, outputs)
+
+
+def named(loop: Loop, outputs: Floats) -> Outputs:
+    """The columns of recorded outputs (N x all) by name."""
+    widths = [part.size for part in loop.outputs]
+    return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
+
+
+def _difference(coarse: Outputs, fine: Outputs) -> float:
+    """The largest difference of x, x^, d^ between a run and its twin of half the step."""
+    gaps = [np.abs(getattr(coarse, name) - getattr(fine, name)).max() for name in ("x", "x_hat", "right", "left")]
+    return float(max(gaps)) if np.isfinite(gaps).all() else float("inf")

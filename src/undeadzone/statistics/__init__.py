@@ -1,0 +1,1 @@
+"""Intervals, sampling designs and sensitivities of independent runs."""

@@ -1,0 +1,107 @@
+"""Designs: where in the unit cube each run lies, as a function of (seed, run) alone, without a table.
+
+A Latin hypercube and Saltelli's design depend on the number of runs too.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.statistics import sobol
+from undeadzone.support.arrays import Floats
+
+STREAM: Final = 1 << 64  # added to the seed, which is below 2^63: these numbers are none of those of the noise
+NUMBERS, KEYS = 0, 1
+ROUNDS: Final = 10
+
+
+def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
+    """Runs first .. first + count of `runs`, as points (count x entries) inside the open unit cube. Raises InputError."""
+    if runs < 1:
+        raise InputError(f"ensemble.runs: expected 1 or more, found {runs}")
+    if sampling == "saltelli":
+        return _saltelli(seed, first, count, entries, runs)
+    if sampling == "sobol":
+        return _sobol(seed, first, count, entries)
+    columns = [_uniform(seed, first, count, column) for column in range(entries)]
+    if sampling == "latin_hypercube":
+        columns = [_stratified(u, seed, first, column, runs) for column, u in enumerate(columns)]
+    return np.stack(columns, axis=1) if columns else np.empty((count, 0))
+
+
+def _words(seed: int, kind: int, column: int, first: int, count: int) -> Any:
+    """Words first .. first + count (64 bits each) of the stream of a column."""
+    generator = np.random.Philox(key=STREAM + seed, counter=[first // 4, 0, column, kind])
+    return generator.random_raw(count + first % 4)[first % 4 :]
+
+
+def _uniform(seed: int, first: int, count: int, column: int) -> Floats:
+    """Multiples of 2^-52, and a half of that: never 0 or 1."""
+    return ((_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+def _stratified(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
+    """Each run in its own of `runs` equal intervals, at the share u of it."""
+    keys = _words(seed, KEYS, column, 0, ROUNDS)
+    interval = permuted(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
+    return np.minimum((interval + u) / runs, np.nextafter(1.0, 0.0))
+
+
+def permuted(index: Any, size: int, keys: Any) -> Any:
+    """Where a permutation of 0 .. size - 1, chosen by the keys, takes each index: a Feistel cipher, walked until it is within."""
+    half = np.uint64(max(1, (int(size - 1).bit_length() + 1) // 2))
+    mask = (np.uint64(1) << half) - np.uint64(1)
+
+    def cipher(value: Any) -> Any:
+        left, right = value >> half, value & mask
+        for key in keys:
+            left, right = right, left ^ (_mixed(right ^ key) & mask)
+        return left << half | right
+
+    found = cipher(index)
+    while (outside := found >= size).any():
+        found[outside] = cipher(found[outside])
+    return found
+
+
+def _mixed(word: Any) -> Any:
+    """The finaliser of SplitMix64, Steele et al. (2014): every bit of the word changes half of the bits."""
+    word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return word ^ (word >> np.uint64(31))
+
+
+def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
+    """Scrambled Sobol points, each in the middle of its cell."""
+    if entries == 0 or count == 0:
+        return np.empty((count, entries))
+    if entries > sobol.DIMENSIONS:
+        raise InputError(f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, found {entries}; use random")
+    if first + count > 2 ** (sobol.BITS - 1):
+        raise InputError(f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; use random")
+    return sobol.points(seed, first, count, entries) + 0.5**sobol.BITS / 2
+
+
+def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
+    """The runs of A, then those of B, of A with column 1 of B, of A with column 2 of B, ..., Saltelli et al. (2010)."""
+    matrices = entries + 2
+    if entries == 0:
+        raise InputError("ensemble.sampling: saltelli needs an entry that varies, found none")
+    if runs % matrices:
+        power = 2 ** max(0, int(np.log2(runs / matrices)))
+        raise InputError(
+            f"ensemble.runs: saltelli with {entries} varied entries needs a multiple of {matrices} runs, "
+            f"at best times a power of 2 ({matrices * power} or {2 * matrices * power}), found {runs}"
+        )
+    each, parts = runs // matrices, []
+    for matrix in range(first // each, -(-(first + count) // each)):
+        start, stop = max(first, matrix * each), min(first + count, (matrix + 1) * each)
+        both = _sobol(seed, start - matrix * each, stop - start, 2 * entries)
+        columns = np.arange(entries) + entries * (matrix == 1)
+        if matrix >= 2:
+            columns[matrix - 2] += entries
+        parts.append(both[:, columns])
+    return np.concatenate(parts) if parts else np.empty((0, entries))

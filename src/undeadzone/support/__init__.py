@@ -1,0 +1,1 @@
+"""Numbers in, files out, trees of numbers."""

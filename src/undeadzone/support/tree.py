@@ -1,0 +1,80 @@
+"""Nested named tuples of arrays, flattened to one vector and back, for NumPy values and CasADi symbols alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.support.arrays import Floats
+
+
+def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted name, leaf) of every leaf in order; None holds nothing."""
+    if tree is None:
+        return
+    if isinstance(tree, tuple):
+        fields = getattr(tree, "_fields", range(len(tree)))
+        for field, child in zip(fields, tree, strict=True):
+            yield from leaves(child, f"{name}.{field}" if name else str(field))
+    else:
+        yield name, tree
+
+
+def rebuild(like: Any, values: Iterator[Any]) -> Any:
+    """A tree of the shape of `like` whose leaves are taken from `values` in order."""
+    if like is None:
+        return None
+    if isinstance(like, tuple):
+        children = [rebuild(child, values) for child in like]
+        return type(like)(*children) if hasattr(like, "_fields") else tuple(children)
+    return next(values)
+
+
+def pack(tree: Any) -> Floats:
+    """All numbers of a NumPy tree as one vector (matrices column by column, as CasADi does)."""
+    parts = [np.ravel(np.asarray(leaf, float), order="F") for _, leaf in leaves(tree)]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def stack(tree: Any) -> ca.SX:
+    """All entries of a CasADi tree as one column."""
+    return ca.vertcat(ca.SX(0, 1), *(ca.densify(ca.vec(ca.SX(leaf))) for _, leaf in leaves(tree)))
+
+
+def size(tree: Any) -> int:
+    """How many numbers the tree holds."""
+    return sum(int(np.size(leaf)) for _, leaf in leaves(tree))
+
+
+def unpack(like: Any, column: ca.SX) -> Any:
+    """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
+
+    def pieces() -> Iterator[ca.SX]:
+        start = 0
+        for _, leaf in leaves(like):
+            shape = np.shape(leaf)
+            rows = shape[0] if shape else 1
+            columns = shape[1] if len(shape) > 1 else 1
+            yield ca.reshape(column[start : start + rows * columns], rows, columns)
+            start += rows * columns
+
+    return rebuild(like, pieces())
+
+
+def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
+    """A fresh symbolic column and its tree view, shaped like the NumPy tree `like`."""
+    column = ca.SX.sym(name, size(like))
+    return column, unpack(like, column)
+
+
+def names(tree: Any, prefix: str = "") -> list[str]:
+    """An address for every number, in `pack` order: `plant.A[1,0]`, `sensor.right[0]`."""
+    found = []
+    for name, leaf in leaves(tree, prefix):
+        shape = np.shape(leaf)
+        for index in np.ndindex(shape[::-1]):
+            found.append(name + (f"[{','.join(map(str, index[::-1]))}]" if shape else ""))
+    return found

@@ -1,0 +1,1 @@
+"""Gains judged, and found, under a certificate."""

@@ -1,0 +1,1 @@
+"""Numbers of observer and controller found by simulation."""

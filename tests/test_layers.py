@@ -1,0 +1,123 @@
+"""The rooms of the package: imports point down, no files stand in a circle, catalogues hold methods only."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import undeadzone
+
+ROOT = Path(undeadzone.__file__).parent
+FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
+
+# From the ground up; rooms of one floor do not know each other.
+FLOORS = (
+    ("errors",),
+    ("support",),
+    ("engine", "linear", "numerics", "statistics"),
+    ("plants", "sensor", "signals"),
+    ("feedforward",),
+    ("analysis", "interfaces"),
+    ("controllers", "observers"),
+    ("scenario",),
+    ("simulation",),
+    ("arena", "ensemble", "synthesis"),
+    ("tuning",),
+    ("report",),
+    ("paper",),
+    ("cli",),
+)
+FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def room(path: Path) -> str:
+    """The room of a file; a file of the root is a room of its own."""
+    return path.with_suffix("").parts[0]
+
+
+def module(path: Path) -> str:
+    """The name of a file's module below the package."""
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module(path) for path in FILES}
+
+
+def imports(text: str) -> set[str]:
+    """The modules of the package that a text imports, inside functions and for types too: `ensemble.batch`."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert not node.level, "relative imports hide where an arrow points"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.add(inner if inner.removeprefix("undeadzone.") in MODULES else f"{node.module}")
+    return {name.removeprefix("undeadzone.") for name in found if name.startswith("undeadzone.")}
+
+
+def upward(path: Path, text: str) -> list[str]:
+    """The imports of a file that do not point to a lower floor."""
+    here = room(path)
+    outside = {name for name in imports(text) if name.split(".")[0] != here and name.split(".")[0] in FLOOR}
+    return sorted(name for name in outside if FLOOR[name.split(".")[0]] >= FLOOR[here])
+
+
+def circle(arrows: dict[str, set[str]]) -> set[str]:
+    """What is left once everything without arrows to what is left has been taken away: nothing if there is no circle."""
+    left = {name: set(targets) for name, targets in arrows.items()}
+    while free := [name for name, targets in left.items() if not targets & left.keys()]:
+        for name in free:
+            del left[name]
+    return set(left)
+
+
+ROOMS = {room(path) for path in FILES} - {"__init__", "__main__"}
+
+
+def test_every_room_has_its_floor() -> None:
+    assert sorted(ROOMS) == sorted(FLOOR)
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if room(path) in FLOOR], ids=str)
+def test_imports_point_down(path: Path) -> None:
+    assert not upward(path, (ROOT / path).read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "from undeadzone.cli.run import run",
+        "def late():\n    from undeadzone.report.style import write\n",
+        "def late():\n    import undeadzone.simulation.run\n",
+        "from undeadzone import cli\n",
+        "if TYPE_CHECKING:\n    from undeadzone.controllers.pd import PD\n",
+    ],
+)
+def test_an_upward_import_is_found(planted: str) -> None:
+    assert upward(Path("observers/certified.py"), planted)
+
+
+def test_no_files_stand_in_a_circle() -> None:
+    arrows = {}
+    for path in FILES:
+        used = imports((ROOT / path).read_text(encoding="utf-8")) & MODULES
+        arrows[module(path)] = used - {module(path)}
+    assert not circle(arrows)
+
+
+def test_a_circle_is_found() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {"a", "b", "c", "d"}
+    assert not circle({"a": {"b"}, "b": set()})
+
+
+@pytest.mark.parametrize("catalogue", ["observers", "controllers"])
+def test_a_catalogue_holds_methods_alone(catalogue: str) -> None:
+    files = {path.stem for path in (ROOT / catalogue).glob("*.py")} - {"__init__"}
+    for name in sorted(files):
+        text = (ROOT / catalogue / f"{name}.py").read_text(encoding="utf-8")
+        assert "tag=" in text, f"{catalogue}/{name}.py is no method"
