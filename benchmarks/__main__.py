@@ -15,7 +15,9 @@ HEAD = "# Results\n\nWritten by `make bench`. Times are ratios within one run; m
 
 
 def main() -> None:
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads of one program must not spin beside the next one's
+    os.environ.setdefault(
+        "OMP_WAIT_POLICY", "passive"
+    )  # idle threads of one program must not spin beside the next one's
     names = sys.argv[1:] or NAMES
     parts = [HEAD, f"Python {platform.python_version()}, {platform.machine()}.\n"]
     for name in names:

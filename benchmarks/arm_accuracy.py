@@ -41,10 +41,14 @@ class Accuracy(NamedTuple):
 def fleet(name: str, blind: bool = False) -> Fleet | None:
     """The runs of an example, or of what it is compared with, None without that."""
     scenario = read(EXAMPLES / f"{name}.toml")
-    scenario = msgspec.structs.replace(scenario, ensemble=msgspec.structs.replace(scenario.ensemble or uz.Vary(), runs=RUNS))
+    scenario = msgspec.structs.replace(
+        scenario, ensemble=msgspec.structs.replace(scenario.ensemble or uz.Vary(), runs=RUNS)
+    )
     if blind and scenario.compare is None:
         return None
-    return prepare(msgspec.structs.replace(scenario, observer=scenario.compare) if blind else scenario)
+    return prepare(
+        msgspec.structs.replace(scenario, observer=scenario.compare) if blind else scenario
+    )
 
 
 def measured(name: str) -> Accuracy:
@@ -53,18 +57,43 @@ def measured(name: str) -> Accuracy:
     assert ours is not None
     found, blind = _columns(ours), None if other is None else _columns(other)
     varied, sensor = {words: found[words] for words in ours.binding.names}, ours.problem.sensor
-    edges = [[(f"{edge}[{i}]", nominal[i]) for edge, nominal in (("right", sensor.right), ("left", sensor.left))] for i in range(ours.problem.plant.p)]
+    edges = [
+        [
+            (f"{edge}[{i}]", nominal[i])
+            for edge, nominal in (("right", sensor.right), ("left", sensor.left))
+        ]
+        for i in range(ours.problem.plant.p)
+    ]
     runs = ours.layout.runs
     estimate = np.array([[found[f"d_{words}"] for words, _ in pair] for pair in edges])
-    truth = np.array([[np.broadcast_to(true_width(words, nominal, varied), runs) for words, nominal in pair] for pair in edges])
-    path = ours.problem.reference.value(np.arange(len(ours.exogenous)) * ours.problem.scenario.simulation.step)
-    reached = np.stack([path.max(axis=0), -path.min(axis=0)], axis=1)[..., None] > (1 + MARGIN) * np.where(truth > 0, truth, np.inf)
-    return Accuracy(_tip(found), None if blind is None else _tip(blind), *(part.transpose(2, 0, 1) for part in (estimate, truth, reached)))
+    truth = np.array(
+        [
+            [np.broadcast_to(true_width(words, nominal, varied), runs) for words, nominal in pair]
+            for pair in edges
+        ]
+    )
+    path = ours.problem.reference.value(
+        np.arange(len(ours.exogenous)) * ours.problem.scenario.simulation.step
+    )
+    reached = np.stack([path.max(axis=0), -path.min(axis=0)], axis=1)[..., None] > (
+        1 + MARGIN
+    ) * np.where(truth > 0, truth, np.inf)
+    return Accuracy(
+        _tip(found),
+        None if blind is None else _tip(blind),
+        *(part.transpose(2, 0, 1) for part in (estimate, truth, reached)),
+    )
 
 
 def _columns(given: Fleet) -> dict[str, Floats]:
     runs = given.layout.runs
-    return dict(zip(given.layout.columns, given.rows(np.arange(runs), given.binding.draw(0, runs, runs)).T, strict=True))
+    return dict(
+        zip(
+            given.layout.columns,
+            given.rows(np.arange(runs), given.binding.draw(0, runs, runs)).T,
+            strict=True,
+        )
+    )
 
 
 def _tip(found: dict[str, Floats]) -> Floats:
@@ -78,7 +107,12 @@ def tips(name: str, found: Accuracy) -> str:
     if found.blind is None:
         return _row(*cells, "no [compare]", "", "")
     ratio = found.tip / found.blind
-    return _row(*cells, _median(1e3 * found.blind, "{:.3g}"), _median(ratio, "{:.3g}"), _share(ratio <= THIRD))
+    return _row(
+        *cells,
+        _median(1e3 * found.blind, "{:.3g}"),
+        _median(ratio, "{:.3g}"),
+        _share(ratio <= THIRD),
+    )
 
 
 def widths(name: str, found: Accuracy) -> list[str]:
@@ -86,9 +120,19 @@ def widths(name: str, found: Accuracy) -> list[str]:
     info = uz.simulate(read(EXAMPLES / f"{name}.toml")).info
     lines = []
     for i, verdict in enumerate(info.identifiable):
-        (right, left), (d_right, d_left), (far, near) = found.estimate[:, i].T, found.truth[:, i].T, found.reached[:, i].T
-        parts = {"width": (right + left, d_right + d_left, far & near), "right": (right, d_right, far), "left": (left, d_left, near)}
-        cells = [_relative(*part) if verdict[key] else "not identifiable" for key, part in parts.items()]
+        (right, left), (d_right, d_left), (far, near) = (
+            found.estimate[:, i].T,
+            found.truth[:, i].T,
+            found.reached[:, i].T,
+        )
+        parts = {
+            "width": (right + left, d_right + d_left, far & near),
+            "right": (right, d_right, far),
+            "left": (left, d_left, near),
+        }
+        cells = [
+            _relative(*part) if verdict[key] else "not identifiable" for key, part in parts.items()
+        ]
         lines.append(_row(name, str(i + 1), *cells, "yes" if verdict["centre"] else "no"))
     return lines
 
@@ -111,7 +155,12 @@ def _median(values: Floats, form: str) -> str:
 
 
 def _share(held: Any) -> str:
-    return _interval(Interval(*(100 * value for value in proportion(int(held.sum()), held.size))), "{:.3g}") + " %"
+    return (
+        _interval(
+            Interval(*(100 * value for value in proportion(int(held.sum()), held.size))), "{:.3g}"
+        )
+        + " %"
+    )
 
 
 def _interval(found: Interval, form: str) -> str:

@@ -80,7 +80,15 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     column, state = tree.symbols(first, "s")
     numbers, params = tree.symbols(observer.params, "o")
     x, path, noise, w, widths, truth = (
-        ca.SX.sym(*given) for given in [("x", 2 * N), ("path", 3 * N), ("e", N), ("w", N), ("d", 2 * N), ("p", len(arm.params))]
+        ca.SX.sym(*given)
+        for given in [
+            ("x", 2 * N),
+            ("path", 3 * N),
+            ("e", N),
+            ("w", N),
+            ("d", 2 * N),
+            ("p", len(arm.params)),
+        ]
     )
     assert arm.arm is not None
     q, v, a = ca.vertsplit(path, N)
@@ -93,13 +101,24 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
         [ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)), ca.vertcat(x, *estimate, state.mean)],
         ["s", "w", "p"], ["next", "out"], {"cse": True},
     )  # fmt: skip
-    return Watch(step, tree.pack(first), tree.pack(observer.params), (2 * N, *(part.shape[0] for part in estimate)))
+    return Watch(
+        step,
+        tree.pack(first),
+        tree.pack(observer.params),
+        (2 * N, *(part.shape[0] for part in estimate)),
+    )
 
 
 def sines(seconds: float, amplitude: float, pulses: Any, step: float) -> Floats:
     """Positions, speeds and accelerations of joints that move as amplitude sin(pulse t), through 0."""
     t, pulses = np.arange(0.0, seconds, step)[:, None], np.asarray(pulses)
-    return np.hstack([amplitude * np.sin(pulses * t), amplitude * pulses * np.cos(pulses * t), -amplitude * pulses**2 * np.sin(pulses * t)])
+    return np.hstack(
+        [
+            amplitude * np.sin(pulses * t),
+            amplitude * pulses * np.cos(pulses * t),
+            -amplitude * pulses**2 * np.sin(pulses * t),
+        ]
+    )
 
 
 def observe(case: Case, count: int, seed: int) -> Verdict:
@@ -112,11 +131,21 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
     kernel = lanes.build(found.step, exogenous=range(6, 10), params=range(4 + len(arm.params)))
     d, params = rng.uniform(*RANGE, (count, 4)), np.tile(arm.params, (count, 1))
     params[:, arm.names.index("payload")] += case.payload * rng.normal(size=count)
-    disturbance = np.stack([noises.coloured(seed, len(path), np.full(2, case.disturbance), CORRELATION, STEP, run) for run in range(count)], axis=2)
+    disturbance = np.stack(
+        [
+            noises.coloured(seed, len(path), np.full(2, case.disturbance), CORRELATION, STEP, run)
+            for run in range(count)
+        ],
+        axis=2,
+    )
     own = np.concatenate([rng.normal(size=(len(path), 2, count)), disturbance], axis=1)
-    states = np.hstack([path[0, :4] + START * rng.normal(size=(count, 4)), np.tile(found.filter, (count, 1))])
+    states = np.hstack(
+        [path[0, :4] + START * rng.normal(size=(count, 4)), np.tile(found.filter, (count, 1))]
+    )
     numbers = np.concatenate([np.zeros(4), arm.params, found.numbers])
-    out, _ = lanes.run(kernel, states, np.pad(path, ((0, 0), (0, 4))), numbers, own, np.hstack([d, params]))
+    out, _ = lanes.run(
+        kernel, states, np.pad(path, ((0, 0), (0, 4))), numbers, own, np.hstack([d, params])
+    )
     x, *parts = np.split(out, np.cumsum(found.sizes), axis=2)
     estimate, last = Estimate(*parts[:-1]), Estimate(*(part[:, -1] for part in parts[:-1]))
     used = estimate.innovation != 0
@@ -135,10 +164,15 @@ def closed_loop() -> list[str]:
     assert isinstance(scenario.observer, Extended)
     watching = {
         "as in the file": scenario.observer,
-        "separate joints, 2 N m claimed, no parameter uncertain": msgspec.structs.replace(scenario.observer, joints="separate", disturbance=2.0, uncertain={}),
+        "separate joints, 2 N m claimed, no parameter uncertain": msgspec.structs.replace(
+            scenario.observer, joints="separate", disturbance=2.0, uncertain={}
+        ),
         "blind": scenario.compare,
     }
-    lines = [row("`examples/two_link.toml`", "rms error of the joints' angles, second half [mrad]"), row("---", "---")]
+    lines = [
+        row("`examples/two_link.toml`", "rms error of the joints' angles, second half [mrad]"),
+        row("---", "---"),
+    ]
     for label, observer in watching.items():
         run = simulate(msgspec.structs.replace(scenario, observer=observer, compare=None))
         error = (run.x_hat - run.x)[len(run.t) // 2 :, :2]
@@ -148,13 +182,37 @@ def closed_loop() -> list[str]:
 
 def table(count: int = 400, seed: int = 0) -> str:
     """Both tables."""
-    heads = ("claimed", "true", "d_r", "d_l", "width", "centre", "q", "NEES", "NIS", "rms error of width, of centre [mrad]")
-    lines = ["## Coverage of claimed 95 % intervals: `extended` on two links\n", row(*heads), row(*["---"] * len(heads))]
+    heads = (
+        "claimed",
+        "true",
+        "d_r",
+        "d_l",
+        "width",
+        "centre",
+        "q",
+        "NEES",
+        "NIS",
+        "rms error of width, of centre [mrad]",
+    )
+    lines = [
+        "## Coverage of claimed 95 % intervals: `extended` on two links\n",
+        row(*heads),
+        row(*["---"] * len(heads)),
+    ]
     for case in CASES:
         found = observe(case, count, seed)
         shares = [f"{share:.3f}" for share in found.covered()]
         width, centre = 1e3 * np.sqrt(np.mean(found.errors[:, 2:4] ** 2, axis=0))
-        lines.append(row(case.claimed, case.true, *shares, f"{found.nees():.3g}", f"{found.nis:.3g}", f"{width:.2g}, {centre:.2g}"))
+        lines.append(
+            row(
+                case.claimed,
+                case.true,
+                *shares,
+                f"{found.nees():.3g}",
+                f"{found.nis:.3g}",
+                f"{width:.2g}, {centre:.2g}",
+            )
+        )
     note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, "", *closed_loop(), ""])
 

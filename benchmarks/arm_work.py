@@ -46,16 +46,31 @@ def draw(move: Move, runs: int, steps: int, step: float = 1e-3) -> Work:
     """The first `runs` of random arms."""
     t = step * np.arange(steps)
     target = np.stack([0.5 * np.sin(3 * t), 1.5 * np.cos(3 * t), -4.5 * np.sin(3 * t)], axis=1)
-    starts, torques = (np.random.default_rng([0, k]).normal(size=(runs, count * JOINTS)) for k, count in enumerate((2, 1)))
-    return Work(UR5, move, step, starts, torques, np.ascontiguousarray(np.broadcast_to(target[..., None], (steps, 3, JOINTS))), (100.0, 20.0))
+    starts, torques = (
+        np.random.default_rng([0, k]).normal(size=(runs, count * JOINTS))
+        for k, count in enumerate((2, 1))
+    )
+    return Work(
+        UR5,
+        move,
+        step,
+        starts,
+        torques,
+        np.ascontiguousarray(np.broadcast_to(target[..., None], (steps, 3, JOINTS))),
+        (100.0, 20.0),
+    )
 
 
 def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Callable[[], Floats]:
     """Ours on the lanes engine."""
     step, params, own = _graph(work)
-    kernel = lanes.build(step, params=own, record=[], known_params=known_params(params, own), width=width, fused=True)
+    kernel = lanes.build(
+        step, params=own, record=[], known_params=known_params(params, own), width=width, fused=True
+    )
     inputs = work.targets.reshape(work.steps, -1)
-    return lambda: lanes.run(kernel, work.states, inputs, params, None, work.torques, threads=threads)[1]
+    return lambda: lanes.run(
+        kernel, work.states, inputs, params, None, work.torques, threads=threads
+    )[1]
 
 
 def virtual_machine(work: Work) -> Callable[[], Floats]:
@@ -63,14 +78,21 @@ def virtual_machine(work: Work) -> Callable[[], Floats]:
     step, params, own = _graph(work)
     inputs = work.targets.reshape(work.steps, -1)
     each = [np.concatenate([params[: own[0]], torques]) for torques in work.torques]
-    return lambda: np.stack([interpret.run(step, state, inputs, numbers)[1] for state, numbers in zip(work.states, each, strict=True)])
+    return lambda: np.stack(
+        [
+            interpret.run(step, state, inputs, numbers)[1]
+            for state, numbers in zip(work.states, each, strict=True)
+        ]
+    )
 
 
 def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
     """next, out = step(s, w, p), with p and which of it are the torques."""
     body = arm(urdf.chain(work.path))
     N, first = body.size, len(body.names)
-    s, w, p = (ca.SX.sym(name, size) for name, size in (("s", 2 * N), ("w", 3 * N), ("p", first + N)))
+    s, w, p = (
+        ca.SX.sym(name, size) for name, size in (("s", 2 * N), ("w", 3 * N), ("p", first + N))
+    )
     params, u = p[:first], p[first:]
 
     def rate(x: Any, u: Any) -> Any:
@@ -82,7 +104,13 @@ def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
     else:
         q, v, a = ca.vertsplit(w, N)
         k_p, k_d = work.gains
-        held = torque(body, params, s[:N], s[N:], a + k_p * (q - s[:N]) + k_d * (v - s[N:])) if work.move == "follow" else u
+        held = (
+            torque(body, params, s[:N], s[N:], a + k_p * (q - s[:N]) + k_d * (v - s[N:]))
+            if work.move == "follow"
+            else u
+        )
         following = rk4(lambda x, _: rate(x, held), s, work.step)
-    step = ca.Function("arm", [s, w, p], [following, ca.SX(0, 1)], ["s", "w", "p"], ["next", "out"], {"cse": True})
+    step = ca.Function(
+        "arm", [s, w, p], [following, ca.SX(0, 1)], ["s", "w", "p"], ["next", "out"], {"cse": True}
+    )
     return step, np.concatenate([body.values, np.zeros(N)]), tuple(range(first, first + N))

@@ -38,7 +38,9 @@ class Entry(NamedTuple):
     count: int
 
 
-def entry(label: str, make: Callable[..., Callable[[], Any]], move: Move, runs: int, **options: Any) -> Entry:
+def entry(
+    label: str, make: Callable[..., Callable[[], Any]], move: Move, runs: int, **options: Any
+) -> Entry:
     try:
         return Entry(label, make(draw(move, runs, STEPS), **options), runs * STEPS)
     except ImportError as missing:
@@ -47,7 +49,9 @@ def entry(label: str, make: Callable[..., Callable[[], Any]], move: Move, runs: 
 
 def rival(label: str, name: str, function: str, move: Move, runs: int, **options: Any) -> Entry:
     def make(*given: Any, **more: Any) -> Callable[[], Any]:
-        return getattr(importlib.import_module(f"benchmarks.rivals.{name}"), function)(*given, **more)
+        return getattr(importlib.import_module(f"benchmarks.rivals.{name}"), function)(
+            *given, **more
+        )
 
     return entry(label, make, move, runs, **options)
 
@@ -64,7 +68,15 @@ def rows(group: str, entries: list[Entry], rounds: int = 20, *, alike: bool = Tr
                 best[i] = min(best[i], (time.perf_counter() - began) / one.count)
     lines = []
     for one, seconds, states in zip(entries, best, found, strict=True):
-        cells = [f"{1e6 * seconds:.3g}", f"{best[0] / seconds:.2g}", _apart(found[0], states) if alike else ""] if callable(one.run) else [one.run, "", ""]
+        cells = (
+            [
+                f"{1e6 * seconds:.3g}",
+                f"{best[0] / seconds:.2g}",
+                _apart(found[0], states) if alike else "",
+            ]
+            if callable(one.run)
+            else [one.run, "", ""]
+        )
         lines.append(f"| {group} | {one.label} | {' | '.join(cells)} |")
     return lines
 
@@ -81,10 +93,16 @@ def simulators(move: Move, threads: int) -> list[str]:
     """Whatever moves arms, on so many threads."""
     entries = [
         entry("**undeadzone, lanes, 1024 arms**", lanes_run, move, 1024, threads=threads),
-        rival("Pinocchio, loop in C++", "pinocchio_arm", "compiled_loop", move, 64, threads=threads),
+        rival(
+            "Pinocchio, loop in C++", "pinocchio_arm", "compiled_loop", move, 64, threads=threads
+        ),
     ]
     if move != "follow":
-        entries.append(rival("MuJoCo, rollout", "mujoco_arm", "prepare", move, 64, rolled=True, threads=threads))
+        entries.append(
+            rival(
+                "MuJoCo, rollout", "mujoco_arm", "prepare", move, 64, rolled=True, threads=threads
+            )
+        )
     if threads == 1:
         entries.append(entry("**undeadzone, lanes, one arm**", lanes_run, move, 1, width=1))
         entries.append(entry("**undeadzone, CasADi's virtual machine**", virtual_machine, move, 4))
@@ -92,26 +110,68 @@ def simulators(move: Move, threads: int) -> list[str]:
     if threads == 1 and move != "follow":
         entries.append(rival("MuJoCo, mj_step from Python", "mujoco_arm", "prepare", move, 4))
     if threads == 1 and move == "euler":
-        entries.append(rival("Pinocchio, pin.aba from Python, the calls alone", "pinocchio_arm", "calls", move, 1))
+        entries.append(
+            rival(
+                "Pinocchio, pin.aba from Python, the calls alone", "pinocchio_arm", "calls", move, 1
+            )
+        )
     return rows(f"{TITLES[move]}, {threads} thread{'s' * (threads > 1)}", entries)
 
 
 def whole(fleet: Fleet, runs: int = 512) -> list[str]:
     """The ensemble's loop with all that belongs to it, beside bare dynamics."""
-    short, method = fleet._replace(exogenous=fleet.exogenous[:STEPS]), arm_accuracy.method(fleet.problem.scenario)
-    numbers, given = np.arange(runs), fleet.binding.lanes(fleet.binding.draw(0, runs, fleet.layout.runs))
+    short, method = (
+        fleet._replace(exogenous=fleet.exogenous[:STEPS]),
+        arm_accuracy.method(fleet.problem.scenario),
+    )
+    numbers, given = (
+        np.arange(runs),
+        fleet.binding.lanes(fleet.binding.draw(0, runs, fleet.layout.runs)),
+    )
     label = f"**undeadzone, lanes, {runs} arms: RK4, dead zones, noise, `{method}`, controller**"
     lines = []
     for threads in THREADS:
         entries = [
             Entry(label, functools.partial(short.measure, numbers, given, threads), runs * STEPS),
-            rival("Pinocchio, loop in C++, forward dynamics once a step", "pinocchio_arm", "compiled_loop", "euler", 64, threads=threads),
-            rival("Pinocchio, loop in C++, RK4 and computed torque", "pinocchio_arm", "compiled_loop", "follow", 64, threads=threads),
+            rival(
+                "Pinocchio, loop in C++, forward dynamics once a step",
+                "pinocchio_arm",
+                "compiled_loop",
+                "euler",
+                64,
+                threads=threads,
+            ),
+            rival(
+                "Pinocchio, loop in C++, RK4 and computed torque",
+                "pinocchio_arm",
+                "compiled_loop",
+                "follow",
+                64,
+                threads=threads,
+            ),
         ]
         if threads == 1:
-            entries.append(rival("Pinocchio, pin.aba from Python, the calls alone", "pinocchio_arm", "calls", "euler", 1))
-            entries.append(rival("Pinocchio, loop in Python, RK4 and computed torque", "pinocchio_arm", "prepare", "follow", 4))
-        lines += rows(f"whole closed loop, {threads} thread{'s' * (threads > 1)}", entries, 10, alike=False)
+            entries.append(
+                rival(
+                    "Pinocchio, pin.aba from Python, the calls alone",
+                    "pinocchio_arm",
+                    "calls",
+                    "euler",
+                    1,
+                )
+            )
+            entries.append(
+                rival(
+                    "Pinocchio, loop in Python, RK4 and computed torque",
+                    "pinocchio_arm",
+                    "prepare",
+                    "follow",
+                    4,
+                )
+            )
+        lines += rows(
+            f"whole closed loop, {threads} thread{'s' * (threads > 1)}", entries, 10, alike=False
+        )
     return lines
 
 
@@ -121,5 +181,9 @@ def table() -> str:
         return "## Robot arms\n\nNot measured: adam-robotics is not installed.\n"
     loop = arm_accuracy.fleet("ur5")
     assert loop is not None
-    speeds = [line for move in MOVES for threads in THREADS for line in simulators(move, threads)] + whole(loop)
-    return "\n".join(["## Robot arms\n", NOTE, HEAD, *speeds, *arm_accuracy.lines(("two_link", "ur5")), ""])
+    speeds = [
+        line for move in MOVES for threads in THREADS for line in simulators(move, threads)
+    ] + whole(loop)
+    return "\n".join(
+        ["## Robot arms\n", NOTE, HEAD, *speeds, *arm_accuracy.lines(("two_link", "ur5")), ""]
+    )

@@ -33,8 +33,20 @@ def survey(plants: int, trajectories: int, switches: int, seed: int) -> list[Row
         n = ORDERS[k % len(ORDERS)]
         p = min(n, 1 + int(rng.integers(3)))
         certificate = certify(*random_design(rng, n, p))
-        attack = falsify(certificate.dynamics, certificate.V, trajectories, switches, seed=k) if certificate.certified else None
-        found.append(Row(n, p, certificate.certified, attack.rise if attack else np.nan, attack.broken if attack else False))
+        attack = (
+            falsify(certificate.dynamics, certificate.V, trajectories, switches, seed=k)
+            if certificate.certified
+            else None
+        )
+        found.append(
+            Row(
+                n,
+                p,
+                certificate.certified,
+                attack.rise if attack else np.nan,
+                attack.broken if attack else False,
+            )
+        )
         print(f"{k + 1}/{plants}", end="\r", file=sys.stderr, flush=True)
     return found
 
@@ -50,12 +62,19 @@ def table(plants: int = 200, trajectories: int = 100_000, switches: int = 60, se
     for n in sorted({row.n for row in rows}):
         own = [row for row in rows if row.n == n]
         rise = max(row.rise for row in own)
-        lines.append(f"| {n} | {len(own)} | {sum(row.certified for row in own)} | {sum(row.broken for row in own)} | {rise:.1e} |")
+        lines.append(
+            f"| {n} | {len(own)} | {sum(row.certified for row in own)} | {sum(row.broken for row in own)} | {rise:.1e} |"
+        )
     return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in (("plants", 200), ("trajectories", 100_000), ("switches", 60), ("seed", 0)):
+    for name, default in (
+        ("plants", 200),
+        ("trajectories", 100_000),
+        ("switches", 60),
+        ("seed", 0),
+    ):
         parser.add_argument(f"--{name}", type=int, default=default)
     print(table(**vars(parser.parse_args())))

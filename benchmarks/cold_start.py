@@ -15,8 +15,21 @@ CLI = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 COMMANDS = {
     'python -c "import numpy"': [sys.executable, "-c", "import numpy"],
     "undeadzone --help": [*CLI, "--help"],
-    "undeadzone run paper_5sin.toml --no-figures --json": [*CLI, "run", str(EXAMPLES / "paper_5sin.toml"), "--no-figures", "--json"],
-    "undeadzone ensemble ensemble.toml --runs 64 --no-figures": [*CLI, "ensemble", str(EXAMPLES / "ensemble.toml"), "--runs", "64", "--no-figures"],
+    "undeadzone run paper_5sin.toml --no-figures --json": [
+        *CLI,
+        "run",
+        str(EXAMPLES / "paper_5sin.toml"),
+        "--no-figures",
+        "--json",
+    ],
+    "undeadzone ensemble ensemble.toml --runs 64 --no-figures": [
+        *CLI,
+        "ensemble",
+        str(EXAMPLES / "ensemble.toml"),
+        "--runs",
+        "64",
+        "--no-figures",
+    ],
 }
 
 
@@ -27,9 +40,23 @@ def table(rounds: int = 11) -> str:
         for _ in range(rounds + 1):
             for name, command in COMMANDS.items():
                 began = time.perf_counter()
-                subprocess.run(command, check=True, capture_output=True, cwd=folder, env=os.environ | {"UNDEADZONE_CACHE": folder})
+                subprocess.run(
+                    command,
+                    check=True,
+                    capture_output=True,
+                    cwd=folder,
+                    env=os.environ | {"UNDEADZONE_CACHE": folder},
+                )
                 times[name].append(time.perf_counter() - began)
     medians = {name: statistics.median(values[1:]) for name, values in times.items()}
     unit = next(iter(medians.values()))
     rows = [f"| `{name}` | {value / unit:.2f} | {value:.2f} |" for name, value in medians.items()]
-    return "\n".join(["## Cold start\n", "| command | times importing numpy | seconds |", "|---|---|---|", *rows, ""])
+    return "\n".join(
+        [
+            "## Cold start\n",
+            "| command | times importing numpy | seconds |",
+            "|---|---|---|",
+            *rows,
+            "",
+        ]
+    )

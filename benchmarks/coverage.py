@@ -70,7 +70,16 @@ class Verdict(NamedTuple):
 
     def nees(self) -> float:
         """Mean of e' P^-1 e / 2 over the problems, e the error of d: 1 if claimed covariances are true."""
-        return float(np.mean(np.einsum("ki,ki->k", self.d_error, np.linalg.solve(self.d_cov, self.d_error[..., None])[..., 0])) / 2)
+        return float(
+            np.mean(
+                np.einsum(
+                    "ki,ki->k",
+                    self.d_error,
+                    np.linalg.solve(self.d_cov, self.d_error[..., None])[..., 0],
+                )
+            )
+            / 2
+        )
 
 
 def problems(reach: str, world: World, order: int, count: int, seed: int) -> Problems:
@@ -78,7 +87,10 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
     rng = np.random.default_rng([seed, order, REACHES.index(reach)])
     t = np.arange(0.0, DURATION, STEP)
     models = [_plant(rng, order) for _ in range(count)]
-    d, noise = rng.uniform(*RANGE, (count, 2)), np.exp(rng.uniform(np.log(0.003), np.log(0.1), count))
+    d, noise = (
+        rng.uniform(*RANGE, (count, 2)),
+        np.exp(rng.uniform(np.log(0.003), np.log(0.1), count)),
+    )
     offset = rng.uniform(0.5, 3.0, count) if reach == "right edge only" else np.zeros(count)
     amplitude = {
         "both edges": rng.uniform(3.0, 6.0, count),
@@ -86,13 +98,24 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
         "right edge only": offset + d[:, 1] * rng.uniform(0.0, 0.8, count),
         "no edge": d.min(axis=1) * rng.uniform(0.2, 0.8, count),
     }[reach]
-    u = np.stack([_drive(rng, model, t, a, c) for model, a, c in zip(models, amplitude, offset, strict=True)], axis=1)
+    u = np.stack(
+        [
+            _drive(rng, model, t, a, c)
+            for model, a, c in zip(models, amplitude, offset, strict=True)
+        ],
+        axis=1,
+    )
     static = np.array([_response(model, 0.0).real for model in models])
     w_rms, bias_rms = world.disturbance * np.abs(u).max(axis=0), np.abs(world.bias / static)
     w = noises.coloured(seed, t.size, w_rms, CORRELATION, STEP)
     x_std = 1.0 if reach in ("both edges", "grazing") else 0.1
     x, bias = rng.normal(size=(count, order)) * x_std, rng.normal(size=count) * bias_rms
-    A, B, C = (np.stack(part) for part in zip(*(zoh(_wrong(rng, model, world.tolerance), STEP) for model in models), strict=True))
+    A, B, C = (
+        np.stack(part)
+        for part in zip(
+            *(zoh(_wrong(rng, model, world.tolerance), STEP) for model in models), strict=True
+        )
+    )
     y = np.empty_like(u)
     for k in range(t.size):
         now, z = x, np.einsum("kij,kj->ki", C, x)[:, 0]
@@ -121,12 +144,19 @@ def _response(model: Matrices, s: complex) -> Any:
     return (model.C @ np.linalg.solve(s * np.eye(model.A.shape[0]) - model.A, model.B))[0, 0] + 0j
 
 
-def _drive(rng: np.random.Generator, model: Matrices, t: Floats, amplitude: float, offset: float) -> Floats:
+def _drive(
+    rng: np.random.Generator, model: Matrices, t: Floats, amplitude: float, offset: float
+) -> Floats:
     """u that leads z to offset + amplitude (0.8, 0.2) . two tones, risen to smoothly."""
     slow, phase = rng.uniform(0.2, 1.0), rng.uniform(0.0, 2 * np.pi, 2)
     u = np.full(t.size, offset / _response(model, 0.0).real)
     for frequency, share, start in ((slow, 0.8, phase[0]), (2.3 * slow, 0.2, phase[1])):
-        u += np.imag(share * amplitude / _response(model, 2j * np.pi * frequency) * np.exp(1j * (2 * np.pi * frequency * t + start)))
+        u += np.imag(
+            share
+            * amplitude
+            / _response(model, 2j * np.pi * frequency)
+            * np.exp(1j * (2 * np.pi * frequency * t + start))
+        )
     rise = np.clip(t / RAMP, 0.0, 1.0)
     return u * rise**2 * (3 - 2 * rise)
 
@@ -156,21 +186,46 @@ def observe(options: Callable[[Problems, int], Any], given: Problems) -> Verdict
     w = ca.SX.sym("w", 2)
     after, found = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
     stds = (found.right_std, found.left_std, found.width_std, found.x_std[0])
-    record = ca.vertcat(found.right, found.left, found.z, *stds, found.innovation, found.innovation_std)
-    step = ca.Function("observe", [s, w, p], [tree.stack(after), record], ["s", "w", "p"], ["next", "out"], {"cse": True})
+    record = ca.vertcat(
+        found.right, found.left, found.z, *stds, found.innovation, found.innovation_std
+    )
+    step = ca.Function(
+        "observe",
+        [s, w, p],
+        [tree.stack(after), record],
+        ["s", "w", "p"],
+        ["next", "out"],
+        {"cse": True},
+    )
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(step, exogenous=range(2), params=range(numbers.shape[1]))
-    out, _ = lanes.run(kernel, states, np.zeros((len(given.y), 2)), numbers[0], np.stack([given.y, given.u], axis=1), numbers, threads=1)
+    out, _ = lanes.run(
+        kernel,
+        states,
+        np.zeros((len(given.y), 2)),
+        numbers[0],
+        np.stack([given.y, given.u], axis=1),
+        numbers,
+        threads=1,
+    )
     right, left, z, *stds = out[:, -1, :7].T
     used = out[:, :, 7] != 0
     right_std, left_std, width_std, z_std = stds
-    return verdict(truth(given), np.stack([right, left, z], axis=1), covariance(right_std, left_std, width_std), z_std, out[used][:, 7] / out[used][:, 8])
+    return verdict(
+        truth(given),
+        np.stack([right, left, z], axis=1),
+        covariance(right_std, left_std, width_std),
+        z_std,
+        out[used][:, 7] / out[used][:, 8],
+    )
 
 
 def truth(given: Problems) -> Floats:
     """[d_r, d_l, z] in the end (K x 3)."""
-    return np.column_stack([given.d, [(model.C @ x)[0] for model, x in zip(given.models, given.x, strict=True)]])
+    return np.column_stack(
+        [given.d, [(model.C @ x)[0] for model, x in zip(given.models, given.x, strict=True)]]
+    )
 
 
 def covariance(right_std: Floats, left_std: Floats, width_std: Floats) -> Floats:
@@ -179,13 +234,24 @@ def covariance(right_std: Floats, left_std: Floats, width_std: Floats) -> Floats
     return np.moveaxis(np.array([[right_std**2, both], [both, left_std**2]]), -1, 0)
 
 
-def verdict(truth: Floats, estimate: Floats, d_cov: Floats, z_std: Floats, innovations: Floats) -> Verdict:
+def verdict(
+    truth: Floats, estimate: Floats, d_cov: Floats, z_std: Floats, innovations: Floats
+) -> Verdict:
     """The verdict on estimates [d_r, d_l, z] (K x 3) with covariances of d (K x 2 x 2), and on normalised innovations."""
     mixed = np.array([[1.0, 0.0, 1.0, 0.5], [0.0, 1.0, 1.0, -0.5]])
     error = estimate - truth
     variances = np.einsum("ji,kjl,li->ki", mixed, d_cov, mixed)
-    errors, stds = np.column_stack([error[:, :2] @ mixed, error[:, 2]]), np.column_stack([np.sqrt(variances), z_std])
-    return Verdict(errors, stds, error[:, :2], d_cov, float(np.mean(np.square(innovations))) if innovations.size else np.nan)
+    errors, stds = (
+        np.column_stack([error[:, :2] @ mixed, error[:, 2]]),
+        np.column_stack([np.sqrt(variances), z_std]),
+    )
+    return Verdict(
+        errors,
+        stds,
+        error[:, :2],
+        d_cov,
+        float(np.mean(np.square(innovations))) if innovations.size else np.nan,
+    )
 
 
 def extended(given: Problems, k: int) -> Any:
@@ -211,7 +277,14 @@ def unscented(given: Problems, k: int) -> Any:
 
     n = given.models[k].A.shape[0]
     points = MerweScaledSigmaPoints(n + 2, 1.0, 2.0, 0.5)
-    rival = UnscentedKalmanFilter(n + 2, 1, STEP, lambda v: np.array([deadzone(v[0], v[n], v[n + 1])]), lambda v, dt, F, G: F @ v + G, points)
+    rival = UnscentedKalmanFilter(
+        n + 2,
+        1,
+        STEP,
+        lambda v: np.array([deadzone(v[0], v[n], v[n + 1])]),
+        lambda v, dt, F, G: F @ v + G,
+        points,
+    )
     return rival, lambda y: rival.update(np.array([y]))
 
 
@@ -225,8 +298,12 @@ def rivalling(build: Callable[[Problems, int], Any], given: Problems, count: int
         F, G = np.eye(n + 2), np.concatenate([model.B[:, 0], np.zeros(2)])
         F[:n, :n] = model.A
         rival.x = np.concatenate([np.zeros(n), np.full(2, np.mean(RANGE))])
-        rival.P = np.diag(np.concatenate([np.full(n, given.x_std**2), np.full(2, np.ptp(RANGE) ** 2 / 12)]))
-        rival.Q = given.disturbance[k] ** 2 * np.outer(G, G) + 1e-10 * np.eye(n + 2)  # a little, else the UKF's Cholesky factor fails
+        rival.P = np.diag(
+            np.concatenate([np.full(n, given.x_std**2), np.full(2, np.ptp(RANGE) ** 2 / 12)])
+        )
+        rival.Q = given.disturbance[k] ** 2 * np.outer(G, G) + 1e-10 * np.eye(
+            n + 2
+        )  # a little, else the UKF's Cholesky factor fails
         rival.R = np.array([[given.noise[k] ** 2]])
         rival.F = F
         for y, u in zip(given.y[:, k], given.u[:, k], strict=True):
@@ -240,7 +317,11 @@ def rivalling(build: Callable[[Problems, int], Any], given: Problems, count: int
         estimates.append(final[0][[n, n + 1, 0]])
         covariances.append(final[1][n:, n:])
         z_stds.append(np.sqrt(final[1][0, 0]))
-    return verdict(truth(given)[:count], *map(np.stack, (estimates, covariances, z_stds)), np.array(innovations))
+    return verdict(
+        truth(given)[:count],
+        *map(np.stack, (estimates, covariances, z_stds)),
+        np.array(innovations),
+    )
 
 
 def pooled(parts: list[Verdict]) -> Verdict:
@@ -255,7 +336,19 @@ def row(*cells: str) -> str:
 
 def table(count: int = 600, rivals: int = 25, seed: int = 0) -> str:
     """The table, from `count` problems of each order for ours and `rivals` for filterpy's."""
-    heads = ("world", "z reaches", "filter", "d_r", "d_l", "width", "centre", "z", "NEES", "NIS", "median error, std of width")
+    heads = (
+        "world",
+        "z reaches",
+        "filter",
+        "d_r",
+        "d_l",
+        "width",
+        "centre",
+        "z",
+        "NEES",
+        "NIS",
+        "median error, std of width",
+    )
     lines = ["## Coverage of claimed 95 % intervals\n", row(*heads), row(*["---"] * len(heads))]
     for name, world in WORLDS.items():
         for reach in REACHES:
@@ -271,7 +364,17 @@ def table(count: int = 600, rivals: int = 25, seed: int = 0) -> str:
                 shares = [f"{share:.3f}" for share in whole.covered()]
                 error, std = np.median(np.abs(whole.errors[:, 2])), np.median(whole.stds[:, 2])
                 nis = "-" if np.isnan(whole.nis) else f"{whole.nis:.3g}"
-                lines.append(row(name, reach, label, *shares, f"{whole.nees():.3g}", nis, f"{error:.2g}, {std:.2g}"))
+                lines.append(
+                    row(
+                        name,
+                        reach,
+                        label,
+                        *shares,
+                        f"{whole.nees():.3g}",
+                        nis,
+                        f"{error:.2g}, {std:.2g}",
+                    )
+                )
     note = f"{count * len(ORDERS)} problems of orders {ORDERS} a row for ours, {rivals * len(ORDERS)} for filterpy's; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, ""])
 

@@ -27,17 +27,26 @@ def random_matrices(rng: np.random.Generator, n: int, p: int, spread: float = 1.
     return Matrices(T @ A @ np.linalg.inv(T), rng.normal(size=(n, 1)), rng.normal(size=(p, n)))
 
 
-def random_design(rng: np.random.Generator, n: int, p: int) -> tuple[Matrices, Floats, Floats, float | None]:
+def random_design(
+    rng: np.random.Generator, n: int, p: int
+) -> tuple[Matrices, Floats, Floats, float | None]:
     """(model, L, gamma, Ts) with a margin of 2 % to 95 % of what L = 0 would have; half of them sampled, gamma per edge or full."""
     model = random_matrices(rng, n, p)
     Ts = float(10 ** rng.uniform(-4, 0)) if rng.random() < 0.5 else None
     if Ts is not None:
         model = zoh(model, Ts)
     R = rng.normal(size=(2 * p, 2 * p))
-    gamma = np.exp(rng.normal(size=(p, 2))) if rng.random() < 0.7 else R @ R.T / (2 * p) + 0.1 * np.eye(2 * p)
+    gamma = (
+        np.exp(rng.normal(size=(p, 2)))
+        if rng.random() < 0.7
+        else R @ R.T / (2 * p) + 0.1 * np.eye(2 * p)
+    )
     if Ts is not None:
         gamma = gamma * rng.uniform(0.05, 1.5) / Ts / np.linalg.norm(gamma, 2)
     L = rng.normal(size=(n, p))
     free = margin(dynamics(model, 0 * L, gamma, Ts), np.ones(p))[0]
-    loss = margin(dynamics(model, 0 * L, np.zeros(p), Ts), np.ones(p))[0] - margin(dynamics(model, L, np.zeros(p), Ts), np.ones(p))[0]
+    loss = (
+        margin(dynamics(model, 0 * L, np.zeros(p), Ts), np.ones(p))[0]
+        - margin(dynamics(model, L, np.zeros(p), Ts), np.ones(p))[0]
+    )
     return model, L * free * rng.uniform(0.05, 0.98) / max(loss, 1e-3), gamma, Ts

@@ -20,7 +20,11 @@ LANES = 1000
 
 def table(rounds: int = 5) -> str:
     """Medians over interleaved rounds, one thread, nothing recorded."""
-    lines = ["## Engines\n", "| loop | engine | ns per step and run | times faster than the virtual machine |", "|---|---|---|---|"]
+    lines = [
+        "## Engines\n",
+        "| loop | engine | ns per step and run | times faster than the virtual machine |",
+        "|---|---|---|---|",
+    ]
     for name in ("continuous", "sampled"):
         problem = scenario(1e-3, silence=False)
         simulation = msgspec.structs.replace(problem.simulation, duration=1.0, time=name)
@@ -36,7 +40,10 @@ def _rows(name: str, problem: uz.Scenario, rounds: int) -> list[str]:
     engines = {
         "virtual machine": (1, lambda: interpret.run(loop.step, state, exogenous, params)),
         "lanes, one run": (1, lambda: lanes.run(alone, state, exogenous, params, threads=1)),
-        f"lanes, {LANES} runs": (LANES, lambda: lanes.run(many, states, exogenous, params, threads=1)),
+        f"lanes, {LANES} runs": (
+            LANES,
+            lambda: lanes.run(many, states, exogenous, params, threads=1),
+        ),
     }
     times: dict[str, list[float]] = {engine: [] for engine in engines}
     for _ in range(rounds):
@@ -46,4 +53,7 @@ def _rows(name: str, problem: uz.Scenario, rounds: int) -> list[str]:
             times[engine].append((time.perf_counter() - began) / runs / len(exogenous))
     medians = {engine: statistics.median(values) for engine, values in times.items()}
     unit = medians["virtual machine"]
-    return [f"| {name} | {engine} | {1e9 * value:.3g} | {unit / value:.3g} |" for engine, value in medians.items()]
+    return [
+        f"| {name} | {engine} | {1e9 * value:.3g} | {unit / value:.3g} |"
+        for engine, value in medians.items()
+    ]

@@ -18,12 +18,25 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 WIDTHS = ("sensor.right[0]", "sensor.left[0]")
-UNITS = ("sensor.slope", "sensor.threshold", "observer.slope", "observer.threshold", "scale")  # 1 or 0: rivals have no such numbers
+UNITS = (
+    "sensor.slope",
+    "sensor.threshold",
+    "observer.slope",
+    "observer.threshold",
+    "scale",
+)  # 1 or 0: rivals have no such numbers
 FINER = 16
 
 
 def prepare(
-    work: Work, *, step: str = "located", order: int = 4, width: int = lanes.WIDTH, known: bool = False, threads: int = 1, every: int = 1
+    work: Work,
+    *,
+    step: str = "located",
+    order: int = 4,
+    width: int = lanes.WIDTH,
+    known: bool = False,
+    threads: int = 1,
+    every: int = 1,
 ) -> Callable[[], Result]:
     """known: zeros and ones of plant and observer are known when compiled, as in ensembles; else they are read at run time.
 
@@ -59,28 +72,54 @@ def _kernel(work: Work, width: int, known: bool, every: int) -> tuple[lanes.Kern
     loop, _, shared = prepare_run(work.problem)
     shared = shared[: len(work.targets)]
     places = np.arange(len(shared))
-    exogenous = np.column_stack([shared, (places >= len(shared) - work.tail) & (places % every == 0)])
+    exogenous = np.column_stack(
+        [shared, (places >= len(shared) - work.tail) & (places % every == 0)]
+    )
     params, names = tree.pack(loop.params), tree.names(loop.params)
     indices = tuple(names.index(name) for name in WIDTHS)
-    given = {i: value for i, value in known_params(params, indices).items() if known or names[i].startswith(UNITS)}
+    given = {
+        i: value
+        for i, value in known_params(params, indices).items()
+        if known or names[i].startswith(UNITS)
+    }
     usual, rare = _summed(loop)
-    kernel = lanes.build(usual, rare, params=indices, record=[], known_exogenous=known_inputs(shared, ()), known_params=given, width=width, fused=True)
+    kernel = lanes.build(
+        usual,
+        rare,
+        params=indices,
+        record=[],
+        known_exogenous=known_inputs(shared, ()),
+        known_params=given,
+        width=width,
+        fused=True,
+    )
     return kernel, exogenous, params
 
 
 def _with(work: Work, step: str, order: int) -> Work:
     """The work by another integrator."""
     scenario = work.problem.scenario
-    simulation = msgspec.structs.replace(scenario.simulation, switching="plain" if step == "plain" else "located", order=order)
-    return work._replace(problem=work.problem._replace(scenario=msgspec.structs.replace(scenario, simulation=simulation)))
+    simulation = msgspec.structs.replace(
+        scenario.simulation, switching="plain" if step == "plain" else "located", order=order
+    )
+    return work._replace(
+        problem=work.problem._replace(
+            scenario=msgspec.structs.replace(scenario, simulation=simulation)
+        )
+    )
 
 
 def _summed(loop: Loop) -> tuple[ca.Function, tuple[ca.Function, ...]]:
     """The loop's step and its rare part, with a last state that sums (z - r)^2 where a last exogenous input is 1."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", 1), ("w", 1), ("p", 0))))
+    s, w, p = (
+        ca.SX.sym(name, step.size1_in(i) + more)
+        for i, (name, more) in enumerate((("s", 1), ("w", 1), ("p", 0)))
+    )
     given = (s[:-1], w[:-1], p)
     following, out, *flag = step(*given)
     error = tree.unpack(loop.outputs, out).z - tree.unpack(loop.instant, w).target.r
-    usual = ca.Function("summed", [s, w, p], [ca.vertcat(following, s[-1] + w[-1] * error**2), out, *flag])
+    usual = ca.Function(
+        "summed", [s, w, p], [ca.vertcat(following, s[-1] + w[-1] * error**2), out, *flag]
+    )
     return usual, tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)

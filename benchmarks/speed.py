@@ -15,7 +15,9 @@ CHECKED = 64  # runs whose result is compared with the truth
 NOTE = f"""Medians of interleaved rounds; ours / its above 1: ours takes longer. Errors of final states and of the rms of z - r, in the first {CHECKED}
 runs, against our result with a step {ours.FINER} times shorter (sampled: the same step).
 """
-HEAD = "| group | program | ns per step and run | ours / its | largest error |\n|---|---|---|---|---|"
+HEAD = (
+    "| group | program | ns per step and run | ours / its | largest error |\n|---|---|---|---|---|"
+)
 
 
 class Entry(NamedTuple):
@@ -41,7 +43,9 @@ def rival(label: str, name: str, work: Work, **options: Any) -> Entry:
     return Entry(label, rivals.prepare(name, work, **options), work)
 
 
-def race(entries: list[Entry], rounds: int, error: Callable[[Result, Result], float] = error) -> list[Timed | None]:
+def race(
+    entries: list[Entry], rounds: int, error: Callable[[Result, Result], float] = error
+) -> list[Timed | None]:
     """Medians over interleaved rounds, after one that warms up and is checked; error: of a result, given the truth."""
     errors = [entry.run and error(entry.run(), truth(entry.work)) for entry in entries]
     times: list[list[float]] = [[] for _ in entries]
@@ -50,8 +54,13 @@ def race(entries: list[Entry], rounds: int, error: Callable[[Result, Result], fl
             if entry.run is not None:
                 began = time.perf_counter()
                 entry.run()
-                found.append((time.perf_counter() - began) / len(entry.work.states) / len(entry.work.targets))
-    return [Timed(statistics.median(found), gap) if found else None for found, gap in zip(times, errors, strict=True)]
+                found.append(
+                    (time.perf_counter() - began) / len(entry.work.states) / len(entry.work.targets)
+                )
+    return [
+        Timed(statistics.median(found), gap) if found else None
+        for found, gap in zip(times, errors, strict=True)
+    ]
 
 
 def truth(work: Work) -> Result:
@@ -70,7 +79,11 @@ def rows(group: str, entries: list[Entry], rounds: int = 5) -> list[str]:
     unit = timed[0].seconds
     lines = []
     for entry, found in zip(entries, timed, strict=True):
-        cells = ["not installed", "", ""] if found is None else [f"{1e9 * found.seconds:.3g}", f"{unit / found.seconds:.2g}", f"{found.error:.1g}"]
+        cells = (
+            ["not installed", "", ""]
+            if found is None
+            else [f"{1e9 * found.seconds:.3g}", f"{unit / found.seconds:.2g}", f"{found.error:.1g}"]
+        )
         lines.append(f"| {group} | {entry.label} | {' | '.join(cells)} |")
     return lines
 
@@ -90,7 +103,14 @@ def alone() -> list[str]:
             rival("diffrax, Tsit5 1e-6", "diffrax_tsit5", long),
             rival("CasADi fold, plain RK4", "casadi_map", long),
             rival("SciPy, RK45 1e-6 (2 s)", "scipy_ivp", short),
-            rival("SciPy, DOP853 1e-9, events (2 s)", "scipy_ivp", short, method="DOP853", rtol=1e-9, events=True),
+            rival(
+                "SciPy, DOP853 1e-9, events (2 s)",
+                "scipy_ivp",
+                short,
+                method="DOP853",
+                rtol=1e-9,
+                events=True,
+            ),
             rival("python-control, RK45 1e-6 (0.2 s)", "python_control", shorter),
             rival("PathSim, plain RK4 (0.2 s)", "pathsim_blocks", shorter),
         ],
@@ -107,7 +127,9 @@ def many(runs: int, duration: float) -> list[str]:
                 options = {"step": step, "known": known, "threads": threads}
                 label = f"{'located' if step == 'located' else 'plain RK4'}{', zeros and ones known' if known else ''}"
                 group = f"(b) {runs} runs, {threads} thread{'s' * (threads > 1)}"
-                lines += rows(group, [our(label, work, **options), rival(f"C, {label}", "c", work, **options)])
+                lines += rows(
+                    group, [our(label, work, **options), rival(f"C, {label}", "c", work, **options)]
+                )
     others = [
         rival("heyoka in batches, events, tol 1e-9", "heyoka_events", work, batch=True),
         rival("JAX, plain RK4", "jax_scan", work),
@@ -128,23 +150,41 @@ def orders() -> list[str]:
         lines += rows(f"(c) order {n}", entries)
         costs[n] = race(entries[:1], 5)[0].seconds / ours.instructions(work, "located")
     growth = ", ".join(f"{n}: {cost / costs[2]:.2f}" for n, cost in costs.items())
-    return [*lines, f"| (c) all orders | time per instruction of the graph, order 2 being 1 | {growth} | | |"]
+    return [
+        *lines,
+        f"| (c) all orders | time per instruction of the graph, order 2 being 1 | {growth} | | |",
+    ]
 
 
 def digital() -> list[str]:
     """(d) Sampled time."""
     lone, work = draw(1, 20.0, time="sampled"), draw(1000, 20.0, time="sampled")
-    lines = rows("(d) sampled, one run", [our("sampled", lone, width=1), rival("C, sampled", "c", lone, width=1, step="sampled")])
+    lines = rows(
+        "(d) sampled, one run",
+        [our("sampled", lone, width=1), rival("C, sampled", "c", lone, width=1, step="sampled")],
+    )
     for threads in (1, 2):
-        group, options = f"(d) sampled, 1000 runs, {threads} thread{'s' * (threads > 1)}", {"step": "sampled", "threads": threads}
-        lines += rows(group, [our("sampled", work, **options), rival("C, sampled", "c", work, **options)])
+        group, options = (
+            f"(d) sampled, 1000 runs, {threads} thread{'s' * (threads > 1)}",
+            {"step": "sampled", "threads": threads},
+        )
+        lines += rows(
+            group, [our("sampled", work, **options), rival("C, sampled", "c", work, **options)]
+        )
     return lines
 
 
 def growth() -> list[str]:
     """(h) Runs and steps: what one step of one run costs stays the same."""
-    works = {f"(h) {runs} runs of {steps} steps": draw(runs, steps * 1e-3) for runs, steps in ((128, 2000), (1024, 2000), (16384, 2000), (1024, 20000))}
-    return [line for group, work in works.items() for line in rows(group, [our("located", work), rival("C, located", "c", work)])]
+    works = {
+        f"(h) {runs} runs of {steps} steps": draw(runs, steps * 1e-3)
+        for runs, steps in ((128, 2000), (1024, 2000), (16384, 2000), (1024, 20000))
+    }
+    return [
+        line
+        for group, work in works.items()
+        for line in rows(group, [our("located", work), rival("C, located", "c", work)])
+    ]
 
 
 def table() -> str:

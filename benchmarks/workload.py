@@ -63,11 +63,23 @@ def scenario(n: int) -> uz.Scenario:
     """The paper's loop for n = 2; for other orders its plant is replaced by n equal lags in a row."""
     if n == 2:
         return PAPER
-    lags = uz.Plant(A=6.0 * (np.eye(n, k=-1) - np.eye(n)), B=6.0 * np.eye(n)[:, :1], C=np.eye(n)[-1:])
-    return msgspec.structs.replace(PAPER, plant=lags, observer=msgspec.structs.replace(PAPER.observer, L=None))
+    lags = uz.Plant(
+        A=6.0 * (np.eye(n, k=-1) - np.eye(n)), B=6.0 * np.eye(n)[:, :1], C=np.eye(n)[-1:]
+    )
+    return msgspec.structs.replace(
+        PAPER, plant=lags, observer=msgspec.structs.replace(PAPER.observer, L=None)
+    )
 
 
-def draw(runs: int, duration: float, *, n: int = 2, step: float = 1e-3, time: Time = "continuous", seed: int = 0) -> Work:
+def draw(
+    runs: int,
+    duration: float,
+    *,
+    n: int = 2,
+    step: float = 1e-3,
+    time: Time = "continuous",
+    seed: int = 0,
+) -> Work:
     """Random widths and initial states for `runs` runs of `duration` [s], the first of them the paper's own.
 
     They are such that no estimated width reaches 0 or d_M (for n = 2): projection there is one more switch, which
@@ -79,7 +91,10 @@ def draw(runs: int, duration: float, *, n: int = 2, step: float = 1e-3, time: Ti
     observer, steps = problem.observer.params, problem.steps
     loop, _, exogenous = prepare(problem)
     instants = exogenous[:steps].reshape(steps, -1, tree.size(loop.instant))[:, :, : n + 2]
-    x0, widths = np.random.default_rng([seed, 0]).normal(0.0, 0.1, (runs, n)), np.random.default_rng([seed, 1]).uniform(0.5, 2.0, (runs, 2))
+    x0, widths = (
+        np.random.default_rng([seed, 0]).normal(0.0, 0.1, (runs, n)),
+        np.random.default_rng([seed, 1]).uniform(0.5, 2.0, (runs, 2)),
+    )
     states = np.hstack([x0, np.zeros((runs, n)), np.full((runs, 2), 0.2)])
     states[0, :n], widths[0] = problem.x0, 1.0
     K, exo = problem.controller.params.K, problem.reference

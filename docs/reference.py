@@ -29,10 +29,17 @@ def page() -> str:
     parts = [HEAD, "## Top level\n", rows(simple)]
     for field in top:
         for struct in structs(field.type):
-            parts += [f"## [{field.name}]{chooser(struct)}\n", f"{prose(struct)}\n", rows(msgspec.structs.fields(struct))]
+            parts += [
+                f"## [{field.name}]{chooser(struct)}\n",
+                f"{prose(struct)}\n",
+                rows(msgspec.structs.fields(struct)),
+            ]
             for inner in msgspec.structs.fields(struct):
                 for nested in structs(inner.type):
-                    parts += [f"`{field.name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n", rows(msgspec.structs.fields(nested))]
+                    parts += [
+                        f"`{field.name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n",
+                        rows(msgspec.structs.fields(nested)),
+                    ]
     return "\n".join(parts)
 
 
@@ -58,7 +65,13 @@ def rows(fields: typing.Iterable[msgspec.structs.FieldInfo]) -> str:
     """A table of keys, types and defaults."""
     lines = ["| key | type | default |", "|---|---|---|"]
     for field in fields:
-        default = "required" if field.required else "none" if field.default is None else repr(default_of(field))
+        default = (
+            "required"
+            if field.required
+            else "none"
+            if field.default is None
+            else repr(default_of(field))
+        )
         lines.append(f"| {field.name} | {kind(field.type)} | {default} |")
     return "\n".join(lines) + "\n"
 
@@ -71,7 +84,15 @@ def default_of(field: msgspec.structs.FieldInfo) -> typing.Any:
 
 def kind(annotation: typing.Any) -> str:
     """A type in the words of TOML."""
-    plain = {float: "number", int: "whole number", str: "text", bool: "true or false", Array: "array", typing.Any: "formulas", type(None): "none"}
+    plain = {
+        float: "number",
+        int: "whole number",
+        str: "text",
+        bool: "true or false",
+        Array: "array",
+        typing.Any: "formulas",
+        type(None): "none",
+    }
     if annotation in plain:
         return plain[annotation]
     if typing.get_origin(annotation) is typing.Literal:

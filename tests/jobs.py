@@ -49,10 +49,22 @@ class Sines(NamedTuple):
 
 
 def layout(runs: int, block: int = 10, columns: int = 3, **problem: str | int) -> Layout:
-    return Layout(runs, tuple(f"column {i}" for i in range(columns)), block, {"scenario": "a = 1\nb = 2\n", "seed": 0} | problem)
+    return Layout(
+        runs,
+        tuple(f"column {i}" for i in range(columns)),
+        block,
+        {"scenario": "a = 1\nb = 2\n", "seed": 0} | problem,
+    )
 
 
-def sines(runs: int, seconds: float = 0.0, trace: Path | None = None, deadly: int = -1, wrong: int = -1, block: int = 10) -> Sines:
+def sines(
+    runs: int,
+    seconds: float = 0.0,
+    trace: Path | None = None,
+    deadly: int = -1,
+    wrong: int = -1,
+    block: int = 10,
+) -> Sines:
     return Sines(layout(runs, block), seconds, trace, deadly, wrong)
 
 

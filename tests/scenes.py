@@ -51,7 +51,9 @@ def linear(A: Any, B: Any, C: Any) -> System:
 PAPER_PLANT = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
-def random_plant(rng: np.random.Generator, n: int, m: int = 1, p: int = 1, stable: bool = True) -> System:
+def random_plant(
+    rng: np.random.Generator, n: int, m: int = 1, p: int = 1, stable: bool = True
+) -> System:
     """A random linear plant; stable: with poles left of about -0.2."""
     A = rng.normal(size=(n, n))
     if stable:
@@ -72,11 +74,15 @@ def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Es
     s, state = tree.symbols(like, "s")
     u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
     after, estimate = observer.step(params, state, u, Reading(y, side))
-    function = ca.Function("step", [p, s, u, y, side], [*(leaf for _, leaf in tree.leaves(after)), *estimate])
+    function = ca.Function(
+        "step", [p, s, u, y, side], [*(leaf for _, leaf in tree.leaves(after)), *estimate]
+    )
     numbers = tree.pack(observer.params)
 
     def step(state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
-        parts = iter([value.full().ravel() for value in function(numbers, tree.pack(state), u, y, side)])
+        parts = iter(
+            [value.full().ravel() for value in function(numbers, tree.pack(state), u, y, side)]
+        )
         return tree.rebuild(like, parts), Estimate(*parts)
 
     return step

@@ -14,7 +14,14 @@ from undeadzone import sensor
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError
 from undeadzone.observers import Certified, Estimate
-from undeadzone.observers.parts.width_laws import Adaptation, EModification, Gradient, LeastSquares, Normalised, Sigma
+from undeadzone.observers.parts.width_laws import (
+    Adaptation,
+    EModification,
+    Gradient,
+    LeastSquares,
+    Normalised,
+    Sigma,
+)
 from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, resolve
 from undeadzone.simulation.simulate import simulate
@@ -32,18 +39,30 @@ SMALL = np.array([0.2, 0.1])  # |G| < 1: C (sI - A)^-1 L is 0.5 at s = 0 and fal
 def random_state(rng: np.random.Generator, gained: bool) -> tuple[Any, Floats, float]:
     """(observer state (x^, d_r^, d_l^, gains), x, side) at random, x where that side is read; widths inside the projection."""
     side = float(rng.integers(-1, 2))
-    z = {1.0: TRUTH[0] + rng.exponential(), 0.0: rng.uniform(-TRUTH[1], TRUTH[0]), -1.0: -TRUTH[1] - rng.exponential()}[side]
+    z = {
+        1.0: TRUTH[0] + rng.exponential(),
+        0.0: rng.uniform(-TRUTH[1], TRUTH[0]),
+        -1.0: -TRUTH[1] - rng.exponential(),
+    }[side]
     gains = rng.uniform(0.01, 1.0, (2, 1)) if gained else np.zeros((2, 0))
-    return (rng.normal(size=2) * 2, rng.uniform(0, 3, 1), rng.uniform(0, 3, 1), *gains), np.array([z, rng.normal() * 3]), side
+    return (
+        (rng.normal(size=2) * 2, rng.uniform(0, 3, 1), rng.uniform(0, 3, 1), *gains),
+        np.array([z, rng.normal() * 3]),
+        side,
+    )
 
 
 def reading(x: Floats) -> Floats:
     return np.asarray(sensor.deadzone(x[:1], TRUTH[0], TRUTH[1]))
 
 
-def rates(adaptation: Adaptation, gain: Floats, state: Any, x: Floats, side: float) -> tuple[Any, Estimate, Floats]:
+def rates(
+    adaptation: Adaptation, gain: Floats, state: Any, x: Floats, side: float
+) -> tuple[Any, Estimate, Floats]:
     """In continuous time: (the state's derivative, estimate, d/dt of x - x^ with u = 0)."""
-    observer = Certified(L=gain, gamma=GAMMA, width_max=5.0, adaptation=adaptation).build(PAPER_PLANT, ZONE)
+    observer = Certified(L=gain, gamma=GAMMA, width_max=5.0, adaptation=adaptation).build(
+        PAPER_PLANT, ZONE
+    )
     after, estimate = on_numbers(observer, PAPER_PLANT)(state, [0.0], reading(x), [side])
     return after, estimate, PAPER_PLANT.linear.A @ x - after.x
 
@@ -60,7 +79,10 @@ def test_laws_without_their_number_are_the_gradient(seed: int) -> None:
     state, x, side = random_state(np.random.default_rng(seed), gained=False)
     expected = rates(Gradient(), L, state, x, side)[0]
     for law in (Normalised(weight=0.0), Sigma(leak=0.0), EModification(leak=0.0)):
-        assert all(np.array_equal(a, b) for a, b in zip(rates(law, L, state, x, side)[0], expected, strict=True))
+        assert all(
+            np.array_equal(a, b)
+            for a, b in zip(rates(law, L, state, x, side)[0], expected, strict=True)
+        )
 
 
 @given(seeds, st.floats(0.0, 3.0))
@@ -68,7 +90,9 @@ def test_least_squares_is_weighted_least_squares(seed: int, forgetting: float) -
     """With x^ = x, d^ after N readings minimises sum w^(N-k) |d - d_k|^2 + w^N |d - d^(0)|^2 / (gamma Ts), w = e^(-forgetting Ts)."""
     rng = np.random.default_rng(seed)
     law = LeastSquares(forgetting=forgetting)
-    observer = Certified(L=[0.0, 0.0], gamma=GAMMA, widths0=0.5, width_max=9.0, adaptation=law).build(SAMPLED, ZONE)
+    observer = Certified(
+        L=[0.0, 0.0], gamma=GAMMA, widths0=0.5, width_max=9.0, adaptation=law
+    ).build(SAMPLED, ZONE)
     step, state, x = on_numbers(observer, SAMPLED), observer.init(observer.params), np.zeros(2)
     fade = np.exp(-forgetting * TS)
     weights, values = [1 / (GAMMA * TS)], [0.5]
@@ -118,7 +142,9 @@ def test_normalising_keeps_the_certificate(seed: int, weight: float) -> None:
     after, _, x_rate = rates(Normalised(weight=weight), L, state, x, side)
     x_error, d_error = x - state[0], TRUTH - np.concatenate(state[1:3])
     W = float(proof.W[0, 0]) if np.ndim(proof.W) == 2 else float(proof.W[0])
-    rise = 2 * x_error @ proof.P @ x_rate + 2 * W / GAMMA * d_error @ -np.concatenate([after.right, after.left])
+    rise = 2 * x_error @ proof.P @ x_rate + 2 * W / GAMMA * d_error @ -np.concatenate(
+        [after.right, after.left]
+    )
     assert rise <= 1e-9 * (1 + x_error @ proof.P @ x_error)
 
 
@@ -127,8 +153,17 @@ def bounded_real(model: System, gain: Floats, bound: float) -> Floats:
     A, C = model.linear.A, model.linear.C
     P = constant = C.T @ C + 1e-4 * np.eye(2)
     for _ in range(20_000):
-        P = A.T @ P @ A + constant + A.T @ P @ gain @ np.linalg.solve(bound * np.eye(1) - gain.T @ P @ gain, gain.T @ P @ A)
-    whole = np.block([[A.T @ P @ A - P + C.T @ C, -A.T @ P @ gain], [-gain.T @ P @ A, gain.T @ P @ gain - bound]])
+        P = (
+            A.T @ P @ A
+            + constant
+            + A.T
+            @ P
+            @ gain
+            @ np.linalg.solve(bound * np.eye(1) - gain.T @ P @ gain, gain.T @ P @ A)
+        )
+    whole = np.block(
+        [[A.T @ P @ A - P + C.T @ C, -A.T @ P @ gain], [-gain.T @ P @ A, gain.T @ P @ gain - bound]]
+    )
     assert np.linalg.eigvalsh(whole)[-1] < 0
     return P
 
@@ -137,11 +172,15 @@ P_LEAST_SQUARES = bounded_real(SAMPLED, SMALL[:, None] * TS, 1 - GAMMA * TS)
 
 
 @given(seeds, st.floats(0.0, 2.0), st.floats(0.0, 0.9), st.booleans())
-def test_least_squares_with_a_small_gain_has_a_certificate_of_its_own(seed: int, forgetting: float, reset: float, silence: bool) -> None:
+def test_least_squares_with_a_small_gain_has_a_certificate_of_its_own(
+    seed: int, forgetting: float, reset: float, silence: bool
+) -> None:
     """V = x~'P x~ + sum d~^2 / g does not rise in a sample, whatever the state, the side, what is forgotten and reset."""
     rng = np.random.default_rng(seed)
     law = LeastSquares(forgetting=forgetting, reset=reset)
-    observer = Certified(L=SMALL, gamma=GAMMA, width_max=5.0, adaptation=law, silence=silence).build(SAMPLED, ZONE)
+    observer = Certified(
+        L=SMALL, gamma=GAMMA, width_max=5.0, adaptation=law, silence=silence
+    ).build(SAMPLED, ZONE)
     (x_hat, right, left, g, h), x, side = random_state(rng, gained=True)
     g, h = (GAMMA * TS * np.maximum(gain, reset) for gain in (g, h))
     after, _ = on_numbers(observer, SAMPLED)((x_hat, right, left, g, h), [0.0], reading(x), [side])
@@ -150,7 +189,11 @@ def test_least_squares_with_a_small_gain_has_a_certificate_of_its_own(seed: int,
         return float(x_error @ P_LEAST_SQUARES @ x_error + ((TRUTH - d) ** 2 / gains).sum())
 
     before = V(x - x_hat, np.concatenate([right, left]), np.concatenate([g, h]))
-    later = V(SAMPLED.linear.A @ x - after.x, np.concatenate([after.right, after.left]), np.concatenate([after.right_gain, after.left_gain]))
+    later = V(
+        SAMPLED.linear.A @ x - after.x,
+        np.concatenate([after.right, after.left]),
+        np.concatenate([after.right_gain, after.left_gain]),
+    )
     assert later <= before * (1 + 1e-9)
 
 
@@ -162,11 +205,15 @@ def test_a_leak_bounds_V_without_projection(seed: int, leak: float) -> None:
     state, x, side = random_state(np.random.default_rng(seed), gained=False)
     after, estimate, x_rate = rates(Sigma(leak=leak), L, state, x, side)
     x_error, d_error = x - state[0], TRUTH - np.concatenate(state[1:3])
-    rise = 2 * x_error @ P @ x_rate - 2 / GAMMA * d_error @ np.concatenate([after.right, after.left])
+    rise = 2 * x_error @ P @ x_rate - 2 / GAMMA * d_error @ np.concatenate(
+        [after.right, after.left]
+    )
     A, C = PAPER_PLANT.linear.A, PAPER_PLANT.linear.C
     M = np.block([[A.T @ P + P @ A, C.T - P @ L[:, None]], [C - L[None, :] @ P, -2 * np.eye(1)]])
     both = np.concatenate([x_error, estimate.innovation])
-    assert rise <= both @ M @ both - leak * d_error @ d_error + leak * TRUTH @ TRUTH + 1e-9 * (1 + both @ both)
+    assert rise <= both @ M @ both - leak * d_error @ d_error + leak * TRUTH @ TRUTH + 1e-9 * (
+        1 + both @ both
+    )
 
 
 @given(seeds)
@@ -176,12 +223,18 @@ def test_a_small_enough_leak_by_the_error_keeps_V(seed: int) -> None:
     P = proof.P / float(np.ravel(proof.W)[0])
     A, C = PAPER_PLANT.linear.A, PAPER_PLANT.linear.C
     M = np.block([[A.T @ P + P @ A, C.T - P @ L[:, None]], [C - L[None, :] @ P, -2 * np.eye(1)]])
-    spread = TRUTH.max() * np.block([[C.T @ C, np.zeros((2, 1))], [np.zeros((1, 2)), 3 * np.eye(1)]])
-    leak = next(leak for leak in 0.9 ** np.arange(200) if np.linalg.eigvalsh(M + leak * spread)[-1] < 0)
+    spread = TRUTH.max() * np.block(
+        [[C.T @ C, np.zeros((2, 1))], [np.zeros((1, 2)), 3 * np.eye(1)]]
+    )
+    leak = next(
+        leak for leak in 0.9 ** np.arange(200) if np.linalg.eigvalsh(M + leak * spread)[-1] < 0
+    )
     state, x, side = random_state(np.random.default_rng(seed), gained=False)
     after, _, x_rate = rates(EModification(leak=leak), L, state, x, side)
     x_error, d_error = x - state[0], TRUTH - np.concatenate(state[1:3])
-    rise = 2 * x_error @ P @ x_rate - 2 / GAMMA * d_error @ np.concatenate([after.right, after.left])
+    rise = 2 * x_error @ P @ x_rate - 2 / GAMMA * d_error @ np.concatenate(
+        [after.right, after.left]
+    )
     assert rise <= 1e-9 * (1 + x_error @ x_error)
 
 
@@ -189,8 +242,17 @@ def test_a_small_enough_leak_by_the_error_keeps_V(seed: int) -> None:
 
 
 def run(adaptation: dict[str, Any], **observer: Any) -> Any:
-    options = {"method": "certified", "L": [1.0, 1.5], "gamma": 10.0, "width_max": 3.0, "widths0": [0.2, 0.2], "adaptation": adaptation} | observer
-    return simulate(scene(observer=options, simulation={"duration": 20.0, "step": 2e-3}), check_step=False)
+    options = {
+        "method": "certified",
+        "L": [1.0, 1.5],
+        "gamma": 10.0,
+        "width_max": 3.0,
+        "widths0": [0.2, 0.2],
+        "adaptation": adaptation,
+    } | observer
+    return simulate(
+        scene(observer=options, simulation={"duration": 20.0, "step": 2e-3}), check_step=False
+    )
 
 
 @pytest.mark.parametrize(
@@ -212,7 +274,10 @@ def test_widths_of_the_papers_example_are_found(adaptation: dict[str, Any]) -> N
 
 def test_least_squares_alone_grows_deaf() -> None:
     """Its gain falls as 1 / t: slower in the end than with forgetting."""
-    deaf, awake = run({"method": "least_squares"}), run({"method": "least_squares", "forgetting": 1.0})
+    deaf, awake = (
+        run({"method": "least_squares"}),
+        run({"method": "least_squares", "forgetting": 1.0}),
+    )
     assert np.abs(deaf.d_hat[-1] - 1.0).max() > 3 * np.abs(awake.d_hat[-1] - 1.0).max()
 
 
@@ -222,14 +287,22 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
     found = simulate(
         scene(
             plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
-            observer={"method": "certified", "L": [0.0, 0.0], "gamma": gamma, "widths0": 0.2, "adaptation": {"method": "sigma", "leak": leak}},
+            observer={
+                "method": "certified",
+                "L": [0.0, 0.0],
+                "gamma": gamma,
+                "widths0": 0.2,
+                "adaptation": {"method": "sigma", "leak": leak},
+            },
             simulation={"duration": 60.0, "step": 5e-3},
         ),
         check_step=False,
     )
     last = found.t > 50.0
     share = (found.side[last, 0] > 0).mean()
-    assert (1.0 - found.d_hat[last, 0]).mean() == pytest.approx(leak / (share + leak) * 0.8, rel=0.02)
+    assert (1.0 - found.d_hat[last, 0]).mean() == pytest.approx(
+        leak / (share + leak) * 0.8, rel=0.02
+    )
 
 
 def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None:
@@ -237,9 +310,20 @@ def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None
     plant = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
     truth, started = {}, {}
     for method in ("sigma", "e_modification"):
-        options = {"method": "certified", "gamma": 10.0, "adaptation": {"method": method, "leak": 0.1}}
+        options = {
+            "method": "certified",
+            "gamma": 10.0,
+            "adaptation": {"method": method, "leak": 0.1},
+        }
         truth[method] = simulate(scene(plant=plant, observer=options | exact), check_step=False)
-        started[method] = simulate(scene(plant=plant, observer=options | exact | {"widths0": [0.2, 0.2]}, simulation={"duration": 10.0}), check_step=False)
+        started[method] = simulate(
+            scene(
+                plant=plant,
+                observer=options | exact | {"widths0": [0.2, 0.2]},
+                simulation={"duration": 10.0},
+            ),
+            check_step=False,
+        )
     assert truth["e_modification"].d_hat == pytest.approx(1.0, abs=1e-9)
     assert started["e_modification"].d_hat[-1] == pytest.approx([1.0, 1.0], abs=1e-3)
     assert np.abs(started["sigma"].d_hat[-1] - 1.0).min() > 0.05

@@ -13,23 +13,36 @@ from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 
 TWO = {
-    "plant": {"A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]], "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]], "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]},
+    "plant": {
+        "A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]],
+        "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]],
+        "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+    },
     "sensor": {"right": [0.6, 0.4], "left": [0.5, 0.7]},
     "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
     "observer": {"method": "certified", "gamma": 4.0},
     "controller": {"method": "state_feedback", "alpha": 5.0},
 }
-GRAZING = {"reference": {"kind": "sine", "amplitude": 1.002, "frequency": 1.0}, "plant": {"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]}}
+GRAZING = {
+    "reference": {"kind": "sine", "amplitude": 1.002, "frequency": 1.0},
+    "plant": {"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]},
+}
 
 
 def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:
-    return simulate(scene(**changes | {"simulation": {"duration": duration, "step": step, "order": order}}), check_step=False)
+    return simulate(
+        scene(**changes | {"simulation": {"duration": duration, "step": step, "order": order}}),
+        check_step=False,
+    )
 
 
 def gap(found: Run, truth: Run) -> float:
     """The largest difference of x, x^ and d^ at the instants that both have."""
     every = round((len(truth.t) - 1) / (len(found.t) - 1))
-    return max(float(np.abs(getattr(found, name) - getattr(truth, name)[::every]).max()) for name in ("x", "x_hat", "d_hat"))
+    return max(
+        float(np.abs(getattr(found, name) - getattr(truth, name)[::every]).max())
+        for name in ("x", "x_hat", "d_hat")
+    )
 
 
 @pytest.mark.parametrize("changes", [{}, TWO, GRAZING], ids=["paper", "two outputs", "grazing"])
@@ -56,14 +69,21 @@ def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> No
 
 
 @pytest.mark.parametrize(
-    "disturbance", [{"kind": "sine", "amplitude": 0.5, "frequency": 0.7}, {"kind": "random", "rms": 0.3, "correlation_time": 0.2}], ids=str
+    "disturbance",
+    [
+        {"kind": "sine", "amplitude": 0.5, "frequency": 0.7},
+        {"kind": "random", "rms": 0.3, "correlation_time": 0.2},
+    ],
+    ids=str,
 )
 def test_disturbances_enter_the_series(disturbance: dict[str, Any]) -> None:
     """A random one is a straight line over each step of its own grid, so that both must have the same."""
     truth = run(4, 1e-2, disturbance=disturbance)
     found = run(8, 1e-2, disturbance=disturbance)
     assert gap(found, truth) < 2e-6
-    finer = simulate(scene(disturbance=disturbance, simulation={"duration": 3.0, "step": 1e-2, "order": 8}))
+    finer = simulate(
+        scene(disturbance=disturbance, simulation={"duration": 3.0, "step": 1e-2, "order": 8})
+    )
     assert finer.info.integration_error is not None
     assert finer.info.integration_error < 1e-9
 
@@ -72,7 +92,10 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     """z passes the edge by 0.001 at its largest, and is back before a long step ends."""
     silent = run(12, 1e-3, **GRAZING, sensor={"right": 3.0, "left": 3.0})
     sensor = {"right": float(silent.z.max()) - 1e-3, "left": 3.0}
-    truth, coarse = run(4, 2.5e-4, **GRAZING, sensor=sensor), run(12, 5e-2, **GRAZING, sensor=sensor)
+    truth, coarse = (
+        run(4, 2.5e-4, **GRAZING, sensor=sensor),
+        run(12, 5e-2, **GRAZING, sensor=sensor),
+    )
     assert 0.0 < (truth.side == 1).mean() < 0.05
     assert not (coarse.side == 1).any()
     assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
@@ -83,10 +106,19 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     ("changes", "words"),
     [
         ({"simulation": {"order": 3}}, "simulation.order: expected 4 to 20, found 3"),
-        ({"simulation": {"order": 8, "time": "sampled"}}, "simulation.order: above 4 only in continuous time"),
-        ({"simulation": {"order": 8, "switching": "plain"}}, "simulation.order: above 4 only in continuous time"),
         (
-            {"simulation": {"order": 8}, "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}}},
+            {"simulation": {"order": 8, "time": "sampled"}},
+            "simulation.order: above 4 only in continuous time",
+        ),
+        (
+            {"simulation": {"order": 8, "switching": "plain"}},
+            "simulation.order: above 4 only in continuous time",
+        ),
+        (
+            {
+                "simulation": {"order": 8},
+                "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}},
+            },
             "simulation.order: above 4 only for a plant, an observer and a controller that are linear",
         ),
     ],

@@ -45,7 +45,15 @@ from undeadzone.support import toml
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
-DECLARED = {"right": [0.3, 2.0], "disturbance": 1.0, "correlation_time": 0.5, "bias": 0.2, "calibrated": 0.5, "tolerance": 0.05, "drift": 0.005}
+DECLARED = {
+    "right": [0.3, 2.0],
+    "disturbance": 1.0,
+    "correlation_time": 0.5,
+    "bias": 0.2,
+    "calibrated": 0.5,
+    "tolerance": 0.05,
+    "drift": 0.005,
+}
 TOLD_THE_TRUTH = {"full_state", "oracle"}
 
 
@@ -61,9 +69,27 @@ def small(**changes: Any) -> Scenario:
     return scene(**base | changes)
 
 
-def result(method: str, scenario: str, seed: int, tracking: float | None, diverged: bool = False, **more: Any) -> Result:
-    worth = {"estimation": 0.1, "width": None, "centre": None, "coverage": None, "settling": 1.0, "effort": 1.0, "slew": 1.0, "cost": 1e-6}
-    found = None if tracking is None else Worth(**worth | more, tracking=tracking, diverged=diverged)
+def result(
+    method: str,
+    scenario: str,
+    seed: int,
+    tracking: float | None,
+    diverged: bool = False,
+    **more: Any,
+) -> Result:
+    worth = {
+        "estimation": 0.1,
+        "width": None,
+        "centre": None,
+        "coverage": None,
+        "settling": 1.0,
+        "effort": 1.0,
+        "slew": 1.0,
+        "cost": 1e-6,
+    }
+    found = (
+        None if tracking is None else Worth(**worth | more, tracking=tracking, diverged=diverged)
+    )
     return Result(method=method, scenario=scenario, seed=seed, worth=found)
 
 
@@ -71,13 +97,25 @@ def result(method: str, scenario: str, seed: int, tracking: float | None, diverg
 
 
 def test_readings_are_lost_as_often_as_said_and_widths_walk_as_far() -> None:
-    scenario = small(sensor={"right": 1.0, "left": 0.5, "noise": 0.02, "dropout": 0.3, "drift": 0.1}, simulation={**SHORT, "duration": 20.0})
+    scenario = small(
+        sensor={"right": 1.0, "left": 0.5, "noise": 0.02, "dropout": 0.3, "drift": 0.1},
+        simulation={**SHORT, "duration": 20.0},
+    )
     problem = resolve_scenario(scenario)
-    walks = np.array([np.log(inputs.widths(problem, inputs.exogenous(problem, run=run))[:, :, 0] / [1.0, 0.5]) for run in range(200)])
+    walks = np.array(
+        [
+            np.log(inputs.widths(problem, inputs.exogenous(problem, run=run))[:, :, 0] / [1.0, 0.5])
+            for run in range(200)
+        ]
+    )
     steps = np.diff(walks, axis=1)
     assert np.std(steps) == pytest.approx(0.1 * np.sqrt(1e-2), rel=0.01)
-    assert abs(np.corrcoef(steps[:, :-1].ravel(), steps[:, 1:].ravel())[0, 1]) < 0.01  # a step knows nothing of the one before
-    assert abs(np.corrcoef(steps[:, :, 0].ravel(), steps[:, :, 1].ravel())[0, 1]) < 0.01  # nor one edge of the other
+    assert (
+        abs(np.corrcoef(steps[:, :-1].ravel(), steps[:, 1:].ravel())[0, 1]) < 0.01
+    )  # a step knows nothing of the one before
+    assert (
+        abs(np.corrcoef(steps[:, :, 0].ravel(), steps[:, :, 1].ravel())[0, 1]) < 0.01
+    )  # nor one edge of the other
     assert np.std(walks[:, -1]) == pytest.approx(0.1 * np.sqrt(20.0), rel=0.15)
     run = simulate(scenario)
     lost = np.isnan(run.y[:, 0])
@@ -90,21 +128,35 @@ def test_readings_are_lost_as_often_as_said_and_widths_walk_as_far() -> None:
 @pytest.mark.parametrize("time", ["sampled", "continuous"])
 def test_what_is_not_used_leaves_a_run_as_it_was(time: str) -> None:
     plain = small(sensor={"noise": 0.02}, simulation={**SHORT, "time": time})
-    unused = small(sensor={"noise": 0.02, "drift": 0.0, "dropout": 0.0}, simulation={**SHORT, "time": time})
+    unused = small(
+        sensor={"noise": 0.02, "drift": 0.0, "dropout": 0.0}, simulation={**SHORT, "time": time}
+    )
     assert np.array_equal(simulate(plain).z, simulate(unused).z)
-    lossy = simulate(small(sensor={"noise": 0.02, "dropout": 0.2, "drift": 0.05}, simulation={**SHORT, "time": time}))
+    lossy = simulate(
+        small(
+            sensor={"noise": 0.02, "dropout": 0.2, "drift": 0.05},
+            simulation={**SHORT, "time": time},
+        )
+    )
     assert not np.array_equal(lossy.z, simulate(plain).z)
 
 
 def test_lost_readings_and_wear_leave_the_order_of_integration() -> None:
     sensor = {"noise": 0.02, "dropout": 0.2, "drift": 0.05}
     steps = [5e-3, 2.5e-3]
-    errors = [simulate(small(sensor=sensor, simulation={"step": step, "duration": 3.0})).info.integration_error for step in steps]
+    errors = [
+        simulate(
+            small(sensor=sensor, simulation={"step": step, "duration": 3.0})
+        ).info.integration_error
+        for step in steps
+    ]
     assert slopes(steps, errors)[0] > 3.5
 
 
 def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
-    scenario = msgspec.structs.replace(small(sensor={"noise": 0.02, "dropout": 0.3, "drift": 0.1}), ensemble=Vary(runs=4))
+    scenario = msgspec.structs.replace(
+        small(sensor={"noise": 0.02, "dropout": 0.3, "drift": 0.1}), ensemble=Vary(runs=4)
+    )
     problem = resolve_scenario(scenario)
     loop = closed(problem)
     own = drawn(problem, loop, bind(problem, loop))
@@ -120,7 +172,10 @@ def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
     assert len({noise.AFTER, noise.BEFORE, noise.DISTURBANCE, noise.WEAR, noise.LOSS}) == 5
 
 
-@pytest.mark.parametrize(("key", "value", "words"), [("dropout", 1.0, "a probability below 1"), ("drift", -0.1, "must not be negative")])
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("dropout", 1.0, "a probability below 1"), ("drift", -0.1, "must not be negative")],
+)
 def test_impossible_sensors_are_refused(key: str, value: float, words: str) -> None:
     with pytest.raises(InputError, match=f"sensor.{key}: .*{words}"):
         resolve_scenario(small(sensor={key: value}))
@@ -132,9 +187,17 @@ def test_impossible_sensors_are_refused(key: str, value: float, words: str) -> N
 def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> None:
     tuning_on, held_out = scenarios("tuning"), scenarios("held_out")
     assert len(tuning_on) >= 10
-    assert {"nominal", "noise_after", "noise_before", "mismatch_weak", "mismatch_strong", "asymmetric", "disturbance", "bias", "amplitude_large"} <= set(
-        held_out
-    )
+    assert {
+        "nominal",
+        "noise_after",
+        "noise_before",
+        "mismatch_weak",
+        "mismatch_strong",
+        "asymmetric",
+        "disturbance",
+        "bias",
+        "amplitude_large",
+    } <= set(held_out)
     assert {
         "amplitude_large",
         "amplitude_small",
@@ -147,9 +210,15 @@ def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> Non
         "drift",
         "dropout",
     } <= set(held_out)
-    plain = [toml.dumps(msgspec.structs.replace(scenario, title="")) for scenario in [*tuning_on.values(), *held_out.values()]]
+    plain = [
+        toml.dumps(msgspec.structs.replace(scenario, title=""))
+        for scenario in [*tuning_on.values(), *held_out.values()]
+    ]
     assert len(set(plain)) == len(plain)
-    truths = [{repr((each.plant, each.sensor, each.reference)) for each in of.values()} for of in (tuning_on, held_out)]
+    truths = [
+        {repr((each.plant, each.sensor, each.reference)) for each in of.values()}
+        for of in (tuning_on, held_out)
+    ]
     assert not truths[0] & truths[1]
     for scenario in [*tuning_on.values(), *held_out.values()]:
         assert scenario.declared is not None
@@ -166,22 +235,50 @@ def test_no_contestant_is_told_the_truth(name: str) -> None:
 
     def options(scenario: Scenario) -> str:
         found = entered(METHODS[name], situation(scenario))
-        return repr([msgspec.to_builtins(part, enc_hook=lambda number: number.tolist()) for part in (found.observer, found.controller)])
+        return repr(
+            [
+                msgspec.to_builtins(part, enc_hook=lambda number: number.tolist())
+                for part in (found.observer, found.controller)
+            ]
+        )
 
     model = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]]}
-    other = {"A": [[0.0, 1.0], [-1.4, -1.7]], "B": [[0.0], [1.2]], "C": [[1.0, 0.0]], "x0": [0.9, 0.1]}
+    other = {
+        "A": [[0.0, 1.0], [-1.4, -1.7]],
+        "B": [[0.0], [1.2]],
+        "C": [[1.0, 0.0]],
+        "x0": [0.9, 0.1],
+    }
     truth = small(model=model)
-    assert options(truth) == options(small(model=model, plant=other, sensor={"right": 0.5, "left": 1.6, "noise": 0.02, "drift": 0.1, "dropout": 0.1}))
+    assert options(truth) == options(
+        small(
+            model=model,
+            plant=other,
+            sensor={"right": 0.5, "left": 1.6, "noise": 0.02, "drift": 0.1, "dropout": 0.1},
+        )
+    )
 
 
 def test_without_a_declaration_the_observer_of_the_scenario_says_what_is_known() -> None:
     assert declaration(small()).tolerance == 0.05
-    certified = declaration(small(declared=None, observer={"method": "certified", "L": [1.0, 1.5], "gamma": 1.0, "width_max": 2.5}))
+    certified = declaration(
+        small(
+            declared=None,
+            observer={"method": "certified", "L": [1.0, 1.5], "gamma": 1.0, "width_max": 2.5},
+        )
+    )
     assert np.array_equal(certified.right, [0.0, 2.5])
-    censored = declaration(small(declared=None, observer={"method": "censored", "right": [0.2, 1.9], "bias": 0.3}))
+    censored = declaration(
+        small(declared=None, observer={"method": "censored", "right": [0.2, 1.9], "bias": 0.3})
+    )
     assert np.array_equal(censored.right, [0.2, 1.9])
     assert censored.bias == 0.3
-    assert declaration(small(declared=None, observer={"method": "luenberger", "L": [1.0, 1.0]})).right[1] > 1.2
+    assert (
+        declaration(small(declared=None, observer={"method": "luenberger", "L": [1.0, 1.0]})).right[
+            1
+        ]
+        > 1.2
+    )
 
 
 # --- Every method, and what its runs are worth
@@ -199,7 +296,9 @@ def test_every_method_runs_or_says_why_not(name: str, everyone: list[Result]) ->
         assert found.reason
         assert ":" in found.reason
     else:
-        assert found.worth.diverged or (math.isfinite(found.worth.tracking) and math.isfinite(found.worth.estimation))
+        assert found.worth.diverged or (
+            math.isfinite(found.worth.tracking) and math.isfinite(found.worth.estimation)
+        )
         assert found.worth.cost > 0
 
 
@@ -208,17 +307,28 @@ def test_every_observer_is_in_the_arena() -> None:
 
 
 def test_a_run_is_worth_what_its_signals_say() -> None:
-    ground = situation(small(sensor={"right": 1.2, "left": 0.7, "noise": 0.02, "drift": 0.1}, simulation={**SHORT, "duration": 10.0}))
+    ground = situation(
+        small(
+            sensor={"right": 1.2, "left": 0.7, "noise": 0.02, "drift": 0.1},
+            simulation={**SHORT, "duration": 10.0},
+        )
+    )
     worth = trial("ekf", METHODS["ekf"], "small", ground, [5])[0].worth
     scenario = entered(METHODS["ekf"], ground)
-    run = simulate(msgspec.structs.replace(scenario, simulation=msgspec.structs.replace(scenario.simulation, seed=5)))
+    run = simulate(
+        msgspec.structs.replace(
+            scenario, simulation=msgspec.structs.replace(scenario.simulation, seed=5)
+        )
+    )
     tail, problem = slice(800, None), resolve_scenario(scenario)
     truth = inputs.widths(problem, inputs.exogenous(problem, seed=5))[-1, :, 0]
     error, off = run.z - run.r, run.d_hat[-1] - truth
     assert worth is not None
     assert run.d_std is not None
     assert worth.tracking == pytest.approx(np.sqrt(np.mean(error[tail] ** 2)), rel=1e-12)
-    assert worth.estimation == pytest.approx(np.sqrt(np.mean((run.z - run.z_hat)[tail] ** 2)), rel=1e-12)
+    assert worth.estimation == pytest.approx(
+        np.sqrt(np.mean((run.z - run.z_hat)[tail] ** 2)), rel=1e-12
+    )
     assert worth.width == pytest.approx(abs(off.sum()) / truth.sum(), rel=1e-12)
     assert worth.centre == pytest.approx(abs(off[0] - off[1]) / truth.sum(), rel=1e-12)
     assert worth.coverage == np.mean(np.abs(off) <= 1.96 * run.d_std[-1])
@@ -231,7 +341,9 @@ def test_a_run_is_worth_what_its_signals_say() -> None:
 
 
 def test_unknown_bias_leaves_no_error_of_the_centre_to_report() -> None:
-    ground = situation(small(disturbance={"kind": "step", "amplitude": 0.5}, simulation={**SHORT, "duration": 6.0}))
+    ground = situation(
+        small(disturbance={"kind": "step", "amplitude": 0.5}, simulation={**SHORT, "duration": 6.0})
+    )
     worth = trial("kalman", METHODS["kalman"], "small", ground, [0])[0].worth
     assert worth is not None
     assert worth.width is not None
@@ -241,13 +353,25 @@ def test_unknown_bias_leaves_no_error_of_the_centre_to_report() -> None:
 def test_processes_give_what_one_process_gives() -> None:
     grounds = {f"{noise}": small(sensor={"noise": noise}) for noise in (0.01, 0.02, 0.05, 0.1)}
     names = ["luenberger", "ekf", "adaptive_inverse", "certified"]
-    alone, together = (score(names, grounds, (0, 1), numbers={}, processes=count) for count in (1, 2))
+    alone, together = (
+        score(names, grounds, (0, 1), numbers={}, processes=count) for count in (1, 2)
+    )
 
     def plain(results: list[Result]) -> list[Any]:
-        return [(r.method, r.scenario, r.seed, None if r.worth is None else msgspec.structs.replace(r.worth, cost=0.0)) for r in results]
+        return [
+            (
+                r.method,
+                r.scenario,
+                r.seed,
+                None if r.worth is None else msgspec.structs.replace(r.worth, cost=0.0),
+            )
+            for r in results
+        ]
 
     assert plain(alone) == plain(together)
-    assert len({r.worth.tracking for r in alone if r.worth is not None and r.method == "ekf"}) == 8  # each seed, each scenario
+    assert (
+        len({r.worth.tracking for r in alone if r.worth is not None and r.method == "ekf"}) == 8
+    )  # each seed, each scenario
 
 
 # --- Regret and places
@@ -257,22 +381,35 @@ def test_regret_by_hand() -> None:
     results = []
     for scenario, scale in (("a", 1.0), ("b", 10.0)):
         for seed in (0, 1):
-            results += [result("full_state", scenario, seed, 0.1 * scale), result("luenberger", scenario, seed, 1.1 * scale)]
-            results.append(result("good", scenario, seed, (0.2 + 0.1 * seed) * scale, coverage=1.0 - seed))
+            results += [
+                result("full_state", scenario, seed, 0.1 * scale),
+                result("luenberger", scenario, seed, 1.1 * scale),
+            ]
+            results.append(
+                result("good", scenario, seed, (0.2 + 0.1 * seed) * scale, coverage=1.0 - seed)
+            )
             results.append(result("lost", scenario, seed, 1e3, diverged=scenario == "b"))
-            results.append(result("picky", scenario, seed, 0.1 * scale if scenario == "a" else None))
+            results.append(
+                result("picky", scenario, seed, 0.1 * scale if scenario == "a" else None)
+            )
     found = regrets(results)
     assert np.allclose(found["good"], [[0.1, 0.2], [0.1, 0.2]])
     assert np.array_equal(found["lost"], [[CAP, CAP], [CAP, CAP]])
     assert np.isnan(found["picky"]).tolist() == [[False, False], [True, True]]
-    rows = {row.method: row for row in leaderboard.leaderboard(results, {"full_state", "luenberger"})}
+    rows = {
+        row.method: row for row in leaderboard.leaderboard(results, {"full_state", "luenberger"})
+    }
     assert list(rows) == ["full_state", "good", "picky", "luenberger", "lost"]
     assert rows["good"].median_regret == pytest.approx(0.15)
     assert rows["good"].coverage == 0.5
     assert (rows["good"].behind, rows["good"].behind_interval) == (0.0, (0.0, 0.0))
     assert rows["lost"].behind == pytest.approx(CAP - 0.15)
     assert rows["picky"].median_regret == pytest.approx(REFUSED / 2)
-    assert (rows["picky"].worst_regret, rows["picky"].worst_scenario, rows["picky"].not_applicable) == (REFUSED, "b", 0.5)
+    assert (
+        rows["picky"].worst_regret,
+        rows["picky"].worst_scenario,
+        rows["picky"].not_applicable,
+    ) == (REFUSED, "b", 0.5)
     assert (rows["lost"].diverged, rows["lost"].worst_regret) == (0.5, CAP)
     assert (rows["full_state"].reference, rows["good"].reference) == (True, False)
 
@@ -299,7 +436,9 @@ def test_intervals_hold_the_median_as_often_as_they_say() -> None:
 def test_every_method_gets_the_same_budget_and_the_search_finds_the_least() -> None:
     for name in ("kalman", "adaptive_inverse", "oracle", "walcott_zak"):
         knobs, seen = METHODS[name].knobs, []
-        best = {address: knob.low * (knob.high / knob.low) ** 0.7 for address, knob in knobs.items()}
+        best = {
+            address: knob.low * (knob.high / knob.low) ** 0.7 for address, knob in knobs.items()
+        }
 
         def cost(given: Any, best: dict[str, float] = best, seen: list[Any] = seen) -> float:
             seen.append(given)
@@ -315,11 +454,19 @@ def test_every_method_gets_the_same_budget_and_the_search_finds_the_least() -> N
 
 def test_the_lines_that_make_regret_have_regret_0_and_1() -> None:
     ground = {"small": situation(small())}
-    frame = [each for name in leaderboard.FRAME for each in trial(name, METHODS[name], "small", ground["small"], [7])]
+    frame = [
+        each
+        for name in leaderboard.FRAME
+        for each in trial(name, METHODS[name], "small", ground["small"], [7])
+    ]
     assert tuning.mean_regret(METHODS["full_state"], ground, frame, [7], {}) == 0
     assert tuning.mean_regret(METHODS["luenberger"], ground, frame, [7], {}) == 1
     jump = {"small": situation(small(sensor={"kind": "jump", "noise": 0.02}))}
-    frame = [each for name in leaderboard.FRAME for each in trial(name, METHODS[name], "small", jump["small"], [7])]
+    frame = [
+        each
+        for name in leaderboard.FRAME
+        for each in trial(name, METHODS[name], "small", jump["small"], [7])
+    ]
     assert tuning.mean_regret(METHODS["kalman"], jump, frame, [7], {}) == CAP
 
 
@@ -331,11 +478,17 @@ def test_the_stored_numbers_are_those_of_the_knobs() -> None:
         assert found.candidates == stored.budget
         assert found.regret <= found.before
         assert set(found.knobs) == set(METHODS[name].knobs)
-        assert all(METHODS[name].knobs[address].low <= value <= METHODS[name].knobs[address].high for address, value in found.knobs.items())
+        assert all(
+            METHODS[name].knobs[address].low <= value <= METHODS[name].knobs[address].high
+            for address, value in found.knobs.items()
+        )
 
 
 def test_tuned_numbers_are_kept_and_bad_files_named(tmp_path: Path) -> None:
-    path, found = tmp_path / "tuned.toml", tuned.Found(regret=0.1, before=0.2, candidates=3, knobs={"observer.L": 0.1 + 0.2})
+    path, found = (
+        tmp_path / "tuned.toml",
+        tuned.Found(regret=0.1, before=0.2, candidates=3, knobs={"observer.L": 0.1 + 0.2}),
+    )
     first = tuned.Tuned(budget=3, seeds=[1], search=0, scenarios=["a"], methods={"one": found})
     tuned.save(first, path)
     tuned.save(msgspec.structs.replace(first, methods={"two": found}), path)
@@ -363,9 +516,13 @@ def run(*arguments: str | Path) -> Any:
 def test_json_has_every_run_and_every_method(mine: Path) -> None:
     done = json.loads(run(mine, "--methods", "ekf,certified", "--seeds", "2", "--json").stdout)
     assert {(r["method"], r["scenario"], r["seed"]) for r in done["results"]} == {
-        (method, "mine", seed) for method in ("full_state", "luenberger", "ekf", "certified") for seed in (0, 1)
+        (method, "mine", seed)
+        for method in ("full_state", "luenberger", "ekf", "certified")
+        for seed in (0, 1)
     }
-    assert {"median_regret", "worst_regret", "median_interval", "worst_interval", "cost"} <= set(done["leaderboard"][0])
+    assert {"median_regret", "worst_regret", "median_interval", "worst_interval", "cost"} <= set(
+        done["leaderboard"][0]
+    )
     of = {(r["method"], r["seed"]): r for r in done["results"]}
     full, naive, own = (of[method, 1]["tracking"] for method in ("full_state", "luenberger", "ekf"))
     assert of["ekf", 1]["regret"] == pytest.approx((own - full) / (naive - full), rel=1e-12)
@@ -373,18 +530,30 @@ def test_json_has_every_run_and_every_method(mine: Path) -> None:
 
 
 def test_a_user_picks_a_method_for_a_plant(mine: Path, tmp_path: Path) -> None:
-    done = run(mine, "--methods", "ekf,printed,particle_filter", "--seeds", "1", "--out", tmp_path / "out")
+    done = run(
+        mine, "--methods", "ekf,printed,particle_filter", "--seeds", "1", "--out", tmp_path / "out"
+    )
     assert done.exit_code == 0
     lines = done.stdout.splitlines()
     assert sum(line.split()[1:2] == ["ekf"] for line in lines) == 1
     best = next(line.split()[1] for line in lines if line.startswith("1 "))
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"results.json", "report.html", "leaderboard.png", "scenarios.png", "trajectories.png", "cost.png", f"mine-{best}.toml"}
+    assert names == {
+        "results.json",
+        "report.html",
+        "leaderboard.png",
+        "scenarios.png",
+        "trajectories.png",
+        "cost.png",
+        f"mine-{best}.toml",
+    }
     again = simulate(read(tmp_path / "out" / f"mine-{best}.toml"))
     stored = json.loads((tmp_path / "out" / "results.json").read_text())
     tail = slice(int(0.8 * again.t.size), None)
     (row,) = [each for each in stored["results"] if each["method"] == best]
-    assert row["tracking"] == pytest.approx(float(np.sqrt(np.mean((again.z - again.r)[tail] ** 2))), rel=1e-9)
+    assert row["tracking"] == pytest.approx(
+        float(np.sqrt(np.mean((again.z - again.r)[tail] ** 2))), rel=1e-9
+    )
 
 
 def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
@@ -398,18 +567,46 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
 
 
 def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
-    done = run(mine, "--tune", "--methods", "oracle,luenberger", "--budget", "5", "--processes", "1", "--out", tmp_path)
+    done = run(
+        mine,
+        "--tune",
+        "--methods",
+        "oracle,luenberger",
+        "--budget",
+        "5",
+        "--processes",
+        "1",
+        "--out",
+        tmp_path,
+    )
     assert "oracle" in done.stdout
     found = tuned.load(tmp_path / "tuned.toml")
     assert list(found.methods) == ["oracle"]
     assert found.methods["oracle"].candidates == found.budget == 5
     assert found.scenarios == ["mine"]
-    table = json.loads(run(mine, "--methods", "oracle", "--seeds", "1", "--json", "--tuned", tmp_path / "tuned.toml").stdout)
+    table = json.loads(
+        run(
+            mine,
+            "--methods",
+            "oracle",
+            "--seeds",
+            "1",
+            "--json",
+            "--tuned",
+            tmp_path / "tuned.toml",
+        ).stdout
+    )
     assert {row["method"] for row in table["leaderboard"]} == {"full_state", "luenberger", "oracle"}
 
 
 def test_the_page_shows_the_numbers_of_the_contest() -> None:
-    contest = hold(["ekf", "kalman", "printed"], {"small": small(), "jump": small(sensor={"kind": "jump", "noise": 0.02})}, (0,), {}, 1)
+    contest = hold(
+        ["ekf", "kalman", "printed"],
+        {"small": small(), "jump": small(sensor={"kind": "jump", "noise": 0.02})},
+        (0,),
+        {},
+        1,
+    )
     runs = traced(contest, "small")
     drawn_ = figures(contest, runs)
     assert set(drawn_) == {"leaderboard", "scenarios", "trajectories", "cost"}
@@ -423,10 +620,14 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
         assert f"{float(f'{row.worst_regret:.3g}'):.5g}" in page
     assert "'kalman' cannot use" in page.replace("&#x27;", "'")
     for trace in runs:
-        worth = next(r.worth for r in contest.results if (r.method, r.scenario) == (trace.method, "small"))
+        worth = next(
+            r.worth for r in contest.results if (r.method, r.scenario) == (trace.method, "small")
+        )
         assert worth is not None
         tail = slice(int(0.8 * trace.t.size), None)
-        assert worth.diverged or np.sqrt(np.mean((trace.z - trace.r)[tail] ** 2)) == pytest.approx(worth.tracking, rel=1e-9)
+        assert worth.diverged or np.sqrt(np.mean((trace.z - trace.r)[tail] ** 2)) == pytest.approx(
+            worth.tracking, rel=1e-9
+        )
 
 
 # --- One method more: one file and one line
@@ -462,7 +663,9 @@ class Held(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 def test_a_new_method_is_one_file_and_one_line(tmp_path: Path, mine: Path) -> None:
     """Seen by the command, the common tests, the page of the scenario file, and the leaderboard."""
     for name in ("src", "docs", "tests"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+        shutil.copytree(
+            ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
+        )
     shutil.copy(ROOT / "README.md", tmp_path)
     folder = tmp_path / "src" / "undeadzone" / "observers"
     (folder / "held.py").write_text(HELD)
@@ -473,10 +676,14 @@ def test_a_new_method_is_one_file_and_one_line(tmp_path: Path, mine: Path) -> No
 
     def python(*arguments: str | Path) -> str:
         command = [sys.executable, *map(str, arguments)]
-        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        ).stdout
 
     main = "from undeadzone.cli import main; main()"
-    found = json.loads(python("-c", main, "arena", mine, "--methods", "held", "--seeds", "1", "--json"))
+    found = json.loads(
+        python("-c", main, "arena", mine, "--methods", "held", "--seeds", "1", "--json")
+    )
     (row,) = [row for row in found["leaderboard"] if row["method"] == "held"]
     assert 0 < row["median_regret"] < CAP
     assert not row["reference"]
@@ -499,6 +706,8 @@ def test_a_new_method_is_one_file_and_one_line(tmp_path: Path, mine: Path) -> No
         "tests/test_docs.py",
         "tests/test_arena.py",
     )
-    assert "test_every_observer_and_controller_runs_the_same[held-state_feedback-sampled]" in collected
+    assert (
+        "test_every_observer_and_controller_runs_the_same[held-state_feedback-sampled]" in collected
+    )
     assert "test_every_method_has_its_page[held]" in collected
     assert "test_every_method_runs_or_says_why_not[held]" in collected

@@ -25,7 +25,9 @@ from undeadzone.support import tree
 RANGE = [0.3, 2.0]
 NOTHING_ELSE = {"disturbance": 0.0, "bias": 0.0, "tolerance": 0.0}
 MODEL = sampled(PAPER_PLANT, 0.01)
-PENDULUM = system(Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81}))
+PENDULUM = system(
+    Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81})
+)
 INTEGRATORS = system(Plant(integrators=2))
 
 
@@ -51,14 +53,25 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
         (NOTHING_ELSE, PAPER_PLANT, "jump", Certified),
     ],
 )
-def test_which_observer_is_chosen(claims: dict[str, Any], model: System, kind: str, expected: type) -> None:
+def test_which_observer_is_chosen(
+    claims: dict[str, Any], model: System, kind: str, expected: type
+) -> None:
     chosen = Auto(right=RANGE, **claims).chosen(model, zone(kind))
     assert type(chosen) is expected
     chosen.build(model, zone(kind))
 
 
 def test_every_claim_is_passed_on() -> None:
-    claims = {"right": RANGE, "left": [0.1, 1.0], "noise": 0.02, "x_std": 0.7, "drift": 0.01, "disturbance": 1.2, "correlation_time": 0.3, "bias": 0.4}
+    claims = {
+        "right": RANGE,
+        "left": [0.1, 1.0],
+        "noise": 0.02,
+        "x_std": 0.7,
+        "drift": 0.01,
+        "disturbance": 1.2,
+        "correlation_time": 0.3,
+        "bias": 0.4,
+    }
     claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}}
     assert set(claims) == set(Auto.__struct_fields__)
     chosen = Auto(**claims).chosen(MODEL, zone())
@@ -67,25 +80,37 @@ def test_every_claim_is_passed_on() -> None:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_it_runs_as_the_one_that_it_chooses(time: str) -> None:
-    found = scene(observer={"method": "auto", "right": RANGE}, sensor={"noise": 0.01}, simulation={"time": time, "step": 0.005, "duration": 3.0})
+    found = scene(
+        observer={"method": "auto", "right": RANGE},
+        sensor={"noise": 0.01},
+        simulation={"time": time, "step": 0.005, "duration": 3.0},
+    )
     model = PAPER_PLANT if time == "continuous" else sampled(PAPER_PLANT, 0.005)
     assert isinstance(found.observer, Auto)
     chosen = found.observer.chosen(model, zone())
-    runs = [simulate(msgspec.structs.replace(found, observer=observer), check_step=False) for observer in (found.observer, chosen)]
+    runs = [
+        simulate(msgspec.structs.replace(found, observer=observer), check_step=False)
+        for observer in (found.observer, chosen)
+    ]
     assert runs[0].info.method == "auto"
     np.testing.assert_array_equal(runs[0].d_hat, runs[1].d_hat)
     assert np.ptp(runs[0].d_hat[:, 0]) > 0
 
 
 def test_exact_claims_in_continuous_time_come_with_a_certificate() -> None:
-    run = simulate(scene(observer={"method": "auto", "right": RANGE} | NOTHING_ELSE), check_step=False)
+    run = simulate(
+        scene(observer={"method": "auto", "right": RANGE} | NOTHING_ELSE), check_step=False
+    )
     assert run.info.certified
 
 
 @pytest.mark.parametrize("model", [MODEL, PAPER_PLANT])
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
 def test_the_true_widths_are_not_looked_at(model: System, kind: str) -> None:
-    built = [Auto(right=RANGE).build(model, zone(kind, *widths)).params for widths in ((0.4, 1.9), (1.0, 0.6))]
+    built = [
+        Auto(right=RANGE).build(model, zone(kind, *widths)).params
+        for widths in ((0.4, 1.9), (1.0, 0.6))
+    ]
     np.testing.assert_array_equal(*(tree.pack(params) for params in built))
 
 
@@ -97,7 +122,9 @@ def test_ranges_are_asked_for() -> None:
 def test_told_the_ranges_alone_it_is_ahead_of_tuned_rivals() -> None:
     grounds = {name: scenarios("held_out")[name] for name in ("mismatch_weak", "jump", "dropout")}
     unsaid = {"observer.disturbance": None, "observer.bias": None, "observer.drift": None}
-    results = score(["kalman", "adaptive_inverse"], grounds, (0,), processes=1) + score({"roughly": Method(Auto, fixed=unsaid)}, grounds, (0,))
+    results = score(["kalman", "adaptive_inverse"], grounds, (0,), processes=1) + score(
+        {"roughly": Method(Auto, fixed=unsaid)}, grounds, (0,)
+    )
     found = regrets(results)
     for name in ("kalman", "adaptive_inverse"):
         assert (found["roughly"] < np.nan_to_num(found[name], nan=1.0)).all()

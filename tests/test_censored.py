@@ -39,14 +39,28 @@ TS = 0.02
 MODEL = sampled(PAPER_PLANT, TS)
 RANGE = [0.3, 2.0]
 PRIOR = 1.7 / np.sqrt(12)
-EXACT: dict[str, Any] = {"right": RANGE, "disturbance": 0.0, "bias": 0.0, "tolerance": 0.0, "drift": 0.0}  # nothing is wrong
+EXACT: dict[str, Any] = {
+    "right": RANGE,
+    "disturbance": 0.0,
+    "bias": 0.0,
+    "tolerance": 0.0,
+    "drift": 0.0,
+}  # nothing is wrong
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
     return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
 
 
-def watch(options: Any, model: System, where: Zone, u: Floats, x: Floats, bias: float = 0.0, noise: Floats | None = None) -> Estimate:
+def watch(
+    options: Any,
+    model: System,
+    where: Zone,
+    u: Floats,
+    x: Floats,
+    bias: float = 0.0,
+    noise: Floats | None = None,
+) -> Estimate:
     """The last estimate of a filter that watches the model's own motion under u (N x m) + bias, from x(0) = x."""
     observer = options.build(model, where)
     step, state = on_numbers(observer, model), observer.init(observer.params)
@@ -65,7 +79,9 @@ def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
 
 
 def centre_std(found: Estimate) -> float:
-    return float(np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[0] / 2)
+    return float(
+        np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[0] / 2
+    )
 
 
 # --- Where it is the Kalman filter
@@ -77,11 +93,20 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, noise=0.02)
     common: dict[str, Any] = {"right": RANGE, "x_std": 2.0, "drift": 0.1}
-    pair = [options.build(model, where) for options in (Kalman(**common), Censored(**EXACT | common, silence=False))]
-    steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
+    pair = [
+        options.build(model, where)
+        for options in (Kalman(**common), Censored(**EXACT | common, silence=False))
+    ]
+    steps, states = (
+        [on_numbers(observer, model) for observer in pair],
+        [observer.init(observer.params) for observer in pair],
+    )
     for _ in range(30):
         y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
-        found = [step(state, u, y, sensor.side(y, where.threshold)) for step, state in zip(steps, states, strict=True)]
+        found = [
+            step(state, u, y, sensor.side(y, where.threshold))
+            for step, state in zip(steps, states, strict=True)
+        ]
         states = [after for after, _ in found]
         assert all(np.array_equal(a, b) for a, b in zip(found[0][1], found[1][1], strict=True))
     assert (found[0][1].x_std < 2.0).any()
@@ -91,7 +116,10 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
     """Inside the zone with a state that is known to be at 0, silence is what was expected."""
     quiet = np.zeros((200, 1))
     options = EXACT | {"right": [1.0, 1.2], "x_std": 0.01}
-    with_silence, without = (watch(Censored(**options, silence=silence), MODEL, zone(noise=0.01), quiet, np.zeros(2)) for silence in (True, False))
+    with_silence, without = (
+        watch(Censored(**options, silence=silence), MODEL, zone(noise=0.01), quiet, np.zeros(2))
+        for silence in (True, False)
+    )
     assert all(np.array_equal(a, b) for a, b in zip(with_silence, without, strict=True))
 
 
@@ -99,13 +127,19 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 
 
 @given(st.floats(0.01, 10), st.floats(0.001, 0.3))
-def test_the_disturbance_is_first_order_noise_of_unit_rms(correlation: float, relative_step: float) -> None:
+def test_the_disturbance_is_first_order_noise_of_unit_rms(
+    correlation: float, relative_step: float
+) -> None:
     found = coloured(correlation, None, relative_step * correlation)
-    assert np.concatenate([*found.F, *found.Q, *found.cov, found.C]) == pytest.approx([np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0])
+    assert np.concatenate([*found.F, *found.Q, *found.cov, found.C]) == pytest.approx(
+        [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
+    )
 
 
 @given(st.floats(0.01, 10), st.floats(0.1, 10), st.floats(0.001, 0.3))
-def test_with_a_washout_it_has_no_constant_part(correlation: float, ratio: float, relative_step: float) -> None:
+def test_with_a_washout_it_has_no_constant_part(
+    correlation: float, ratio: float, relative_step: float
+) -> None:
     """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0, with integral 0; a = 1 / correlation, b = 1 / washout."""
     Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
     F, Q, cov, w = coloured(correlation, washout, Ts)
@@ -132,9 +166,13 @@ def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: i
         moved = A.copy()
         moved[i, j] *= 1 + h
         gained = zoh(Matrices(moved, B, C), TS)
-        assert slope == pytest.approx((np.hstack(gained[:2]) - np.hstack(zoh(flow.linear, TS)[:2])) / h, rel=1e-4, abs=1e-7)
+        assert slope == pytest.approx(
+            (np.hstack(gained[:2]) - np.hstack(zoh(flow.linear, TS)[:2])) / h, rel=1e-4, abs=1e-7
+        )
     for (i, j), slope in zip(np.ndindex(n, m), slopes[n * n :], strict=True):
-        assert slope[:, n + j] == pytest.approx(np.linalg.solve(A, expm(A * TS) - np.eye(n))[:, i] * B[i, j], rel=1e-6, abs=1e-12)
+        assert slope[:, n + j] == pytest.approx(
+            np.linalg.solve(A, expm(A * TS) - np.eye(n))[:, i] * B[i, j], rel=1e-6, abs=1e-12
+        )
 
 
 def test_rows_that_only_say_that_one_state_moves_another_are_exact() -> None:
@@ -144,8 +182,12 @@ def test_rows_that_only_say_that_one_state_moves_another_are_exact() -> None:
 
 
 def test_the_time_scale_is_a_quarter_period() -> None:
-    assert time_scale(linear([[0, 1], [-4, 0.1]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(np.pi / 4)
-    assert time_scale(linear([[0, 1], [0, -4]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(np.pi / 8)
+    assert time_scale(linear([[0, 1], [-4, 0.1]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(
+        np.pi / 4
+    )
+    assert time_scale(linear([[0, 1], [0, -4]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(
+        np.pi / 8
+    )
 
 
 # --- What bias hides
@@ -156,7 +198,9 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
     options = Censored(**EXACT | {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1})
     u = tones(30.0, 8.0)
     shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
-    biased = watch(options, MODEL, zone(right=0.95, left=0.95), u, np.array([0.15, 0.0]), bias=-0.35)
+    biased = watch(
+        options, MODEL, zone(right=0.95, left=0.95), u, np.array([0.15, 0.0]), bias=-0.35
+    )
     assert np.concatenate(shifted) == pytest.approx(np.concatenate(biased), abs=1e-9)
     assert shifted.width_std < 0.01
     assert shifted.right + shifted.left == pytest.approx(1.9, abs=4 * shifted.width_std[0])
@@ -170,36 +214,60 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
         watch(Censored(**EXACT | options), MODEL, where, u, x)
-        for options in ({"bias": 0.8, "calibrated": 0.0}, {"bias": 0.008, "calibrated": 0.0}, {"bias": 0.8, "calibrated": 0.7})
+        for options in (
+            {"bias": 0.8, "calibrated": 0.0},
+            {"bias": 0.008, "calibrated": 0.0},
+            {"bias": 0.8, "calibrated": 0.7},
+        )
     )
     centres = [float(found.right[0] - found.left[0]) / 2 for found in (wide, small, mixed)]
     prior = PRIOR / np.sqrt(2)
     shown = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
-    chances = [weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms) for weight, rms in ((0.3, 0.8), (0.7, 0.008))]
+    chances = [
+        weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms)
+        for weight, rms in ((0.3, 0.8), (0.7, 0.008))
+    ]
     share = chances[1] / sum(chances)
     assert 0.8 < share < 1
-    assert centres[2] == pytest.approx(share * centres[1] + (1 - share) * centres[0], rel=1e-2)  # the ranges cut a little off
-    variance = share * centre_std(small) ** 2 + (1 - share) * centre_std(wide) ** 2 + share * (1 - share) * (centres[0] - centres[1]) ** 2
+    assert centres[2] == pytest.approx(
+        share * centres[1] + (1 - share) * centres[0], rel=1e-2
+    )  # the ranges cut a little off
+    variance = (
+        share * centre_std(small) ** 2
+        + (1 - share) * centre_std(wide) ** 2
+        + share * (1 - share) * (centres[0] - centres[1]) ** 2
+    )
     assert centre_std(mixed) ** 2 == pytest.approx(variance, rel=0.05)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
-    found = watch(Censored(**EXACT | {"tolerance": tolerance}), MODEL, zone(right=1.3, left=0.6), tones(30.0, 8.0), np.array([0.5, 0.0]))
+    found = watch(
+        Censored(**EXACT | {"tolerance": tolerance}),
+        MODEL,
+        zone(right=1.3, left=0.6),
+        tones(30.0, 8.0),
+        np.array([0.5, 0.0]),
+    )
     assert centre_std(found) < 0.01
     assert abs((found.right - found.left) / 2 - 0.35) < 4 * centre_std(found)
 
 
 def test_a_wrong_model_is_found_out() -> None:
     """The plant's A[1,0] is 10 % stiffer than the model's: with that tolerance the widths are right, without it confidently wrong."""
-    plant, where = sampled(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS), zone(right=1.3, left=0.6, noise=0.01)
+    plant, where = (
+        sampled(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS),
+        zone(right=1.3, left=0.6, noise=0.01),
+    )
     rng, u, x = np.random.default_rng(2), tones(30.0, 8.0), np.array([0.5, 0.0])
     errors = []
     for tolerance in (0.0, {"A[1,0]": 0.1}):
         observer = Censored(**EXACT | {"tolerance": tolerance}).build(MODEL, where)
         step, state, z = on_numbers(observer, MODEL), observer.init(observer.params), x
         for drive in u:
-            y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(size=1)
+            y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(
+                size=1
+            )
             state, found = step(state, drive, y, sensor.side(y, where.threshold))
             z = plant.linear.A @ z + plant.linear.B @ drive
         errors.append(np.abs(found.right - 1.3)[0] / found.right_std[0])
@@ -213,8 +281,16 @@ def test_a_wrong_model_is_found_out() -> None:
 def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
     """z swings to +-1.2 inside edges at 1.5: d_r, d_l are somewhere between there and the end of their range."""
     u = tones(20.0, 2.5)
-    t_end = watch(Censored(**EXACT, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
-    plain = watch(Kalman(right=RANGE, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2))
+    t_end = watch(
+        Censored(**EXACT, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2)
+    )
+    plain = watch(
+        Kalman(right=RANGE, x_std=0.01),
+        MODEL,
+        zone(right=1.5, left=1.5, noise=0.01),
+        u,
+        np.zeros(2),
+    )
     assert plain.right_std == pytest.approx(PRIOR)
     for width, std in ((t_end.right, t_end.right_std), (t_end.left, t_end.left_std)):
         assert 1.15 < width < 2.0
@@ -234,8 +310,17 @@ def test_a_missing_sample_is_not_a_silent_one() -> None:
 
 
 def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
-    found = watch(Censored(**EXACT), MODEL, zone(right=1.3, left=0.6, kind="jump"), tones(20.0, 8.0), np.array([0.5, 0.0]))
-    for width, std, truth in ((found.right, found.right_std, 1.3), (found.left, found.left_std, 0.6)):
+    found = watch(
+        Censored(**EXACT),
+        MODEL,
+        zone(right=1.3, left=0.6, kind="jump"),
+        tones(20.0, 8.0),
+        np.array([0.5, 0.0]),
+    )
+    for width, std, truth in (
+        (found.right, found.right_std, 1.3),
+        (found.left, found.left_std, 0.6),
+    ):
         assert std < 0.5 * PRIOR
         assert abs(width - truth) < 3 * std
 
@@ -246,7 +331,9 @@ def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
 @pytest.mark.parametrize("reach", coverage.REACHES)
 def test_claims_are_true_over_random_problems(reach: str) -> None:
     """120 problems with disturbance, bias and model error: coverage within three standard errors of 95 %, or more; NEES near 1."""
-    found = coverage.observe(coverage.censored, coverage.problems(reach, coverage.WORLDS["disturbed"], 2, 120, 8))
+    found = coverage.observe(
+        coverage.censored, coverage.problems(reach, coverage.WORLDS["disturbed"], 2, 120, 8)
+    )
     assert found.covered().min() > 0.89
     assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
     assert reach == "no edge" or found.nis == pytest.approx(1.0, abs=0.05)
@@ -254,18 +341,30 @@ def test_claims_are_true_over_random_problems(reach: str) -> None:
 
 def test_a_coloured_disturbance_taken_for_white_is_not_covered() -> None:
     """What the disturbance model is for: the same problems with `kalman`."""
-    found = coverage.observe(coverage.kalman, coverage.problems("both edges", coverage.WORLDS["disturbed"], 2, 120, 8))
+    found = coverage.observe(
+        coverage.kalman, coverage.problems("both edges", coverage.WORLDS["disturbed"], 2, 120, 8)
+    )
     assert found.covered().max() < 0.7
 
 
 def test_two_outputs_and_two_inputs_in_the_loop() -> None:
     run = simulate(
         scene(
-            plant={"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]},
+            plant={
+                "A": [[-1.0, 0.5], [-0.5, -2.0]],
+                "B": [[1.0, 0.0], [0.0, 1.0]],
+                "C": [[1.0, 0.0], [0.2, 1.0]],
+                "x0": [0.5, -0.5],
+            },
             sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
             reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
             disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
-            observer={"method": "censored", "right": [[0.3, 1.2], [0.2, 1.5]], "disturbance": [0.5, 0.3], "correlation_time": 0.2}
+            observer={
+                "method": "censored",
+                "right": [[0.3, 1.2], [0.2, 1.5]],
+                "disturbance": [0.5, 0.3],
+                "correlation_time": 0.2,
+            }
             | {"bias": 0.0, "tolerance": 0.0, "drift": 0.0},
             controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
             simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
@@ -279,13 +378,17 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
 # --- Several claims at once
 
 
-def drawn(model: System, where: Zone, rms: float, seconds: float, seed: int) -> tuple[Floats, Floats]:
+def drawn(
+    model: System, where: Zone, rms: float, seconds: float, seed: int
+) -> tuple[Floats, Floats]:
     """(u, y) of the model's own motion under tones and a first-order disturbance of that rms and 0.2 s."""
     rng, F = np.random.default_rng(seed), np.exp(-TS / 0.2)
     u = tones(seconds, 8.0)
     x, w, readings = np.array([0.5, 0.0]), 0.0, []
     for drive in u:
-        readings.append(sensor.deadzone(model.linear.C @ x, where.right, where.left) + 0.01 * rng.normal(size=1))
+        readings.append(
+            sensor.deadzone(model.linear.C @ x, where.right, where.left) + 0.01 * rng.normal(size=1)
+        )
         w = F * w + np.sqrt(1 - F**2) * rms * rng.normal()
         x = model.linear.A @ x + model.linear.B @ (drive + w)
     return u, np.array(readings)
@@ -315,26 +418,40 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     where = zone(noise=0.01)
     u, y = drawn(MODEL, where, 1.0, 2.0, 3)
     common = EXACT | {"correlation_time": 0.2}
-    members = [fed(Censored(**common | {"disturbance": 2.0 / 4**k}, levels=1), where, u, y)[1] for k in range(2)]
+    members = [
+        fed(Censored(**common | {"disturbance": 2.0 / 4**k}, levels=1), where, u, y)[1]
+        for k in range(2)
+    ]
     _, mixed = fed(Censored(**common | {"disturbance": 2.0}, levels=2), where, u, y)
     log = np.zeros((len(u), 2))
     for k, found in enumerate(members):
-        e, std = (np.array([getattr(one, name)[0] for one in found]) for name in ("innovation", "innovation_std"))
+        e, std = (
+            np.array([getattr(one, name)[0] for one in found])
+            for name in ("innovation", "innovation_std")
+        )
         log[:, k] = np.cumsum(np.where(e != 0, norm.logpdf(e, scale=std), 0.0))
     share = np.exp(log - log.max(axis=1, keepdims=True))
     share /= share.sum(axis=1, keepdims=True)
     assert ((share > 0.2).all(axis=1)).any()
     for at in (0, 20, 60, len(u) - 1):
-        x, std = (np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std"))
+        x, std = (
+            np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std")
+        )
         mean = share[at] @ x
         assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
-        assert mixed[at].x_std[0] ** 2 == pytest.approx(share[at] @ (std**2 + (x - mean) ** 2), rel=0.01)
+        assert mixed[at].x_std[0] ** 2 == pytest.approx(
+            share[at] @ (std**2 + (x - mean) ** 2), rel=0.01
+        )
 
 
 @given(st.floats(-3, 3), st.floats(0.05, 5))
-def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(mean: float, std: float) -> None:
+def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
+    mean: float, std: float
+) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found, chance = gaussian.within(gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0)
+    found, chance = gaussian.within(
+        gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
+    )
     m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*found, chance))
     a, b = (-0.5 - mean) / std, (1.0 - mean) / std
     if norm.cdf(b) - norm.cdf(a) < 2e-6:
@@ -349,7 +466,14 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(mean
 
 def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
     """Widths 2.6 and 2.4 where at most 2 is declared: the estimates leave the range, and do not stay on its edge."""
-    found = watch(Censored(**EXACT), MODEL, zone(right=2.6, left=2.4, noise=0.01), tones(30.0, 12.0), np.zeros(2), noise=np.zeros((1500, 1)))
+    found = watch(
+        Censored(**EXACT),
+        MODEL,
+        zone(right=2.6, left=2.4, noise=0.01),
+        tones(30.0, 12.0),
+        np.zeros(2),
+        noise=np.zeros((1500, 1)),
+    )
     assert found.right == pytest.approx(2.6, abs=0.05)
     assert found.left == pytest.approx(2.4, abs=0.05)
 
@@ -379,9 +503,16 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
 
 
 def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
-    changes = {"disturbance": {"kind": "sine", "amplitude": 4.0, "frequency": 0.3}, "sensor": {"right": 1.1, "left": 1.1, "noise": 0.01}}
+    changes = {
+        "disturbance": {"kind": "sine", "amplitude": 4.0, "frequency": 0.3},
+        "sensor": {"right": 1.1, "left": 1.1, "noise": 0.01},
+    }
     with_it, without = (
-        closed({"disturbance": 3.0, "correlation_time": 0.3}, **changes, controller={"method": "state_feedback", "poles": [-8.0, -9.0], "reject": reject})
+        closed(
+            {"disturbance": 3.0, "correlation_time": 0.3},
+            **changes,
+            controller={"method": "state_feedback", "poles": [-8.0, -9.0], "reject": reject},
+        )
         for reject in (True, False)
     )
     assert with_it.w_hat is not None
@@ -392,8 +523,19 @@ def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
 
 def test_ranges_alone_do_with_a_wrong_model() -> None:
     """Nothing but the ranges is declared; stiffness and damping are a fifth larger than the model's."""
-    changes = {"plant": {"A": [[0.0, 1.0], [-1.2, -2.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [0.5, 0.0]}, "model": {"A": [[0.0, 1.0], [-1.0, -2.0]]}}
-    doubting, sure = closed({}, **changes), closed(dict.fromkeys(("disturbance", "bias", "tolerance", "drift"), 0.0), **changes)
+    changes = {
+        "plant": {
+            "A": [[0.0, 1.0], [-1.2, -2.4]],
+            "B": [[0.0], [1.0]],
+            "C": [[1.0, 0.0]],
+            "x0": [0.5, 0.0],
+        },
+        "model": {"A": [[0.0, 1.0], [-1.0, -2.0]]},
+    }
+    doubting, sure = (
+        closed({}, **changes),
+        closed(dict.fromkeys(("disturbance", "bias", "tolerance", "drift"), 0.0), **changes),
+    )
     assert doubting.rms_tracking < 0.5 * sure.rms_tracking
     assert doubting.d_std is not None
     assert (np.abs(doubting.d_hat[-1] - [1.3, 0.9]) < 3 * doubting.d_std[-1]).all()
@@ -405,7 +547,11 @@ UNSTABLE = {"A": [[0.0, 1.0], [1.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0
 @pytest.mark.parametrize("plant", [{"integrators": 2}, UNSTABLE], ids=["integrators", "unstable"])
 def test_plants_that_are_not_stable_do_not_drift(plant: dict[str, Any]) -> None:
     """A chain of integrators hides the centre: its estimate stays within its claim for a minute; the width is found."""
-    run = closed({}, plant=plant | {"x0": [0.3, 0.0]}, simulation={"time": "sampled", "step": 0.01, "duration": 60.0})
+    run = closed(
+        {},
+        plant=plant | {"x0": [0.3, 0.0]},
+        simulation={"time": "sampled", "step": 0.01, "duration": 60.0},
+    )
     assert run.d_std is not None
     assert run.width_std is not None
     late = run.t > 20.0
@@ -432,7 +578,11 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
     assert np.isfinite(out).all()
     sizes = [np.size(leaf) for _, leaf in tree.leaves(loop.state)]
     leaves = np.split(last, np.cumsum(sizes)[:-1])
-    covariances = [leaf for leaf, (name, _) in zip(leaves, tree.leaves(loop.state), strict=True) if name.endswith(".cov")]
+    covariances = [
+        leaf
+        for leaf, (name, _) in zip(leaves, tree.leaves(loop.state), strict=True)
+        if name.endswith(".cov")
+    ]
     assert len(covariances) == 3
     for column in covariances:
         size = int(np.sqrt(2 * column.size))
@@ -452,22 +602,41 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
         ({}, PAPER_PLANT, InputError, r"set simulation\.time"),
         ({"bias": [1.0, 2.0]}, MODEL, ShapeError, "observer.bias: expected 1 number"),
         ({"disturbance": -1.0}, MODEL, InputError, "observer.disturbance: must not be negative"),
-        ({"correlation_time": 0.0}, MODEL, InputError, "observer.correlation_time: must be greater than 0"),
+        (
+            {"correlation_time": 0.0},
+            MODEL,
+            InputError,
+            "observer.correlation_time: must be greater than 0",
+        ),
         ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
-        ({"tolerance": {"A[0,0]": 0.1}}, MODEL, InputError, r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]"),
+        (
+            {"tolerance": {"A[0,0]": 0.1}},
+            MODEL,
+            InputError,
+            r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]",
+        ),
         ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
-        ({"calibrated": 1.0}, MODEL, InputError, "observer.calibrated: must be a probability below 1"),
+        (
+            {"calibrated": 1.0},
+            MODEL,
+            InputError,
+            "observer.calibrated: must be a probability below 1",
+        ),
         ({"levels": 0}, MODEL, InputError, "observer.levels: expected 1 to 10"),
         ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
     ],
 )
-def test_wrong_options_are_named(changes: dict[str, Any], model: System, error: type[Exception], words: str) -> None:
+def test_wrong_options_are_named(
+    changes: dict[str, Any], model: System, error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         Censored(**{"right": RANGE} | changes).build(model, zone())
 
 
 def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
-    pendulum = system(Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81}))
+    pendulum = system(
+        Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81})
+    )
     with pytest.raises(InputError, match="takes one number"):
         Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sampled(pendulum, TS), zone())
     observer = Censored(**EXACT | {"tolerance": 0.1}).build(sampled(pendulum, TS), zone())

@@ -17,8 +17,17 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 
-def undeadzone(*arguments: str | Path, cwd: Path | None = None, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *map(str, arguments)], cwd=cwd, input=stdin, capture_output=True, text=True, timeout=120)
+def undeadzone(
+    *arguments: str | Path, cwd: Path | None = None, stdin: str = ""
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        cwd=cwd,
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
 
 
 @pytest.fixture
@@ -40,7 +49,12 @@ def test_version_and_help() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = "import sys\nimport undeadzone.cli\nprint([m for m in ('numpy', 'casadi', 'scipy', 'numba', 'matplotlib', 'rich') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
 
 
 def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
@@ -49,7 +63,12 @@ def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
         f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
         "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stderr
+        == "[]\n"
+    )
 
 
 def test_run_json_is_one_object_and_writes_nothing(scenario: Path) -> None:
@@ -57,7 +76,14 @@ def test_run_json_is_one_object_and_writes_nothing(scenario: Path) -> None:
     assert done.returncode == 0
     assert done.stderr == ""
     result = json.loads(done.stdout)
-    assert {"rms_tracking", "rms_estimation", "d_right", "d_left", "silent_fraction", "seconds"} <= set(result)
+    assert {
+        "rms_tracking",
+        "rms_estimation",
+        "d_right",
+        "d_left",
+        "silent_fraction",
+        "seconds",
+    } <= set(result)
     assert 0 < result["rms_tracking"] < 1
     assert sorted(path.name for path in scenario.parent.iterdir()) == ["mine.toml"]
 
@@ -66,7 +92,12 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     out = scenario.parent / "deep" / "results"
     done = undeadzone("run", scenario, "--out", out)
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["figure.png", "report.html", "run.csv", "run.npz"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "figure.png",
+        "report.html",
+        "run.csv",
+        "run.npz",
+    ]
     run = Run.load(out / "run.npz")
     np.testing.assert_array_equal(Run.load(out / "run.csv").z, run.z)
     page = (out / "report.html").read_text()
@@ -99,21 +130,39 @@ def test_integrators_are_answered_with_no(tmp_path: Path) -> None:
         ("right = 1.0 ", 'right = "wide" ', ["sensor.right", "wide"]),
         ("right = 1.0 ", "right = [1.0, 2.0] ", ["sensor.right", "expected 1", "found 2"]),
         ("B = [[0.0], [1.0]]", "B = [[0.0], [1.0], [2.0]]", ["plant.B", "2 rows", "found 3 x 1"]),
-        ("A = [[0.0, 1.0], [-1.0, -2.0]]", "A = [[0.0, 1.0], [-1.0]]", ["plant.A", "different lengths"]),
+        (
+            "A = [[0.0, 1.0], [-1.0, -2.0]]",
+            "A = [[0.0, 1.0], [-1.0]]",
+            ["plant.A", "different lengths"],
+        ),
         ("C = [[1.0, 0.0]] ", "C = [[0.0, 0.0]] ", ["(A, C)", "unobservable"]),
         ("B = [[0.0], [1.0]]", "B = [[0.0], [0.0]]", ["(A, B)", "uncontrollable"]),
-        ("A = [[0.0, 1.0], [-1.0, -2.0]]", "A = [[0.0, 1.0], [1.0, -2.0]]\n# ", ["observer.L", "unstable"]),
+        (
+            "A = [[0.0, 1.0], [-1.0, -2.0]]",
+            "A = [[0.0, 1.0], [1.0, -2.0]]\n# ",
+            ["observer.L", "unstable"],
+        ),
         ("step = 1e-3 ", "step = 0.5 ", ["simulation.step", "too coarse"]),
         ("duration = 6.0 ", "duration = 0.0 ", ["simulation.duration", "greater than 0"]),
-        ('method = "certified"', 'method = "certifed"', ["observer.method", "certifed", "certified"]),
+        (
+            'method = "certified"',
+            'method = "certifed"',
+            ["observer.method", "certifed", "certified"],
+        ),
         ('kind = "sine"', 'kind = "csv"\npath = "no.csv"\n#', ["reference", "amplitude"]),
         ('title = "My plant"', "title = ", ["TOML"]),
     ],
 )
-def test_wrong_input_is_one_clear_line(scenario: Path, old: str, new: str, words: list[str]) -> None:
+def test_wrong_input_is_one_clear_line(
+    scenario: Path, old: str, new: str, words: list[str]
+) -> None:
     text = scenario.read_text()
     assert old in text
-    scenario.write_text(text.replace(old, new, 1).replace("L = [1.0, 1.5]", "L = [0.5, 0.0]") if "observer.L" in words else text.replace(old, new, 1))
+    scenario.write_text(
+        text.replace(old, new, 1).replace("L = [1.0, 1.5]", "L = [0.5, 0.0]")
+        if "observer.L" in words
+        else text.replace(old, new, 1)
+    )
     done = undeadzone("run", scenario, "--json")
     assert done.returncode == 2
     assert done.stdout == ""
@@ -128,7 +177,9 @@ def test_reference_that_cannot_be_followed(scenario: Path) -> None:
     plant = "transfer_function = { numerator = [1.0, 0.0, 39.47841760435743], denominator = [1.0, 3.0, 3.0, 1.0] }\n"
     start = text.index("A = [[0.0")
     text = text[:start] + plant + "#" + text[text.index("# Other forms") :]
-    scenario.write_text(text.replace("L = [1.0, 1.5] ", "#").replace("Q = [[1.0, 0.0], [0.0, 1.0]]", ""))
+    scenario.write_text(
+        text.replace("L = [1.0, 1.5] ", "#").replace("Q = [[1.0, 0.0], [0.0, 1.0]]", "")
+    )
     done = undeadzone("run", scenario)
     assert done.returncode == 2
     assert "zero of the plant" in done.stderr
@@ -142,11 +193,19 @@ def test_out_is_a_file(scenario: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("arguments", [["run", "--json", "--no-figures"], ["run", "--no-figures"], ["watch"]])
+@pytest.mark.parametrize(
+    "arguments", [["run", "--json", "--no-figures"], ["run", "--no-figures"], ["watch"]]
+)
 def test_a_full_stdout_is_one_line(scenario: Path, arguments: list[str]) -> None:
     with open("/dev/full", "w", encoding="utf-8") as full:
         done = subprocess.run(
-            [*COMMAND, *arguments, str(scenario)], input="0.5,1.0\n", stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+            [*COMMAND, *arguments, str(scenario)],
+            input="0.5,1.0\n",
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=120,
+            check=False,
         )
     assert done.returncode == 2
     assert done.stderr == "undeadzone: stdout: cannot write: No space left on device\n"
@@ -162,7 +221,11 @@ def test_an_observer_that_is_never_told_anything_ends_with_a_no(scenario: Path) 
 
 
 def test_usage_errors() -> None:
-    for arguments, words in ((["rn"], "run"), (["run"], "SCENARIO.toml"), (["run", "a.toml", "--jsn"], "--json")):
+    for arguments, words in (
+        (["rn"], "run"),
+        (["run"], "SCENARIO.toml"),
+        (["run", "a.toml", "--jsn"], "--json"),
+    ):
         done = undeadzone(*arguments)
         assert done.returncode == 2
         assert words in done.stderr
@@ -179,14 +242,21 @@ def test_watch_answers_each_sample(scenario: Path) -> None:
 
 
 def test_watch_reads_the_log_of_the_examples() -> None:
-    done = undeadzone("watch", EXAMPLES / "asymmetric_noise.toml", stdin=(EXAMPLES / "samples.csv").read_text())
+    done = undeadzone(
+        "watch", EXAMPLES / "asymmetric_noise.toml", stdin=(EXAMPLES / "samples.csv").read_text()
+    )
     assert done.returncode == 0
     assert "400 samples, 4 missing" in done.stderr
     assert len(done.stdout.splitlines()) == 401
 
 
 def test_watch_flushes_every_line(scenario: Path) -> None:
-    with subprocess.Popen([*COMMAND, "watch", str(scenario), "--json"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [*COMMAND, "watch", str(scenario), "--json"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         for k in range(3):
@@ -198,7 +268,14 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stdin", "words"), [("", "no samples"), ("1.0,x\n", "'x'"), ("1.0\n", "found 1"), ("1,2,3,4\n", "found 4"), ("1" * 200_000, "not CSV text")]
+    ("stdin", "words"),
+    [
+        ("", "no samples"),
+        ("1.0,x\n", "'x'"),
+        ("1.0\n", "found 1"),
+        ("1,2,3,4\n", "found 4"),
+        ("1" * 200_000, "not CSV text"),
+    ],
 )
 def test_watch_wrong_input(scenario: Path, stdin: str, words: str) -> None:
     done = undeadzone("watch", scenario, stdin=stdin)

@@ -29,7 +29,13 @@ ROOT = Path(__file__).parents[1]
 
 
 def local(workers: int) -> LocalCluster:
-    return LocalCluster(n_workers=workers, threads_per_worker=2, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL)
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=2,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,12 +53,19 @@ def whole(tmp_path: Path) -> bytes:
 
 def test_local_workers_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
     told: list[int] = []
-    store = execute.run(functools.partial(sines, 605, 0.002), tmp_path / "runs.partial", workers=2, progress=told.append)
+    store = execute.run(
+        functools.partial(sines, 605, 0.002),
+        tmp_path / "runs.partial",
+        workers=2,
+        progress=told.append,
+    )
     assert store.path.read_bytes() == whole
     assert sum(told) == 605
 
 
-def test_a_cluster_continues_what_one_process_began(tmp_path: Path, whole: bytes, dask: LocalCluster) -> None:
+def test_a_cluster_continues_what_one_process_began(
+    tmp_path: Path, whole: bytes, dask: LocalCluster
+) -> None:
     path = tmp_path / "runs.partial"
     job = sines(605)
     begun = journal.start(path, job.layout)
@@ -61,34 +74,50 @@ def test_a_cluster_continues_what_one_process_began(tmp_path: Path, whole: bytes
     begun.close()
     trace = tmp_path / "trace"
     trace.mkdir()
-    execute.run(functools.partial(sines, 605, 0.0, trace), path, resume=True, cluster=dask.scheduler_address).close()
+    execute.run(
+        functools.partial(sines, 605, 0.0, trace), path, resume=True, cluster=dask.scheduler_address
+    ).close()
     assert {int(block.name) for block in trace.iterdir()} == set(range(61)) - {0, 7, 60}
     assert path.read_bytes() == whole
 
 
-def test_a_worker_that_is_killed_changes_no_bit(tmp_path: Path, whole: bytes, dask: LocalCluster) -> None:
+def test_a_worker_that_is_killed_changes_no_bit(
+    tmp_path: Path, whole: bytes, dask: LocalCluster
+) -> None:
     trace = tmp_path / "trace"
     trace.mkdir()
     address = dask.scheduler_address
-    store = execute.run(functools.partial(sines, 605, 0.02, trace, deadly=30), tmp_path / "runs.partial", cluster=address)
+    store = execute.run(
+        functools.partial(sines, 605, 0.02, trace, deadly=30),
+        tmp_path / "runs.partial",
+        cluster=address,
+    )
     assert (trace / "30").exists()
     assert store.path.read_bytes() == whole
 
 
-def test_what_a_block_raises_arrives_and_the_others_are_kept(tmp_path: Path, whole: bytes, dask: LocalCluster) -> None:
+def test_what_a_block_raises_arrives_and_the_others_are_kept(
+    tmp_path: Path, whole: bytes, dask: LocalCluster
+) -> None:
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
         execute.run(functools.partial(sines, 605, wrong=40), path, cluster=dask.scheduler_address)
     kept = journal.start(path, sines(605).layout, resume=True)
     kept.close()
     assert 0 < kept.runs_done < 605
-    execute.run(functools.partial(sines, 605), path, resume=True, cluster=dask.scheduler_address).close()
+    execute.run(
+        functools.partial(sines, 605), path, resume=True, cluster=dask.scheduler_address
+    ).close()
     assert path.read_bytes() == whole
 
 
-def test_no_more_is_computed_than_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster) -> None:
+def test_no_more_is_computed_than_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
+) -> None:
     monkeypatch.setattr(cluster, "LONGEST", 0.0)
-    blocks = cluster.results(functools.partial(sines, 1000, 0.0, tmp_path), range(100), cluster=dask.scheduler_address)
+    blocks = cluster.results(
+        functools.partial(sines, 1000, 0.0, tmp_path), range(100), cluster=dask.scheduler_address
+    )
     next(blocks)
     time.sleep(0.5)
     assert len(list(tmp_path.iterdir())) <= 4 * cluster.AHEAD
@@ -96,48 +125,95 @@ def test_no_more_is_computed_than_is_taken(tmp_path: Path, monkeypatch: pytest.M
 
 
 @given(st.floats(1e-6, 100), st.integers(1, 10**9), st.integers(1, 10**6), st.integers(1, 1000))
-def test_batches_are_neither_too_short_nor_too_large_and_end_together(seconds: float, size: int, left: int, threads: int) -> None:
+def test_batches_are_neither_too_short_nor_too_large_and_end_together(
+    seconds: float, size: int, left: int, threads: int
+) -> None:
     blocks = cluster.batch_size(seconds, size, left, threads)
     exact = 1 + 1e-9
-    assert blocks == 1 or (blocks * seconds <= cluster.LONGEST * exact and blocks * size <= cluster.LARGEST)
-    assert (blocks + 1) * seconds * exact > cluster.SHORTEST or (blocks + 1) * size > cluster.LARGEST
-    assert blocks == 1 or blocks * seconds <= cluster.SHORTEST * exact or blocks * threads * cluster.AHEAD <= left
+    assert blocks == 1 or (
+        blocks * seconds <= cluster.LONGEST * exact and blocks * size <= cluster.LARGEST
+    )
+    assert (blocks + 1) * seconds * exact > cluster.SHORTEST or (
+        blocks + 1
+    ) * size > cluster.LARGEST
+    assert (
+        blocks == 1
+        or blocks * seconds <= cluster.SHORTEST * exact
+        or blocks * threads * cluster.AHEAD <= left
+    )
 
 
-def test_workers_with_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster) -> None:
+def test_workers_with_other_versions_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
+) -> None:
     here = cluster.versions() | {"numba": "0.1", "casadi": "3.0"}
     monkeypatch.setattr(cluster, "versions", lambda: here)
-    with pytest.raises(ClusterError, match=r"a worker of the cluster has other versions: casadi [\d.]+ there, 3\.0 here, numba [\d.]+ there, 0\.1 here"):
-        execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", cluster=dask.scheduler_address)
+    with pytest.raises(
+        ClusterError,
+        match=r"a worker of the cluster has other versions: casadi [\d.]+ there, 3\.0 here, numba [\d.]+ there, 0\.1 here",
+    ):
+        execute.run(
+            functools.partial(sines, 605), tmp_path / "runs.partial", cluster=dask.scheduler_address
+        )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_module_that_workers_cannot_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster) -> None:
-    (tmp_path / "only_here.py").write_text("from tests.jobs import say, sines\n\ndef make():\n    return sines(605)\n")
+def test_a_module_that_workers_cannot_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
+) -> None:
+    (tmp_path / "only_here.py").write_text(
+        "from tests.jobs import say, sines\n\ndef make():\n    return sines(605)\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     from only_here import make
 
-    with pytest.raises(ClusterError, match="only_here cannot be imported there; install it on the scheduler and on every worker"):
+    with pytest.raises(
+        ClusterError,
+        match="only_here cannot be imported there; install it on the scheduler and on every worker",
+    ):
         execute.run(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
 
 
 def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE", 0.3)
-    with local(0) as empty, pytest.raises(ClusterError, match=r"no worker is there; start some \(dask worker tcp://"):
-        execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", cluster=empty.scheduler_address)
+    with (
+        local(0) as empty,
+        pytest.raises(ClusterError, match=r"no worker is there; start some \(dask worker tcp://"),
+    ):
+        execute.run(
+            functools.partial(sines, 605),
+            tmp_path / "runs.partial",
+            cluster=empty.scheduler_address,
+        )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scheduler_that_goes_away_leaves_what_was_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_goes_away_leaves_what_was_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cluster, "REACH", 1.0)
     path = tmp_path / "runs.partial"
-    with local(1) as gone, pytest.raises(ClusterError, match=r"of 605 runs are kept in .*runs\.partial; continue with --resume"):
-        execute.run(functools.partial(sines, 605, 0.05), path, cluster=gone.scheduler_address, progress=lambda done: gone.close())
+    with (
+        local(1) as gone,
+        pytest.raises(
+            ClusterError, match=r"of 605 runs are kept in .*runs\.partial; continue with --resume"
+        ),
+    ):
+        execute.run(
+            functools.partial(sines, 605, 0.05),
+            path,
+            cluster=gone.scheduler_address,
+            progress=lambda done: gone.close(),
+        )
     assert path.exists()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:9", "tcp://nowhere.invalid:8786", "foo://127.0.0.1:1", "nonsense", ""])
-def test_an_address_without_a_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:9", "tcp://nowhere.invalid:8786", "foo://127.0.0.1:1", "nonsense", ""]
+)
+def test_an_address_without_a_scheduler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
     monkeypatch.setattr(cluster, "REACH", 0.5)
     with pytest.raises(ClusterError, match=f"^{address}: no Dask scheduler answers there: "):
         execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", cluster=address)
@@ -149,19 +225,28 @@ def test_a_server_that_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.Monke
     with http.server.HTTPServer(("127.0.0.1", 0), http.server.BaseHTTPRequestHandler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         with pytest.raises(ClusterError, match="no Dask scheduler answers there"):
-            execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", cluster=f"127.0.0.1:{server.server_port}")
+            execute.run(
+                functools.partial(sines, 605),
+                tmp_path / "runs.partial",
+                cluster=f"127.0.0.1:{server.server_port}",
+            )
         server.shutdown()
 
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"workers": 2, "cluster": "127.0.0.1:9"}])
 def test_wrong_numbers_of_workers(tmp_path: Path, options: dict[str, int]) -> None:
-    with pytest.raises(InputError, match="workers, cluster: expected a number of local processes, 1 or more, or an address; found "):
+    with pytest.raises(
+        InputError,
+        match="workers, cluster: expected a number of local processes, 1 or more, or an address; found ",
+    ):
         execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", **options)
 
 
 def test_without_distributed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"the package distributed is missing; pip install 'undeadzone\[dask\]'"):
+    with pytest.raises(
+        InputError, match=r"the package distributed is missing; pip install 'undeadzone\[dask\]'"
+    ):
         execute.run(functools.partial(sines, 605), tmp_path / "runs.partial", workers=2)
 
 
@@ -174,7 +259,14 @@ def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
     )
     path = tmp_path / "runs.partial"
     command = [sys.executable, "-c", code, str(path)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as running:
+    with subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
         assert running.stdout is not None
         running.stdout.readline()
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the whole group

@@ -26,9 +26,13 @@ def law(controller: Controller, model: System) -> Callable[..., tuple[Floats, Fl
     """A controller's step on numbers: (state, x^, innovation, r, x_ref, u_ff) -> (next state or derivative, u)."""
     p, params = tree.symbols(controller.params, "p")
     s, state = tree.symbols(controller.init(controller.params), "s")
-    x, e, r, x_ref, u_ff = (ca.SX.sym("v", size) for size in (model.n, model.p, model.m, model.n, model.m))
+    x, e, r, x_ref, u_ff = (
+        ca.SX.sym("v", size) for size in (model.n, model.p, model.m, model.n, model.m)
+    )
     none = ca.SX.zeros(model.p)
-    after, u = controller.step(params, state, Estimate(x, none, none, none, none, e), Target(r, x_ref, u_ff))
+    after, u = controller.step(
+        params, state, Estimate(x, none, none, none, none, e), Target(r, x_ref, u_ff)
+    )
     function = ca.Function("law", [p, s, x, e, r, x_ref, u_ff], [tree.stack(after), u])
     numbers = tree.pack(controller.params)
 
@@ -43,27 +47,41 @@ def gain(options: StateFeedback, model: System) -> Floats:
     """K read off the law: u_ff - u for unit errors."""
     step = law(options.build(model), model)
     zero_u, zero_y = np.zeros(model.m), np.zeros(model.p)
-    return np.stack([-step([], column, zero_y, zero_u, np.zeros(model.n), zero_u)[1] for column in np.eye(model.n)], axis=1)
+    return np.stack(
+        [
+            -step([], column, zero_y, zero_u, np.zeros(model.n), zero_u)[1]
+            for column in np.eye(model.n)
+        ],
+        axis=1,
+    )
 
 
-@pytest.mark.parametrize("model", [PAPER_PLANT, TWO_INPUTS, sampled(PAPER_PLANT, 0.05), sampled(TWO_INPUTS, 0.05)])
+@pytest.mark.parametrize(
+    "model", [PAPER_PLANT, TWO_INPUTS, sampled(PAPER_PLANT, 0.05), sampled(TWO_INPUTS, 0.05)]
+)
 def test_poles_are_placed_in_either_time(model: System) -> None:
     poles = -np.arange(3.0, 3.0 + model.n)
     K = gain(StateFeedback(poles=poles), model)
     expected = poles if model.Ts is None else np.exp(poles * model.Ts)
-    assert np.sort(np.linalg.eigvals(model.linear.A - model.linear.B @ K).real) == pytest.approx(np.sort(expected), rel=1e-5)
+    assert np.sort(np.linalg.eigvals(model.linear.A - model.linear.B @ K).real) == pytest.approx(
+        np.sort(expected), rel=1e-5
+    )
 
 
 def test_alpha_gives_the_papers_riccati_gain_with_A() -> None:
     A, B, _ = TWO_INPUTS.linear
     P = solve_continuous_are(A, B, 2.0 * np.eye(3), np.eye(2) / 14.0)
-    np.testing.assert_allclose(gain(StateFeedback(alpha=7.0, Q=2.0), TWO_INPUTS), 7.0 * B.T @ P, rtol=1e-9)
+    np.testing.assert_allclose(
+        gain(StateFeedback(alpha=7.0, Q=2.0), TWO_INPUTS), 7.0 * B.T @ P, rtol=1e-9
+    )
 
 
 def test_law_is_feedforward_less_feedback_on_the_error() -> None:
     K = np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]])
     x, x_ref, u_ff = np.array([1.0, -2.0, 0.3]), np.array([0.5, 0.5, 0.5]), np.array([4.0, -1.0])
-    _, u = law(StateFeedback(K=K).build(TWO_INPUTS), TWO_INPUTS)([], x, np.zeros(2), np.zeros(2), x_ref, u_ff)
+    _, u = law(StateFeedback(K=K).build(TWO_INPUTS), TWO_INPUTS)(
+        [], x, np.zeros(2), np.zeros(2), x_ref, u_ff
+    )
     assert u == pytest.approx(u_ff - K @ (x - x_ref))
 
 
@@ -76,7 +94,9 @@ def test_robust_term_is_bounded_smooth_and_zero_on_the_target() -> None:
     A, B, _ = PAPER_PLANT.linear
     K, rho, width = np.array([[3.0, 4.0]]), 2.0, 0.5
     P = solve_continuous_lyapunov((A - B @ K).T, -np.eye(2))
-    step = law(StateFeedback(K=K, robust=Robust(gain=rho, width=width)).build(PAPER_PLANT), PAPER_PLANT)
+    step = law(
+        StateFeedback(K=K, robust=Robust(gain=rho, width=width)).build(PAPER_PLANT), PAPER_PLANT
+    )
     for x in (np.zeros(2), np.array([0.1, -0.2]), np.array([50.0, 50.0])):
         u = step([], x, 0, 0, np.zeros(2), 1.0)[1]
         assert u == pytest.approx(1.0 - K @ x - rho * np.tanh(B.T @ P @ x / width))
@@ -86,15 +106,39 @@ def test_robust_term_is_bounded_smooth_and_zero_on_the_target() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({}, InputError, "controller: state_feedback needs exactly one of K, poles, alpha; found none"),
+        (
+            {},
+            InputError,
+            "controller: state_feedback needs exactly one of K, poles, alpha; found none",
+        ),
         ({"K": [1.0, 2.0], "alpha": 1.0}, InputError, "found K and alpha"),
-        ({"K": [1.0, 2.0, 3.0]}, ShapeError, r"controller.K: expected a 1 x 2 matrix \(inputs x states\), found 1 x 3"),
+        (
+            {"K": [1.0, 2.0, 3.0]},
+            ShapeError,
+            r"controller.K: expected a 1 x 2 matrix \(inputs x states\), found 1 x 3",
+        ),
         ({"poles": [-1.0]}, ShapeError, "controller.poles: expected 2 poles"),
         ({"alpha": 0.0}, InputError, "controller.alpha: must be greater than 0, found 0"),
-        ({"alpha": 1.0, "Q": [[1.0, 0.0], [0.0, -1.0]]}, InputError, "controller.Q: must be positive definite"),
-        ({"K": [-9.0, 0.0], "robust": Robust(gain=1.0)}, StructureError, "controller: A - BK is not stable"),
-        ({"K": [1.0, 1.0], "robust": Robust(gain=1.0, width=0.0)}, InputError, "controller.robust.width: must be greater than 0"),
-        ({"K": [1.0, 1.0], "robust": Robust(gain=float("nan"))}, InputError, "controller.robust.gain: every number must be finite"),
+        (
+            {"alpha": 1.0, "Q": [[1.0, 0.0], [0.0, -1.0]]},
+            InputError,
+            "controller.Q: must be positive definite",
+        ),
+        (
+            {"K": [-9.0, 0.0], "robust": Robust(gain=1.0)},
+            StructureError,
+            "controller: A - BK is not stable",
+        ),
+        (
+            {"K": [1.0, 1.0], "robust": Robust(gain=1.0, width=0.0)},
+            InputError,
+            "controller.robust.width: must be greater than 0",
+        ),
+        (
+            {"K": [1.0, 1.0], "robust": Robust(gain=float("nan"))},
+            InputError,
+            "controller.robust.gain: every number must be finite",
+        ),
     ],
 )
 def test_wrong_state_feedback(options: dict[str, Any], error: type[Exception], words: str) -> None:
@@ -106,7 +150,9 @@ def test_wrong_state_feedback(options: dict[str, Any], error: type[Exception], w
 def test_pd_is_42_with_a_filtered_derivative(Ts: float | None) -> None:
     model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
     tau, e, filtered, r = 0.1, 2.0, 0.5, 3.0
-    after, u = law(PD(k_p=4.0, k_d=0.7, filter_time=tau).build(model), model)(filtered, np.zeros(2), e, r, np.zeros(2), 0.0)
+    after, u = law(PD(k_p=4.0, k_d=0.7, filter_time=tau).build(model), model)(
+        filtered, np.zeros(2), e, r, np.zeros(2), 0.0
+    )
     derivative = (e - filtered) / tau
     assert u == pytest.approx([-4.0 * e - 0.7 * derivative + r])
     exact = derivative if Ts is None else e + (filtered - e) * np.exp(-Ts / tau)
@@ -123,11 +169,23 @@ def test_pd_gains_from_34_are_alpha_BP_with_A_less_LC() -> None:
 @pytest.mark.parametrize(
     ("options", "model", "words"),
     [
-        ({"k_p": 1.0, "k_d": 1.0}, linear(-np.eye(2), np.ones((2, 1)), np.eye(2)), "controller.method: 'pd' needs as many inputs as outputs, .* 1 and 2"),
+        (
+            {"k_p": 1.0, "k_d": 1.0},
+            linear(-np.eye(2), np.ones((2, 1)), np.eye(2)),
+            "controller.method: 'pd' needs as many inputs as outputs, .* 1 and 2",
+        ),
         ({"k_p": 1.0}, sampled(PAPER_PLANT, 0.1), "controller: pd needs k_p and k_d"),
         ({}, linear([[-1.0]], [[1.0]], [[1.0]]), "controller: pd needs k_p and k_d"),
-        ({"k_p": 1.0, "k_d": 1.0, "filter_time": 0.0}, PAPER_PLANT, "controller.filter_time: must be greater than 0"),
-        ({"k_p": [1.0, 2.0], "k_d": 1.0}, PAPER_PLANT, "controller.k_p: expected 1 number .one per output., found 2"),
+        (
+            {"k_p": 1.0, "k_d": 1.0, "filter_time": 0.0},
+            PAPER_PLANT,
+            "controller.filter_time: must be greater than 0",
+        ),
+        (
+            {"k_p": [1.0, 2.0], "k_d": 1.0},
+            PAPER_PLANT,
+            "controller.k_p: expected 1 number .one per output., found 2",
+        ),
     ],
 )
 def test_wrong_pd(options: dict[str, Any], model: System, words: str) -> None:

@@ -53,7 +53,13 @@ def run(*arguments: str | Path) -> Done:
     """A command in this process, so that nothing is imported twice; `main` turns errors into exit code 2."""
     result = CliRunner().invoke(group, [*map(str, arguments)], standalone_mode=False)
     if isinstance(result.exception, UndeadzoneError | ClickException):
-        return Done(2, result.stdout, result.exception.format_message() if isinstance(result.exception, ClickException) else str(result.exception))
+        return Done(
+            2,
+            result.stdout,
+            result.exception.format_message()
+            if isinstance(result.exception, ClickException)
+            else str(result.exception),
+        )
     if result.exception is not None:
         raise result.exception
     return Done(result.return_value, result.stdout, result.stderr)
@@ -90,8 +96,13 @@ def knee(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
 # ---- check: verdicts
 
 
-@pytest.mark.parametrize(("L", "gamma", "code", "rate"), [([12.0, 15.0], 2.0, 1, 0.024), ([1.0, 1.5], 10.0, 0, 0.441), ([2.0, 3.0], 10.0, 0, 0.323)])
-def test_check_on_the_paper_s_example(paper: Callable[..., Path], L: list[float], gamma: float, code: int, rate: float) -> None:
+@pytest.mark.parametrize(
+    ("L", "gamma", "code", "rate"),
+    [([12.0, 15.0], 2.0, 1, 0.024), ([1.0, 1.5], 10.0, 0, 0.441), ([2.0, 3.0], 10.0, 0, 0.323)],
+)
+def test_check_on_the_paper_s_example(
+    paper: Callable[..., Path], L: list[float], gamma: float, code: int, rate: float
+) -> None:
     done = run("check", paper(observer=observed(L, gamma)), *QUIET)
     found = done.found
     assert (done.code, found["certified"]) == (code, code == 0)
@@ -100,17 +111,26 @@ def test_check_on_the_paper_s_example(paper: Callable[..., Path], L: list[float]
     assert (found["reasons"] == []) == (code == 0)
 
 
-def test_check_says_where_the_certificate_fails_and_what_is_near(paper: Callable[..., Path]) -> None:
+def test_check_says_where_the_certificate_fails_and_what_is_near(
+    paper: Callable[..., Path],
+) -> None:
     path = paper(observer=observed([12.0, 15.0], 2.0))
     found = run("check", path, *QUIET).found
     assert found["margin"] == pytest.approx(-1 / 24, abs=1e-9)
-    assert found["frequency"] == pytest.approx(np.sqrt(6.2), abs=1e-6)  # minimum of Re(1 + G) = (w^4 - 10 w^2 + 40) / (1 + w^2)^2
+    assert found["frequency"] == pytest.approx(
+        np.sqrt(6.2), abs=1e-6
+    )  # minimum of Re(1 + G) = (w^4 - 10 w^2 + 40) / (1 + w^2)^2
     near = found["nearest"]
     assert near["margin"] >= 0.01
     b0, b1 = 1 + 2 * near["L"][0][0] + near["L"][1][0], 2 + near["L"][0][0]
     assert 2 * b1 > (np.sqrt(b0) - 1) ** 2
     shown = run("check", path, "--no-figures").out
-    for words in ("NO: 1 + G is not positive real", "-0.04167 at 2.49 rad/s", "nearest certified", "0.02389 1/s"):
+    for words in (
+        "NO: 1 + G is not positive real",
+        "-0.04167 at 2.49 rad/s",
+        "nearest certified",
+        "0.02389 1/s",
+    ):
         assert words in shown
 
 
@@ -118,7 +138,12 @@ def test_check_of_integrators_says_no_and_why() -> None:
     done = run("check", EXAMPLES / "integrators.toml", *QUIET)
     assert done.code == 1
     assert (done.found["certified"], done.found["nearest"]) == (False, None)
-    assert done.found["identifiable"] == {"right": False, "left": False, "width": True, "centre": False}
+    assert done.found["identifiable"] == {
+        "right": False,
+        "left": False,
+        "width": True,
+        "centre": False,
+    }
     assert "chain of integrators" in done.found["reasons"][0]
     assert "only the width" in done.found["reasons"][1]
     shown = run("check", EXAMPLES / "integrators.toml", "--no-figures").out
@@ -127,7 +152,13 @@ def test_check_of_integrators_says_no_and_why() -> None:
 
 
 def test_check_of_an_edge_never_reached_names_the_cure(paper: Callable[..., Path]) -> None:
-    done = run("check", paper(reference='reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }'), *QUIET)
+    done = run(
+        "check",
+        paper(
+            reference='reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }'
+        ),
+        *QUIET,
+    )
     assert (done.code, done.found["certified"]) == (1, True)
     assert done.found["identifiable"]["right"]
     assert not done.found["identifiable"]["left"]
@@ -136,8 +167,13 @@ def test_check_of_an_edge_never_reached_names_the_cure(paper: Callable[..., Path
 
 
 @pytest.mark.parametrize("method", ['"luenberger", L = [1.0, 1.5]', '"kalman", right = [0.2, 1.5]'])
-def test_an_observer_without_constant_gains_needs_no_certificate(paper: Callable[..., Path], method: str) -> None:
-    path = paper(observer=f"observer = {{ method = {method} }}", simulation='simulation = { time = "sampled", step = 1e-2, duration = 2.0 }')
+def test_an_observer_without_constant_gains_needs_no_certificate(
+    paper: Callable[..., Path], method: str
+) -> None:
+    path = paper(
+        observer=f"observer = {{ method = {method} }}",
+        simulation='simulation = { time = "sampled", step = 1e-2, duration = 2.0 }',
+    )
     done = run("check", path, *QUIET)
     assert (done.code, done.found["certified"], done.found["rate"]) == (0, None, None)
     assert "no constant gains" in done.found["reasons"][0]
@@ -150,11 +186,22 @@ def test_check_of_two_outputs_gives_lists() -> None:
     assert "identifiable 1" in run("check", EXAMPLES / "two_outputs.toml", "--no-figures").out
 
 
-def test_check_writes_a_verdict_figures_and_a_page(paper: Callable[..., Path], tmp_path: Path) -> None:
+def test_check_writes_a_verdict_figures_and_a_page(
+    paper: Callable[..., Path], tmp_path: Path
+) -> None:
     out = tmp_path / "deep" / "out"
     done = run("check", paper(observer=observed([12.0, 15.0], 2.0)), "--json", "--out", out)
-    assert sorted(path.name for path in out.iterdir()) == ["check.json", "ellipse.png", "lyapunov.png", "nyquist.png", "report.html", "root_locus.png"]
-    assert json.loads((out / "check.json").read_text()) | {"files": done.found["files"]} == done.found
+    assert sorted(path.name for path in out.iterdir()) == [
+        "check.json",
+        "ellipse.png",
+        "lyapunov.png",
+        "nyquist.png",
+        "report.html",
+        "root_locus.png",
+    ]
+    assert (
+        json.loads((out / "check.json").read_text()) | {"files": done.found["files"]} == done.found
+    )
     page = check_page((out / "report.html").read_text(encoding="utf-8"))
     assert page.tags.count("img") == 4
     assert "not certified" in page.text
@@ -162,7 +209,9 @@ def test_check_writes_a_verdict_figures_and_a_page(paper: Callable[..., Path], t
     assert [Path(name).name for name in only.found["files"]] == ["check.json"]
 
 
-def test_nothing_is_written_unless_wanted(paper: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_written_unless_wanted(
+    paper: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = paper()
     monkeypatch.chdir(path.parent)
     run("check", path, "--no-figures")
@@ -194,28 +243,51 @@ def test_the_knee_beats_the_present_gains_in_everything(knee: tuple[Path, Done])
 
 def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
     folder, done = knee
-    names = ["design.toml", "ellipse.png", "front.png", "lyapunov.png", "nyquist.png", "report.html", "root_locus.png"]
+    names = [
+        "design.toml",
+        "ellipse.png",
+        "front.png",
+        "lyapunov.png",
+        "nyquist.png",
+        "report.html",
+        "root_locus.png",
+    ]
     assert sorted(path.name for path in (folder / "out").iterdir()) == names
     assert Design.load(folder / "out" / "design.toml").L.tolist() == done.found["L"]
     page = check_page((folder / "out" / "report.html").read_text(encoding="utf-8"))
     assert page.tags.count("img") == 5
-    for words in ("What was asked", "The gains", "What is guaranteed", "How fast", "What can be known", "The trade", "eigenvalues of P, all positive"):
+    for words in (
+        "What was asked",
+        "The gains",
+        "What is guaranteed",
+        "How fast",
+        "What can be known",
+        "The trade",
+        "eigenvalues of P, all positive",
+    ):
         assert words in page.text
 
 
 def test_run_and_check_use_a_design_and_refuse_a_forged_one(knee: tuple[Path, Done]) -> None:
     folder, done = knee
-    observer = 'observer = { method = "certified", design = "out/design.toml", widths0 = [0.2, 0.2] }'
+    observer = (
+        'observer = { method = "certified", design = "out/design.toml", widths0 = [0.2, 0.2] }'
+    )
     path = folder / "designed.toml"
     text = PAPER.replace("duration = 2.0", "duration = 6.0")
-    path.write_text("\n".join(observer if line.startswith("observer") else line for line in text.splitlines()), encoding="utf-8")
+    path.write_text(
+        "\n".join(observer if line.startswith("observer") else line for line in text.splitlines()),
+        encoding="utf-8",
+    )
     assert run("check", path, *QUIET).found["rate"] == pytest.approx(done.found["rate"], rel=1e-9)
     result = run("run", path, *QUIET)
     assert (result.code, result.found["certified"]) == (0, True)
     assert result.found["largest_rise_of_V"] < 1e-12
     text = (folder / "out" / "design.toml").read_text(encoding="utf-8")
     first = str(tomllib.loads(text)["P"][0][0])
-    (folder / "out" / "design.toml").write_text(text.replace(first, f"-{first}", 1), encoding="utf-8")
+    (folder / "out" / "design.toml").write_text(
+        text.replace(first, f"-{first}", 1), encoding="utf-8"
+    )
     for command in ("run", "check", "design"):
         refused = run(command, path, *QUIET)
         assert (refused.code, refused.out) == (2, "")
@@ -234,7 +306,9 @@ def test_no_design_for_a_chain_of_integrators(tmp_path: Path) -> None:
 def test_weights_make_another_trade(paper: Callable[..., Path], knee: tuple[Path, Done]) -> None:
     calm = run("design", paper(), "--weights", "0,0,1", *QUIET).found
     assert "noise^1" in calm["chosen"]
-    assert calm["rate"] / calm["noise"] > max(point["rate"] / point["noise"] for point in knee[1].found["front"]) * (1 - 1e-3)
+    assert calm["rate"] / calm["noise"] > max(
+        point["rate"] / point["noise"] for point in knee[1].found["front"]
+    ) * (1 - 1e-3)
 
 
 def test_design_in_words(paper: Callable[..., Path]) -> None:
@@ -264,7 +338,9 @@ def test_wrong_options(paper: Callable[..., Path], options: list[str], words: st
     assert words in done.error
 
 
-@pytest.mark.parametrize(("example", "words"), [("pendulum", "nonlinear"), ("jump_velocity", "jump")])
+@pytest.mark.parametrize(
+    ("example", "words"), [("pendulum", "nonlinear"), ("jump_velocity", "jump")]
+)
 def test_no_design_where_there_is_no_method(example: str, words: str) -> None:
     done = run("design", EXAMPLES / f"{example}.toml", *QUIET)
     assert done.code == 2
@@ -284,11 +360,18 @@ def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None
         f"group.main(['check', {str(paper())!r}, '--no-figures', '--json'], standalone_mode=False)\n"
         "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stderr
+        == "[]\n"
+    )
 
 
 def test_a_wrong_scenario_is_no_answer(paper: Callable[..., Path]) -> None:
-    path = paper(plant="plant = { A = [[-1.0, 0.0], [0.0, -2.0]], B = [[1.0], [1.0]], C = [[1.0, 0.0]] }")
+    path = paper(
+        plant="plant = { A = [[-1.0, 0.0], [0.0, -2.0]], B = [[1.0], [1.0]], C = [[1.0, 0.0]] }"
+    )
     for command in ("check", "design"):
         done = run(command, path, *QUIET)
         assert (done.code, done.out) == (2, "")
@@ -296,7 +379,14 @@ def test_a_wrong_scenario_is_no_answer(paper: Callable[..., Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "text"), [([[1.0], [1.5]], "[1, 1.5]"), ([2.0], "2"), ([2.0, 3.0], "[2, 3]"), ([[1.0, 2.0], [3.0, 4.0]], "[[1, 2], [3, 4]]"), ([[1.0]], "[1]")]
+    ("gains", "text"),
+    [
+        ([[1.0], [1.5]], "[1, 1.5]"),
+        ([2.0], "2"),
+        ([2.0, 3.0], "[2, 3]"),
+        ([[1.0, 2.0], [3.0, 4.0]], "[[1, 2], [3, 4]]"),
+        ([[1.0]], "[1]"),
+    ],
 )
 def test_gains_as_one_writes_them(gains: list[Any], text: str) -> None:
     assert plain(gains) == text
@@ -306,12 +396,19 @@ def test_gains_as_one_writes_them(gains: list[Any], text: str) -> None:
 
 SAMPLED = {"simulation": {"time": "sampled", "step": 1e-2, "duration": 4.0}}
 COUPLED = {
-    "plant": {"A": [[-1.0, 0.4], [0.3, -2.0]], "B": [[1.0, 0.2], [0.0, 1.5]], "C": [[1.0, 0.3], [0.0, 1.0]]},
+    "plant": {
+        "A": [[-1.0, 0.4], [0.3, -2.0]],
+        "B": [[1.0, 0.2], [0.0, 1.5]],
+        "C": [[1.0, 0.3], [0.0, 1.0]],
+    },
     "sensor": {"right": [0.5, 0.2], "left": [0.3, 0.6]},
     "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5, "phase": [0.0, 1.0]},
     "observer": {"method": "certified", "gamma": [2.0, 3.0], "L": [[0.2, 0.0], [0.1, 0.3]]},
 }
-RIGHT = {"sensor": {"noise": 0.01}, "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 0.5}}
+RIGHT = {
+    "sensor": {"noise": 0.01},
+    "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 0.5},
+}
 JUMP = {"sensor": {"kind": "jump"}}
 
 
@@ -369,7 +466,9 @@ def test_an_attack_and_a_cycle_are_drawn_where_there_are_any() -> None:
     assert of.gains is not None
     assert tried is not None
     assert by_kind(tried.courses)["attack"].V[-1] == pytest.approx(1 + tried.attack.rise, rel=1e-9)
-    chain = counted(plant={"integrators": 2}, observer={"method": "certified", "L": [4.0, 4.0], "gamma": 1.0})
+    chain = counted(
+        plant={"integrators": 2}, observer={"method": "certified", "L": [4.0, 4.0], "gamma": 1.0}
+    )
     grown = trial(chain)
     assert chain.gains is not None
     assert grown is not None
@@ -387,7 +486,9 @@ def test_nyquist_marks_the_worst_point_and_enlarges_it() -> None:
     figure = nyquist(of.gains)
     assert len(figure.axes) == 3
     marked = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "o"]
-    assert [float(np.asarray(line.get_xdata())[0]) for line in marked] == pytest.approx([-1 / 24, -1 / 24, np.sqrt(6.2)])
+    assert [float(np.asarray(line.get_xdata())[0]) for line in marked] == pytest.approx(
+        [-1 / 24, -1 / 24, np.sqrt(6.2)]
+    )
     assert len(nyquist(counted().gains).axes) == 2  # type: ignore[arg-type]
     assert len(nyquist(counted(**COUPLED).gains).axes) == 1  # type: ignore[arg-type]
 
@@ -401,18 +502,24 @@ def test_root_locus_goes_through_the_chosen_poles(changes: dict[str, Any]) -> No
         poles = np.asarray(chosen.get_xdata()) + 1j * np.asarray(chosen.get_ydata())
         A, L, gamma = of.gains.dynamics.A[0], of.gains.L, 10.0
         F = np.block([[A - L @ [[1.0, 0.0]], L], [np.array([[gamma, 0.0]]), np.array([[-gamma]])]])
-        np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(np.linalg.eigvals(F)), atol=1e-9)
+        np.testing.assert_allclose(
+            np.sort_complex(poles), np.sort_complex(np.linalg.eigvals(F)), atol=1e-9
+        )
 
 
 def test_ellipse_or_strip() -> None:
     noisy = counted(sensor={"noise": 0.01}, **SAMPLED)
     axes = ellipses(noisy).axes[0]
     outline = next(line for line in axes.lines if line.get_label() == "95 %")
-    assert np.max(outline.get_xdata()) == pytest.approx(2.447747 * noisy.known[0].std["right"], rel=1e-3)
+    assert np.max(outline.get_xdata()) == pytest.approx(
+        2.447747 * noisy.known[0].std["right"], rel=1e-3
+    )
     strip = ellipses(counted(**RIGHT)).axes[0]
     assert "never reached" in strip.get_title(loc="left").replace("\n", " ")
     assert any("right ±" in str(line.get_label()) for line in strip.lines)
-    nothing = ellipses(counted(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})).axes[0]
+    nothing = ellipses(
+        counted(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})
+    ).axes[0]
     assert any("only d_r > 0.5" in str(line.get_label()) for line in nothing.lines)
 
 
@@ -421,7 +528,13 @@ def test_ellipse_or_strip() -> None:
     [
         (COUPLED, ["nyquist", "root_locus", "lyapunov", "ellipse"]),
         (JUMP, ["nyquist", "root_locus", "lyapunov"]),
-        ({"plant": {"integrators": 2}, "observer": {"method": "certified", "L": [4.0, 4.0], "gamma": 1.0}}, ["root_locus", "lyapunov", "ellipse"]),
+        (
+            {
+                "plant": {"integrators": 2},
+                "observer": {"method": "certified", "L": [4.0, 4.0], "gamma": 1.0},
+            },
+            ["root_locus", "lyapunov", "ellipse"],
+        ),
         ({"observer": {"method": "luenberger", "L": [1.0, 1.5]}}, ["ellipse"]),
     ],
 )

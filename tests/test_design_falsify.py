@@ -48,13 +48,19 @@ def test_the_papers_gains_are_broken(Ts: float | None) -> None:
     assert diverge(found.dynamics).factor <= 1 + 1e-9
     grown = generator(found.dynamics, attack.mode)
     after = (
-        expm(grown * attack.mode.seconds) if Ts is None else np.linalg.matrix_power(np.eye(4) + Ts * grown, round(attack.mode.seconds / Ts))
+        expm(grown * attack.mode.seconds)
+        if Ts is None
+        else np.linalg.matrix_power(np.eye(4) + Ts * grown, round(attack.mode.seconds / Ts))
     ) @ attack.start
-    before, later = (found.V.value(errors[None, :2], errors[None, 2:])[0] for errors in (attack.start, after))
+    before, later = (
+        found.V.value(errors[None, :2], errors[None, 2:])[0] for errors in (attack.start, after)
+    )
     assert later / before - 1 == pytest.approx(attack.rise, rel=1e-6)
 
 
-def grows(cycle: Cycle, linear: Matrices, L: Floats, gamma: float, Ts: float | None, periods: int) -> float:
+def grows(
+    cycle: Cycle, linear: Matrices, L: Floats, gamma: float, Ts: float | None, periods: int
+) -> float:
     """The growth of the errors over one more period after many, by stepping plant and observer themselves."""
     rng = np.random.default_rng(0)
     n = len(L)
@@ -65,9 +71,19 @@ def grows(cycle: Cycle, linear: Matrices, L: Floats, gamma: float, Ts: float | N
         x, x_hat, (right_hat, left_hat) = state[:n], state[n : 2 * n], state[2 * n :]
         side = mode.S[0, 0] + mode.S[0, 1]
         y = linear.C[0] @ x - (right if side > 0 else -left)
-        e = abs(side) * mode.theta[0] * (y - linear.C[0] @ x_hat + (right_hat if side > 0 else -left_hat))
+        e = (
+            abs(side)
+            * mode.theta[0]
+            * (y - linear.C[0] @ x_hat + (right_hat if side > 0 else -left_hat))
+        )
         drift = linear.A if Ts is None else (linear.A - np.eye(n)) / Ts
-        return np.concatenate([drift @ x, drift @ x_hat + L[:, 0] * e, [-gamma * e * float(side > 0), gamma * e * float(side < 0)]])
+        return np.concatenate(
+            [
+                drift @ x,
+                drift @ x_hat + L[:, 0] * e,
+                [-gamma * e * float(side > 0), gamma * e * float(side < 0)],
+            ]
+        )
 
     sizes = []
     for _ in range(periods):
@@ -75,13 +91,26 @@ def grows(cycle: Cycle, linear: Matrices, L: Floats, gamma: float, Ts: float | N
             steps = 40 if Ts is None else round(mode.seconds / Ts)
             for _ in range(steps):
                 h = mode.seconds / steps
-                state = rk4(lambda s, _: rate(s, mode), state, h) if Ts is None else state + h * rate(state, mode)  # noqa: B023
-        sizes.append(np.linalg.norm(state[:n] - state[n : 2 * n]) + abs(right - state[-2]) + abs(left - state[-1]))
+                state = (
+                    rk4(lambda s, _: rate(s, mode), state, h)
+                    if Ts is None
+                    else state + h * rate(state, mode)
+                )
+        sizes.append(
+            np.linalg.norm(state[:n] - state[n : 2 * n])
+            + abs(right - state[-2])
+            + abs(left - state[-1])
+        )
     return float((sizes[-1] / sizes[-11]) ** 0.1)
 
 
-@pytest.mark.parametrize(("L", "gamma", "Ts"), [((0, 200), 10.0, None), ((0, 200), 10.0, 0.01), ((-1.25, -1.62), 1.0, 0.01)])
-def test_divergence_is_found_and_is_real(L: tuple[float, float], gamma: float, Ts: float | None) -> None:
+@pytest.mark.parametrize(
+    ("L", "gamma", "Ts"),
+    [((0, 200), 10.0, None), ((0, 200), 10.0, 0.01), ((-1.25, -1.62), 1.0, 0.01)],
+)
+def test_divergence_is_found_and_is_real(
+    L: tuple[float, float], gamma: float, Ts: float | None
+) -> None:
     """Stable modes, an unstable switching: (0, 200); and the gains (40) as printed. The observer itself diverges along it."""
     linear = PAPER if Ts is None else zoh(PAPER, Ts)
     gains = column(*L)
@@ -106,7 +135,9 @@ def test_the_mode_matrices_are_those_of_the_observer() -> None:
     given = dynamics(PAPER, L, gamma, None)
     x, d = np.array([0.3, -0.7]), np.array([0.2, 0.5])
     for side, theta in ((1, 1.0), (-1, 0.4), (0, 1.0)):
-        rate = generator(given, Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)) @ np.concatenate([x, d])
+        rate = generator(
+            given, Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)
+        ) @ np.concatenate([x, d])
         e = theta * (x[0] - d[0] if side > 0 else x[0] + d[1]) * abs(side)
         assert rate[:2] == pytest.approx(PAPER.A @ x - L[:, 0] * e)
         assert rate[2:] == pytest.approx([10.0 * e * (side > 0), -4.0 * e * (side < 0)])
@@ -143,9 +174,14 @@ def test_v_never_rises_in_the_real_loop(seed: int, time: str) -> None:
     plant = random_plant(rng, 2 + seed % 2).linear
     run = simulate(
         scene(
-            plant={name: matrix.tolist() for name, matrix in plant._asdict().items()} | {"x0": (3 * rng.normal(size=len(plant.A))).tolist()},
+            plant={name: matrix.tolist() for name, matrix in plant._asdict().items()}
+            | {"x0": (3 * rng.normal(size=len(plant.A))).tolist()},
             sensor={"right": float(rng.uniform(0.1, 2)), "left": float(rng.uniform(0.1, 2))},
-            reference={"kind": "sine", "amplitude": float(rng.uniform(2, 20)), "frequency": float(rng.uniform(0.1, 3))},
+            reference={
+                "kind": "sine",
+                "amplitude": float(rng.uniform(2, 20)),
+                "frequency": float(rng.uniform(0.1, 3)),
+            },
             observer={
                 "method": "certified",
                 "L": passive_gain(plant, None).tolist(),
@@ -155,7 +191,11 @@ def test_v_never_rises_in_the_real_loop(seed: int, time: str) -> None:
                 "silence": bool(seed % 2),
             },
             controller={"method": "state_feedback", "alpha": 1.0},
-            simulation={"time": time, "duration": 3.0, "step": 1e-3 if time == "continuous" else 1e-2},
+            simulation={
+                "time": time,
+                "duration": 3.0,
+                "step": 1e-3 if time == "continuous" else 1e-2,
+            },
         )
     )
     assert run.info.certified

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import random_plant, scene
-from undeadzone.analysis.convergence.floquet import Rates, error_matrices, product, rates, transitions
+from undeadzone.analysis.convergence.floquet import (
+    Rates,
+    error_matrices,
+    product,
+    rates,
+    transitions,
+)
 from undeadzone.analysis.error_dynamics import adaptation, pattern
 from undeadzone.analysis.side_schedule import Schedule, merged, planned, recorded, roots
 from undeadzone.scenario.problem import constant_gains, resolve_scenario
@@ -21,9 +27,21 @@ from undeadzone.simulation.simulate import simulate
 
 seeds = st.integers(0, 2**32 - 1)
 SAMPLED = {"time": "sampled", "step": 1e-2}
-TWO_SINES = {"kind": "sines", "components": [{"amplitude": 3.0, "frequency": 0.5}, {"amplitude": 2.0, "frequency": 0.75, "phase": 1.0}], "offset": 0.4}
+TWO_SINES = {
+    "kind": "sines",
+    "components": [
+        {"amplitude": 3.0, "frequency": 0.5},
+        {"amplitude": 2.0, "frequency": 0.75, "phase": 1.0},
+    ],
+    "offset": 0.4,
+}
 COUPLED = {
-    "A": [[0.0, 1.0, 0.0, 0.0], [-4.0, -1.5, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0], [1.0, 0.2, -3.0, -1.2]],
+    "A": [
+        [0.0, 1.0, 0.0, 0.0],
+        [-4.0, -1.5, 1.0, 0.2],
+        [0.0, 0.0, 0.0, 1.0],
+        [1.0, 0.2, -3.0, -1.2],
+    ],
     "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
     "C": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
 }
@@ -31,7 +49,13 @@ COUPLED = {
 
 def schedule_of(scenario: Scenario) -> Schedule:
     problem = resolve_scenario(scenario)
-    return planned(problem.model, problem.reference, problem.tracked, problem.sensor, scenario.simulation.duration)
+    return planned(
+        problem.model,
+        problem.reference,
+        problem.tracked,
+        problem.sensor,
+        scenario.simulation.duration,
+    )
 
 
 def rates_of(scenario: Scenario) -> Rates:
@@ -64,7 +88,9 @@ def test_rates_of_the_paper_example(L: list[float], gamma: float, rate: float) -
 
 def test_the_fastest_gains_are_delicate() -> None:
     """There three multipliers meet: four digits of the gains are not enough to keep the rate."""
-    assert rates_of(scene(observer=certified([-0.8733, 0.7567], 7.780))).rate == pytest.approx(1.427, abs=1e-3)
+    assert rates_of(scene(observer=certified([-0.8733, 0.7567], 7.780))).rate == pytest.approx(
+        1.427, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("sampled", [False, True])
@@ -77,19 +103,28 @@ def test_the_fastest_gains_are_delicate() -> None:
         ([1.0, 0.5], 3.0, TWO_SINES, 36.0),
     ],
 )
-def test_the_loop_decays_at_the_rate_predicted(sampled: bool, L: list[float], gamma: float, reference: dict[str, Any], duration: float) -> None:
+def test_the_loop_decays_at_the_rate_predicted(
+    sampled: bool, L: list[float], gamma: float, reference: dict[str, Any], duration: float
+) -> None:
     """The error of the real closed loop, seen once a period after the transients, falls at -ln rho / T within 2 %."""
     simulation = {"duration": duration} | (SAMPLED if sampled else {"step": 2e-3})
     scenario = scene(
-        observer=certified(L, gamma, widths0=[0.5, 0.7], width_max=3.0), reference=reference, sensor={"right": 1.3, "left": 0.8}, simulation=simulation
+        observer=certified(L, gamma, widths0=[0.5, 0.7], width_max=3.0),
+        reference=reference,
+        sensor={"right": 1.3, "left": 0.8},
+        simulation=simulation,
     )
     predicted = rates_of(scenario)
     run = simulate(scenario, check_step=False)
-    error = np.linalg.norm(np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat]), axis=1)[:: round(predicted.period / run.info.step)]
+    error = np.linalg.norm(np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat]), axis=1)[
+        :: round(predicted.period / run.info.step)
+    ]
     t = np.arange(error.size) * predicted.period
     late = (t > 0.4 * duration) & (error > 1e-9)
     assert late.sum() >= 3
-    assert -np.polyfit(t[late], np.log(error[late]), 1)[0] == pytest.approx(predicted.rate, rel=0.02)
+    assert -np.polyfit(t[late], np.log(error[late]), 1)[0] == pytest.approx(
+        predicted.rate, rel=0.02
+    )
 
 
 def test_two_outputs_decay_at_the_rate_predicted() -> None:
@@ -98,7 +133,11 @@ def test_two_outputs_decay_at_the_rate_predicted() -> None:
         plant=COUPLED,
         sensor={"right": [0.5, 0.2], "left": [0.3, 0.6]},
         reference={"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5, "phase": [0.0, 1.0]},
-        observer={"method": "certified", "L": [[1.0, 0.2], [0.5, 0.0], [0.0, 1.5], [0.1, 0.4]], "gamma": [2.0, 3.0]},
+        observer={
+            "method": "certified",
+            "L": [[1.0, 0.2], [0.5, 0.0], [0.0, 1.5], [0.1, 0.4]],
+            "gamma": [2.0, 3.0],
+        },
         simulation={"duration": 30.0, "step": 2e-3},
     )
     predicted = rates_of(scenario)
@@ -108,7 +147,9 @@ def test_two_outputs_decay_at_the_rate_predicted() -> None:
     late = (t > 8.0) & (np.linalg.norm(error, axis=1) > 1e-9)
     plane = np.linalg.lstsq(predicted.slow, error[late].T, rcond=None)[0]
     assert predicted.logs[0].imag == 0.0
-    assert -np.polyfit(t[late], np.log(np.linalg.norm(plane, axis=0)), 1)[0] == pytest.approx(predicted.rate, rel=0.02)
+    assert -np.polyfit(t[late], np.log(np.linalg.norm(plane, axis=0)), 1)[0] == pytest.approx(
+        predicted.rate, rel=0.02
+    )
 
 
 def test_what_dies_last_is_the_slow_direction() -> None:
@@ -116,32 +157,53 @@ def test_what_dies_last_is_the_slow_direction() -> None:
     run = simulate(scenario, check_step=False)
     last = np.concatenate([run.x[-1] - run.x_hat[-1], run.info.widths - run.d_hat[-1]])
     slow = rates_of(scenario).slow[:, 0]
-    assert abs(last @ slow) / np.linalg.norm(last) / np.linalg.norm(slow) == pytest.approx(1.0, abs=1e-4)
+    assert abs(last @ slow) / np.linalg.norm(last) / np.linalg.norm(slow) == pytest.approx(
+        1.0, abs=1e-4
+    )
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.booleans())
-def test_the_monodromy_matrix_is_the_product_of_naive_transitions(seed: int, n: int, p: int, sampled: bool) -> None:
+def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
+    seed: int, n: int, p: int, sampled: bool
+) -> None:
     rng = np.random.default_rng(seed)
     A, _, C = random_plant(rng, n, 1, p).linear
-    L, gamma, K, Ts = rng.normal(size=(n, p)), adaptation(rng.uniform(0.5, 3.0, p), p), int(rng.integers(1, 8)), 0.02
+    L, gamma, K, Ts = (
+        rng.normal(size=(n, p)),
+        adaptation(rng.uniform(0.5, 3.0, p), p),
+        int(rng.integers(1, 8)),
+        0.02,
+    )
     sides = rng.integers(-1, 2, (K, p)).astype(float)
     spans = rng.integers(1, 30, K).astype(float) if sampled else rng.uniform(0.01, 2.0, K)
     none = np.zeros(p)
-    schedule = Schedule(sides, spans, Ts if sampled else None, True, 0.0, none, none, none, np.ones((p, 2)))
+    schedule = Schedule(
+        sides, spans, Ts if sampled else None, True, 0.0, none, none, none, np.ones((p, 2))
+    )
     F, _ = error_matrices(A, C, L, gamma, sides)
     M, size = product(transitions(F, schedule))
     naive = np.eye(n + 2 * p)
     for side, span in zip(sides.astype(int), spans, strict=True):
         S, on = pattern(tuple(side)), np.diag(np.abs(side))
         f = np.block([[A - L @ on @ C, L @ S], [gamma @ S.T @ C, -gamma @ S.T @ S]])
-        naive = (np.linalg.matrix_power(np.eye(n + 2 * p) + Ts * f, int(span)) if sampled else expm(f * span)) @ naive
+        naive = (
+            np.linalg.matrix_power(np.eye(n + 2 * p) + Ts * f, int(span))
+            if sampled
+            else expm(f * span)
+        ) @ naive
     assert M * np.exp(size) == pytest.approx(naive, rel=1e-9, abs=1e-9 * np.abs(naive).max())
 
 
 def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None:
     """The error at the end of a recorded run is the product of transitions times the error at its start."""
     scenario = scene(
-        reference={"kind": "sines", "components": [{"amplitude": 2.0, "frequency": 0.6}, {"amplitude": 1.5, "frequency": 2**0.5}]},
+        reference={
+            "kind": "sines",
+            "components": [
+                {"amplitude": 2.0, "frequency": 0.6},
+                {"amplitude": 1.5, "frequency": 2**0.5},
+            ],
+        },
         observer=certified([1.0, 0.5], 3.0, widths0=[0.5, 0.7]),
         simulation={"duration": 6.0, **SAMPLED},
     )
@@ -150,7 +212,13 @@ def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None
     error = np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat])
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    F, _ = error_matrices((problem.model.linear.A - np.eye(2)) / 1e-2, problem.model.linear.C, gains[0], adaptation(gains[1], 1), schedule.sides)
+    F, _ = error_matrices(
+        (problem.model.linear.A - np.eye(2)) / 1e-2,
+        problem.model.linear.C,
+        gains[0],
+        adaptation(gains[1], 1),
+        schedule.sides,
+    )
     M, size = product(transitions(F, schedule))
     assert M @ error[0] * np.exp(size) == pytest.approx(error[-1], abs=1e-9)
     found = rates(problem.model.linear, *gains, schedule)
@@ -164,7 +232,9 @@ def test_recorded_and_planned_rates_agree() -> None:
     schedule = recorded(run.z[8000:], problem.sensor, 1e-3, None)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    assert rates(problem.model.linear, *gains, schedule).rate == pytest.approx(rates_of(scenario).rate, rel=1e-3)
+    assert rates(problem.model.linear, *gains, schedule).rate == pytest.approx(
+        rates_of(scenario).rate, rel=1e-3
+    )
 
 
 def test_a_long_record_does_not_underflow() -> None:
@@ -173,27 +243,42 @@ def test_a_long_record_does_not_underflow() -> None:
     long = once._replace(sides=np.tile(once.sides, (3000, 1)), spans=np.tile(once.spans, 3000))
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    assert rates(problem.model.linear, *gains, long).rate == pytest.approx(rates_of(scenario).rate, rel=1e-6)
+    assert rates(problem.model.linear, *gains, long).rate == pytest.approx(
+        rates_of(scenario).rate, rel=1e-6
+    )
 
 
 def test_sampled_rates_tend_to_the_continuous_one() -> None:
     """An error of first order: sides change at samples only."""
     exact = rates_of(scene()).rate
     for step in (1e-2, 1e-3, 1e-4):
-        assert rates_of(scene(simulation={"time": "sampled", "step": step})).rate == pytest.approx(exact, abs=0.1 * step)
+        assert rates_of(scene(simulation={"time": "sampled", "step": step})).rate == pytest.approx(
+            exact, abs=0.1 * step
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "never"),
     [
-        ({"plant": {"integrators": 2}, "observer": certified([3.0, 2.0], 1.0)}, ("x[0]", "centre[0]")),
+        (
+            {"plant": {"integrators": 2}, "observer": certified([3.0, 2.0], 1.0)},
+            ("x[0]", "centre[0]"),
+        ),
         ({"plant": {"integrators": 1}, "observer": certified([3.0], 1.0)}, ("x[0]", "centre[0]")),
-        ({"reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}}, ("left[0]",)),
-        ({"reference": {"kind": "sine", "amplitude": 0.9, "frequency": 1.0}}, ("right[0]", "left[0]")),
+        (
+            {"reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}},
+            ("left[0]",),
+        ),
+        (
+            {"reference": {"kind": "sine", "amplitude": 0.9, "frequency": 1.0}},
+            ("right[0]", "left[0]"),
+        ),
         ({"sensor": {"kind": "jump"}}, ()),
     ],
 )
-def test_errors_that_never_die_are_named_and_set_apart(changes: dict[str, Any], never: tuple[str, ...]) -> None:
+def test_errors_that_never_die_are_named_and_set_apart(
+    changes: dict[str, Any], never: tuple[str, ...]
+) -> None:
     found = rates_of(scene(**changes))
     assert found.never == never
     assert found.rate > 0.05
@@ -201,7 +286,9 @@ def test_errors_that_never_die_are_named_and_set_apart(changes: dict[str, Any], 
 
 
 def test_a_silent_sensor_leaves_the_plants_own_rate() -> None:
-    assert rates_of(scene(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})).rate == pytest.approx(1.0, rel=1e-6)
+    assert rates_of(
+        scene(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})
+    ).rate == pytest.approx(1.0, rel=1e-6)
 
 
 def test_errors_that_grow_have_a_negative_rate() -> None:
@@ -214,15 +301,23 @@ def test_errors_that_grow_have_a_negative_rate() -> None:
 def test_sides_change_where_the_sine_says(amplitude: float) -> None:
     found = schedule_of(scene(reference={"kind": "sine", "amplitude": amplitude, "frequency": 1.0}))
     first = np.arcsin(1 / amplitude) / (2 * np.pi)
-    assert np.cumsum(found.spans) == pytest.approx([first, 0.5 - first, 0.5 + first, 1 - first, 1.0], abs=1e-12)
+    assert np.cumsum(found.spans) == pytest.approx(
+        [first, 0.5 - first, 0.5 + first, 1 - first, 1.0], abs=1e-12
+    )
     assert found.sides.ravel().tolist() == [0.0, 1.0, 0.0, -1.0, 0.0]
     assert (found.low[0], found.high[0]) == (pytest.approx(-amplitude), pytest.approx(amplitude))
 
 
 def test_sides_of_a_trapezoid_and_of_a_touch() -> None:
-    found = merged(schedule_of(scene(reference={"kind": "trapezoid", "amplitude": 2.0, "rise": 1.0, "hold": 1.0})))
+    found = merged(
+        schedule_of(
+            scene(reference={"kind": "trapezoid", "amplitude": 2.0, "rise": 1.0, "hold": 1.0})
+        )
+    )
     assert found.spans == pytest.approx([0.5, 2.0, 1.0, 2.0, 0.5], abs=1e-12)
-    touching = schedule_of(scene(reference={"kind": "trapezoid", "amplitude": 1.0, "rise": 1.0, "hold": 1.0}))
+    touching = schedule_of(
+        scene(reference={"kind": "trapezoid", "amplitude": 1.0, "rise": 1.0, "hold": 1.0})
+    )
     assert not touching.sides.any()
 
 
@@ -231,7 +326,16 @@ def test_no_crossing_of_a_sum_of_sines_is_missed(seed: int, tones: int) -> None:
     """Against all roots of the trigonometric polynomial, from its companion matrix."""
     rng = np.random.default_rng(seed)
     amplitude, phase = rng.normal(size=tones), rng.uniform(0, 6, tones)
-    signal = exosystem("r", Sines(components=[Tone(amplitude=a, frequency=k + 1.0, phase=f) for k, (a, f) in enumerate(zip(amplitude, phase, strict=True))]), 1)
+    signal = exosystem(
+        "r",
+        Sines(
+            components=[
+                Tone(amplitude=a, frequency=k + 1.0, phase=f)
+                for k, (a, f) in enumerate(zip(amplitude, phase, strict=True))
+            ]
+        ),
+        1,
+    )
     level = rng.uniform(-1, 1) * np.abs(amplitude).sum() * 0.7
     found = roots(signal, signal.Q[0], level, np.array([0.0, 1.0]))
     polynomial = np.zeros(2 * tones + 1, complex)  # z^tones (r - level), z = e^{2 pi j t}
@@ -249,7 +353,9 @@ def test_crossings_of_samples(tmp_path: Any) -> None:
     path = tmp_path / "r.csv"
     path.write_text("t,r\n0,0\n1,2\n2,-2\n3,2\n")
     lines = exosystem("r", Samples(path=str(path), smooth=False), 1)
-    assert roots(lines, lines.Q[0], 1.0, lines.corners) == pytest.approx([0.5, 1.25, 2.75], abs=1e-12)
+    assert roots(lines, lines.Q[0], 1.0, lines.corners) == pytest.approx(
+        [0.5, 1.25, 2.75], abs=1e-12
+    )
     spline = exosystem("r", Samples(path=str(path)), 1)
     found = roots(spline, spline.Q[0], 1.0, spline.corners)
     assert found.size == 3

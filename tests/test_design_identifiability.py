@@ -14,7 +14,13 @@ from scipy.linalg import expm
 from scenes import PAPER_PLANT, random_plant, scene
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.information import deviations, information
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, cures, invisible, verdicts
+from undeadzone.analysis.identifiability.linear import (
+    DIRECTIONS,
+    Verdict,
+    cures,
+    invisible,
+    verdicts,
+)
 from undeadzone.analysis.side_schedule import Schedule, planned
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
@@ -36,12 +42,28 @@ def visiting(right: list[bool], left: list[bool], Ts: float | None = None) -> Sc
     sides = np.array([np.zeros(len(right)), np.array(right, float), -np.array(left, float)])
     spans = np.array([0.3, 0.5, 0.7]) if Ts is None else np.array([20.0, 30.0, 40.0])
     high, low = np.where(right, 2.0, 0.9), np.where(left, -2.0, -0.9)
-    return Schedule(sides, spans, Ts, True, 0.0 if Ts is None else 1.0, low, (high + low) / 2, high, np.ones((len(right), 2)))
+    return Schedule(
+        sides,
+        spans,
+        Ts,
+        True,
+        0.0 if Ts is None else 1.0,
+        low,
+        (high + low) / 2,
+        high,
+        np.ones((len(right), 2)),
+    )
 
 
 def plan(scenario: Scenario) -> tuple[Matrices, Schedule]:
     problem = resolve_scenario(scenario)
-    return problem.model.linear, planned(problem.model, problem.reference, problem.tracked, problem.sensor, scenario.simulation.duration)
+    return problem.model.linear, planned(
+        problem.model,
+        problem.reference,
+        problem.tracked,
+        problem.sensor,
+        scenario.simulation.duration,
+    )
 
 
 def flags(verdict: Verdict) -> tuple[bool, ...]:
@@ -49,7 +71,9 @@ def flags(verdict: Verdict) -> tuple[bool, ...]:
 
 
 @given(seeds, st.integers(1, 4), st.booleans(), st.booleans())
-def test_the_centre_is_known_exactly_when_A_is_nonsingular(seed: int, n: int, singular: bool, sampled: bool) -> None:
+def test_the_centre_is_known_exactly_when_A_is_nonsingular(
+    seed: int, n: int, singular: bool, sampled: bool
+) -> None:
     A, B, C = random_plant(np.random.default_rng(seed), n).linear
     if singular:
         A = np.where(np.arange(n) == 0, 0.0, A)
@@ -64,22 +88,42 @@ def test_the_centre_is_known_exactly_when_A_is_nonsingular(seed: int, n: int, si
 def test_verdict_of_each_visit(plant: Matrices, right: bool, left: bool) -> None:
     integrator = np.linalg.matrix_rank(plant.A) < len(plant.A)
     (found,) = verdicts(plant, visiting([right], [left]))
-    assert flags(found) == (right and not integrator, left and not integrator, right and left, right and left and not integrator)
+    assert flags(found) == (
+        right and not integrator,
+        left and not integrator,
+        right and left,
+        right and left and not integrator,
+    )
     assert sum("never reached" in reason for reason in found.reasons) == (not right) + (not left)
-    assert ("cannot be told from a shift" in " ".join(found.reasons)) == (integrator and right != left)
+    assert ("cannot be told from a shift" in " ".join(found.reasons)) == (
+        integrator and right != left
+    )
 
 
 @pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
-def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(Ts: float | None) -> None:
+def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(
+    Ts: float | None,
+) -> None:
     """C A^-1 B = 0 is a zero at s = 0: a constant input then leaves no trace in z."""
     for plant, felt in (
         (PAPER_PLANT.linear, True),
-        (matrices(Plant(transfer_function=TransferFunction(numerator=[1.0, 0.0], denominator=[1.0, 2.0, 1.0]))), False),
+        (
+            matrices(
+                Plant(
+                    transfer_function=TransferFunction(
+                        numerator=[1.0, 0.0], denominator=[1.0, 2.0, 1.0]
+                    )
+                )
+            ),
+            False,
+        ),
     ):
         model = plant if Ts is None else zoh(plant, Ts)
         (found,) = verdicts(model, visiting([True], [True], Ts), bias=model.B)
         assert flags(found) == (not felt, not felt, True, not felt)
-        assert ("constant input bias, centre and bias cannot be told apart" in " ".join(found.reasons)) == felt
+        assert (
+            "constant input bias, centre and bias cannot be told apart" in " ".join(found.reasons)
+        ) == felt
 
 
 def test_a_jump_sensor_tells_each_edge_that_is_passed() -> None:
@@ -89,7 +133,10 @@ def test_a_jump_sensor_tells_each_edge_that_is_passed() -> None:
 
 def test_each_output_is_judged_by_itself() -> None:
     """An integrator behind one dead zone, a stable part behind another: only the first loses its centre."""
-    found = verdicts(Matrices(np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)), visiting([True, True], [True, True]))
+    found = verdicts(
+        Matrices(np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)),
+        visiting([True, True], [True, True]),
+    )
     assert [verdict.centre for verdict in found] == [False, True]
     assert [verdict.width for verdict in found] == [True, True]
 
@@ -108,7 +155,11 @@ def test_verdicts_do_not_depend_on_units(seed: int, n: int, singular: bool) -> N
     A, B, C = random_plant(rng, n).linear
     if singular:
         A = np.where(np.arange(n) == 0, 0.0, A)
-    state, output, time = 10.0 ** rng.uniform(-4, 4, n), 10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-4, 4)
+    state, output, time = (
+        10.0 ** rng.uniform(-4, 4, n),
+        10.0 ** rng.uniform(-4, 4),
+        10.0 ** rng.uniform(-4, 4),
+    )
     scaled = Matrices(time * A * state / state[:, None], B / state[:, None], output * C * state)
     (found,) = verdicts(scaled, visiting([True], [True]))
     assert (found.width, found.centre) == (True, not singular)
@@ -127,15 +178,23 @@ def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: 
         return np.array(found)
 
     centre, moves = np.concatenate([x0, widths.ravel()]), np.eye(n + 2 * p) * step
-    return np.stack([(readings(centre + move) - readings(centre - move)) / (2 * step) for move in moves], axis=2)
+    return np.stack(
+        [(readings(centre + move) - readings(centre - move)) / (2 * step) for move in moves], axis=2
+    )
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {},
-        {"plant": {"integrators": 2, "x0": [0.2, 0.0]}, "observer": {"method": "certified", "L": [3.0, 2.0]}},
-        {"plant": {"companion": [0.0, 2.0, 3.0]}, "observer": {"method": "certified", "L": [3.0, 2.0, 0.0]}},
+        {
+            "plant": {"integrators": 2, "x0": [0.2, 0.0]},
+            "observer": {"method": "certified", "L": [3.0, 2.0]},
+        },
+        {
+            "plant": {"companion": [0.0, 2.0, 3.0]},
+            "observer": {"method": "certified", "L": [3.0, 2.0, 0.0]},
+        },
         {"reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}},
         {
             "plant": {
@@ -147,30 +206,56 @@ def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: 
         },
     ],
 )
-def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(changes: dict[str, Any]) -> None:
+def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
+    changes: dict[str, Any],
+) -> None:
     """Run the loop, perturb x(0) and the widths under the same input, square the change of the readings."""
     p = len(changes.get("plant", {}).get("C", [0]))
-    scenario = scene(**changes, sensor={"right": [1.0] * p, "left": [0.7] * p}, simulation={"time": "sampled", "step": 2e-2, "duration": 4.0})
+    scenario = scene(
+        **changes,
+        sensor={"right": [1.0] * p, "left": [0.7] * p},
+        simulation={"time": "sampled", "step": 2e-2, "duration": 4.0},
+    )
     run, problem = simulate(scenario), resolve_scenario(scenario)
     plant, widths = problem.model.linear, np.tile(WIDTHS, (p, 1))
     rows = np.concatenate(sensitivities(plant, run.x[0], run.u, widths, 1e-5))
-    hidden = invisible(plant, np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1), 2e-2)
+    hidden = invisible(
+        plant, np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1), 2e-2
+    )
     _, singular, rotation = np.linalg.svd(rows)
     kernel = rotation[int((singular > 1e-6 * singular[0]).sum()) :].T
     found = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     assert found.shape == kernel.shape
     assert found @ found.T == pytest.approx(kernel @ kernel.T, abs=1e-5)
-    names = [part for verdict in run.info.identifiable for part in [[verdict[name] for name in DIRECTIONS]]]
-    assert names == [[not (np.abs(np.array(g) @ kernel[len(plant.A) + 2 * i :][:2]) > 1e-6).any() for g in DIRECTIONS.values()] for i in range(p)]
+    names = [
+        part
+        for verdict in run.info.identifiable
+        for part in [[verdict[name] for name in DIRECTIONS]]
+    ]
+    assert names == [
+        [
+            not (np.abs(np.array(g) @ kernel[len(plant.A) + 2 * i :][:2]) > 1e-6).any()
+            for g in DIRECTIONS.values()
+        ]
+        for i in range(p)
+    ]
 
 
 @pytest.mark.parametrize("bias", [False, True])
 def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     """Sampled, without process noise: sigma times the root of the inverse of the summed squares."""
-    scenario = scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0})
+    scenario = scene(
+        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0}
+    )
     linear, schedule = plan(scenario)
     found = deviations(linear, schedule, np.array([0.05]), 2e-2, 3.0, linear.B if bias else None)
-    run = simulate(scene(sensor={"left": 0.7}, plant={**PAPER, "x0": [0.0, 0.0]}, simulation={"time": "sampled", "step": 2e-2, "duration": 12.0}))
+    run = simulate(
+        scene(
+            sensor={"left": 0.7},
+            plant={**PAPER, "x0": [0.0, 0.0]},
+            simulation={"time": "sampled", "step": 2e-2, "duration": 12.0},
+        )
+    )
     later = slice(450, 600)  # three whole periods, the transients gone
     rows = np.concatenate(sensitivities(linear, run.x[450], run.u[later], WIDTHS[None], 1e-5))
     if bias:
@@ -185,7 +270,9 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
         if bias and name != "width":
             assert found.widths[0][name] == np.inf
         else:
-            assert found.widths[0][name] == pytest.approx(float(np.sqrt(np.array(g) @ covariance[2:4, 2:4] @ np.array(g))), rel=1e-4)
+            assert found.widths[0][name] == pytest.approx(
+                float(np.sqrt(np.array(g) @ covariance[2:4, 2:4] @ np.array(g))), rel=1e-4
+            )
     assert np.isinf(found.states).tolist() == [bias, False]
 
 
@@ -210,7 +297,9 @@ def test_continuous_information_is_the_integral_of_squared_sensitivities() -> No
 
 def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
     """A Kalman filter on [x; d] over the same sides, started with a vague prior, ends with the same variance of d."""
-    scenario = scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0})
+    scenario = scene(
+        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0}
+    )
     linear, schedule = plan(scenario)
     Q = np.zeros((4, 4))
     Q[:2, :2] = 0.3 * linear.B @ linear.B.T
@@ -221,23 +310,40 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
         if side:
             row = np.array([*linear.C[0], -max(side, 0.0), max(-side, 0.0)])
             K = P @ row / (row @ P @ row + 0.05**2)
-            P = (np.eye(4) - np.outer(K, row)) @ P @ (np.eye(4) - np.outer(K, row)).T + 0.05**2 * np.outer(K, K)
+            P = (np.eye(4) - np.outer(K, row)) @ P @ (
+                np.eye(4) - np.outer(K, row)
+            ).T + 0.05**2 * np.outer(K, K)
         P = F @ P @ F.T + Q
     for name, g in DIRECTIONS.items():
-        assert found.widths[0][name] == pytest.approx(float(np.sqrt(np.array(g) @ P[2:, 2:] @ np.array(g))), rel=1e-3)
+        assert found.widths[0][name] == pytest.approx(
+            float(np.sqrt(np.array(g) @ P[2:, 2:] @ np.array(g))), rel=1e-3
+        )
 
 
 def test_continuous_and_sampled_deviations_agree_for_short_samples() -> None:
     for process in (None, 0.2 * PAPER_PLANT.linear.B @ PAPER_PLANT.linear.B.T):
         linear, schedule = plan(scene(sensor={"left": 0.7}))
         one = deviations(linear, schedule, np.array([0.05]), 1e-3, 10.0, process=process)
-        linear, schedule = plan(scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 1e-3}))
-        other = deviations(linear, schedule, np.array([0.05]), 1e-3, 10.0, process=None if process is None else process * 1e-3)
-        assert [one.widths[0][name] for name in DIRECTIONS] == pytest.approx([other.widths[0][name] for name in DIRECTIONS], rel=0.02)
+        linear, schedule = plan(
+            scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 1e-3})
+        )
+        other = deviations(
+            linear,
+            schedule,
+            np.array([0.05]),
+            1e-3,
+            10.0,
+            process=None if process is None else process * 1e-3,
+        )
+        assert [one.widths[0][name] for name in DIRECTIONS] == pytest.approx(
+            [other.widths[0][name] for name in DIRECTIONS], rel=0.02
+        )
 
 
 def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
-    linear, schedule = plan(scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]}))
+    linear, schedule = plan(
+        scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]})
+    )
     found = deviations(linear, schedule, np.array([0.05]), 1e-3, 1e4)
     assert 0 < found.widths[0]["centre"] < 1.0
 
@@ -258,7 +364,9 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
             row = np.hstack([linear.C * abs(sides), -pattern(tuple(sides.astype(int)))])
             for _ in range(round(span / h)):
                 if sides.any():
-                    joint = np.block([[np.full((1, 1), sigma), row @ root], [np.zeros((4, 1)), root]])
+                    joint = np.block(
+                        [[np.full((1, 1), sigma), row @ root], [np.zeros((4, 1)), root]]
+                    )
                     root = np.linalg.qr(joint.T, mode="r").T[1:, 1:]
                 root = np.linalg.qr(np.hstack([Phi @ root, spread]).T, mode="r").T
     d = (root @ root.T)[2:, 2:]
@@ -269,8 +377,12 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
 def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
     linear, schedule = plan(scene())
     one = deviations(linear, schedule, np.array([0.05]), 1e-3, 100.0).widths[0]["width"]
-    assert deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0]["width"] == pytest.approx(2 * one, rel=1e-9)
-    assert deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0]["width"] == pytest.approx(one / 2, rel=0.02)
+    assert deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0][
+        "width"
+    ] == pytest.approx(2 * one, rel=1e-9)
+    assert deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0][
+        "width"
+    ] == pytest.approx(one / 2, rel=0.02)
 
 
 @pytest.mark.parametrize("sampled", [False, True])
@@ -283,7 +395,15 @@ def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offse
 
     def judge(amplitude: float, offset: float) -> tuple[Verdict, Any]:
         linear, schedule = plan(
-            scene(reference={"kind": "sine", "amplitude": amplitude, "frequency": 0.2, "offset": offset}, simulation={"duration": 10.0, **time})
+            scene(
+                reference={
+                    "kind": "sine",
+                    "amplitude": amplitude,
+                    "frequency": 0.2,
+                    "offset": offset,
+                },
+                simulation={"duration": 10.0, **time},
+            )
         )
         return verdicts(linear, schedule)[0], cures(linear, schedule)
 
@@ -298,12 +418,22 @@ def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offse
 
 def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> None:
     """A sum of sines that dwells near its least value: scaling moves the far end more than a shift."""
-    tones = [{"amplitude": 2.0, "frequency": 0.5, "phase": np.pi / 2}, {"amplitude": 0.9, "frequency": 1.0, "phase": np.pi / 2}]
-    linear, schedule = plan(scene(reference={"kind": "sines", "components": tones}, sensor={"left": 1.6}))
+    tones = [
+        {"amplitude": 2.0, "frequency": 0.5, "phase": np.pi / 2},
+        {"amplitude": 0.9, "frequency": 1.0, "phase": np.pi / 2},
+    ]
+    linear, schedule = plan(
+        scene(reference={"kind": "sines", "components": tones}, sensor={"left": 1.6})
+    )
     (cure,) = cures(linear, schedule)
     assert cure.shift is not None
     assert cure.shift < 0
-    moved = plan(scene(reference={"kind": "sines", "components": tones, "offset": cure.shift}, sensor={"left": 1.6}))
+    moved = plan(
+        scene(
+            reference={"kind": "sines", "components": tones, "offset": cure.shift},
+            sensor={"left": 1.6},
+        )
+    )
     assert verdicts(*moved)[0].centre
     assert cures(*moved) == []
 
@@ -324,6 +454,8 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         ({"kind": "sine", "amplitude": 0.5, "frequency": 0.3}, False),
         ({"kind": "sine", "amplitude": 0.5, "frequency": 0.3, "offset": 0.1}, True),
     ):
-        (verdict,) = simulate(scene(disturbance=disturbance, simulation={"duration": 4.0})).info.identifiable
+        (verdict,) = simulate(
+            scene(disturbance=disturbance, simulation={"duration": 4.0})
+        ).info.identifiable
         assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std"}
         assert (verdict["width"], verdict["centre"]) == (True, not hides)

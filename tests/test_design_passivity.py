@@ -13,7 +13,14 @@ from benchmarks.designs import random_design, random_matrices
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.analysis.certificate import positive_real as frequency
 from undeadzone.analysis.certificate.nearest import decay_limit, nearest
-from undeadzone.analysis.certificate.passivity import Certificate, certify, certify_dynamics, margin, passive_gain, recheck
+from undeadzone.analysis.certificate.passivity import (
+    Certificate,
+    certify,
+    certify_dynamics,
+    margin,
+    passive_gain,
+    recheck,
+)
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
@@ -39,7 +46,9 @@ def gridded(linear: Matrices, L: Floats, Ts: float | None) -> float:
     else:
         s = np.expm1(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 20001)])) / Ts
     n = len(L)
-    G = linear.C @ np.linalg.solve(s[:, None, None] * np.eye(n) - delta(linear, Ts), L[None].astype(complex))
+    G = linear.C @ np.linalg.solve(
+        s[:, None, None] * np.eye(n) - delta(linear, Ts), L[None].astype(complex)
+    )
     return float(np.linalg.eigvalsh((G + G.conj().transpose(0, 2, 1)) / 2)[:, 0].min())
 
 
@@ -76,8 +85,18 @@ def test_the_papers_gains_miss_it_narrowly() -> None:
     assert "2.49 rad/s" in found.reason
 
 
-@pytest.mark.parametrize(("L", "gamma", "least"), [((1, 1.5), 10.0, 0.8875), ((2, 3), 10.0, 0.775), ((0, 0), 10.0, 1.0), ((-0.8733, 0.7567), 7.78, 0.0101)])
-def test_gains_of_the_table_are_certified(L: tuple[float, float], gamma: float, least: float) -> None:
+@pytest.mark.parametrize(
+    ("L", "gamma", "least"),
+    [
+        ((1, 1.5), 10.0, 0.8875),
+        ((2, 3), 10.0, 0.775),
+        ((0, 0), 10.0, 1.0),
+        ((-0.8733, 0.7567), 7.78, 0.0101),
+    ],
+)
+def test_gains_of_the_table_are_certified(
+    L: tuple[float, float], gamma: float, least: float
+) -> None:
     found = certify(PAPER, column(*L), np.array([gamma]))
     assert found.certified
     assert found.margin == pytest.approx(least, abs=1e-9)
@@ -109,7 +128,9 @@ def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
     assert grid - least < 1e-3 * max(1, abs(grid))
     G = frequency.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
     at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
-    assert np.linalg.eigvalsh(G.at(np.array([at]))[0])[0] == pytest.approx(least, rel=1e-6, abs=1e-9)
+    assert np.linalg.eigvalsh(G.at(np.array([at]))[0])[0] == pytest.approx(
+        least, rel=1e-6, abs=1e-9
+    )
 
 
 def exact(M: Any) -> list[list[Fraction]]:
@@ -117,7 +138,13 @@ def exact(M: Any) -> list[list[Fraction]]:
 
 
 def product(X: list[list[Fraction]], Y: list[list[Fraction]]) -> list[list[Fraction]]:
-    return [[sum((a * b for a, b in zip(row, col, strict=True)), Fraction(0)) for col in zip(*Y, strict=True)] for row in X]
+    return [
+        [
+            sum((a * b for a, b in zip(row, col, strict=True)), Fraction(0))
+            for col in zip(*Y, strict=True)
+        ]
+        for row in X
+    ]
 
 
 def positive_definite(M: list[list[Fraction]]) -> bool:
@@ -135,23 +162,51 @@ def positive_definite(M: list[list[Fraction]]) -> bool:
 def proved_exactly(found: Certificate, linear: Matrices) -> bool:
     """V+ - V < 0 or V' < 0 in (x~, e), from the plain (not the delta) form, in rational numbers."""
     given, Ts = found.dynamics, found.dynamics.Ts
-    A, C, L, P, W = exact(linear.A), exact(given.C), exact(given.L), exact(found.P), exact(np.diag(found.W))
+    A, C, L, P, W = (
+        exact(linear.A),
+        exact(given.C),
+        exact(given.L),
+        exact(found.P),
+        exact(np.diag(found.W)),
+    )
     n, p = given.L.shape
     CW = product([list(col) for col in zip(*C, strict=True)], W)
     if Ts is None:
         PA, PL = product(P, A), product(P, L)
-        top = [[PA[i][j] + PA[j][i] for j in range(n)] + [CW[i][j] - PL[i][j] for j in range(p)] for i in range(n)]
-        bottom = [[top[j][n + i] for j in range(n)] + [-2 * W[i][j] for j in range(p)] for i in range(p)]
+        top = [
+            [PA[i][j] + PA[j][i] for j in range(n)] + [CW[i][j] - PL[i][j] for j in range(p)]
+            for i in range(n)
+        ]
+        bottom = [
+            [top[j][n + i] for j in range(n)] + [-2 * W[i][j] for j in range(p)] for i in range(p)
+        ]
     else:
         step = Fraction(Ts)
         F = [A[i] + [-step * entry for entry in L[i]] for i in range(n)]
         square = product([list(col) for col in zip(*F, strict=True)], product(P, F))
-        gamma = [step * max(Fraction(given.gamma[2 * i, 2 * i]), Fraction(given.gamma[2 * i + 1, 2 * i + 1])) for i in range(p)]
-        top = [[(square[i][j] - (P[i][j] if j < n else 0)) / step + (CW[i][j - n] if j >= n else 0) for j in range(n + p)] for i in range(n)]
-        bottom = [
-            [top[j][n + i] for j in range(n)] + [square[n + i][n + j] / step + (W[i][i] * (gamma[i] - 2) if i == j else 0) for j in range(p)] for i in range(p)
+        gamma = [
+            step
+            * max(Fraction(given.gamma[2 * i, 2 * i]), Fraction(given.gamma[2 * i + 1, 2 * i + 1]))
+            for i in range(p)
         ]
-    return positive_definite(P) and positive_definite([[-entry for entry in row] for row in top + bottom])
+        top = [
+            [
+                (square[i][j] - (P[i][j] if j < n else 0)) / step + (CW[i][j - n] if j >= n else 0)
+                for j in range(n + p)
+            ]
+            for i in range(n)
+        ]
+        bottom = [
+            [top[j][n + i] for j in range(n)]
+            + [
+                square[n + i][n + j] / step + (W[i][i] * (gamma[i] - 2) if i == j else 0)
+                for j in range(p)
+            ]
+            for i in range(p)
+        ]
+    return positive_definite(P) and positive_definite(
+        [[-entry for entry in row] for row in top + bottom]
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -181,8 +236,14 @@ def test_margin_of_several_outputs_is_the_best_over_weights(seed: int) -> None:
 
 def test_decoupled_outputs_have_the_least_of_their_margins() -> None:
     one, two = certify(PAPER, column(4, 6), np.ones(1)), certify(PAPER, column(1, 1.5), np.ones(1))
-    both = Matrices(np.kron(np.eye(2), PAPER.A), np.kron(np.eye(2), PAPER.B), np.kron(np.eye(2), PAPER.C))
-    found = certify(both, np.block([[column(4, 6), np.zeros((2, 1))], [np.zeros((2, 1)), column(1, 1.5)]]), np.ones(2))
+    both = Matrices(
+        np.kron(np.eye(2), PAPER.A), np.kron(np.eye(2), PAPER.B), np.kron(np.eye(2), PAPER.C)
+    )
+    found = certify(
+        both,
+        np.block([[column(4, 6), np.zeros((2, 1))], [np.zeros((2, 1)), column(1, 1.5)]]),
+        np.ones(2),
+    )
     assert found.certified
     assert found.margin == pytest.approx(min(one.margin, two.margin), abs=1e-8)
 
@@ -195,7 +256,12 @@ def test_units_do_not_matter(Ts: float | None) -> None:
     gamma = np.array([0.5, 0.2])
     plain = certify(linear, L, gamma, Ts)
     x, y = np.array([1e-4, 1.0, 1e5, 30.0]), np.array([1e3, 1e-2])
-    other = certify(Matrices(linear.A * x / x[:, None], linear.B, linear.C * x / y[:, None]), L * y / x[:, None], gamma, Ts)
+    other = certify(
+        Matrices(linear.A * x / x[:, None], linear.B, linear.C * x / y[:, None]),
+        L * y / x[:, None],
+        gamma,
+        Ts,
+    )
     assert plain.certified
     assert other.certified
     assert other.margin == pytest.approx(plain.margin, abs=1e-6)
@@ -209,7 +275,10 @@ def test_units_do_not_matter(Ts: float | None) -> None:
 def test_sampled_tends_to_continuous() -> None:
     L, gamma = column(1, 1.5), np.array([10.0])
     limit = certify(PAPER, L, gamma)
-    errors = [abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin) for Ts in (1e-2, 1e-3, 1e-4)]
+    errors = [
+        abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin)
+        for Ts in (1e-2, 1e-3, 1e-4)
+    ]
     assert errors[0] > errors[1] > errors[2]
     assert errors[1] / errors[2] == pytest.approx(10, rel=0.05)
 
@@ -230,10 +299,14 @@ def test_gamma_may_differ_right_and_left_and_be_full() -> None:
     full = np.array([[2.0, 1.0], [1.0, 3.0]])
     assert adaptation(full, 1).tolist() == full.tolist()
     linear, Ts = zoh(PAPER, 0.1), 0.1
-    right, left = (certify(linear, column(1, 1.5), np.array([pair]), Ts) for pair in ([6.0, 1.0], [1.0, 6.0]))
+    right, left = (
+        certify(linear, column(1, 1.5), np.array([pair]), Ts) for pair in ([6.0, 1.0], [1.0, 6.0])
+    )
     assert right.certified
     assert right.margin == pytest.approx(left.margin)
-    assert right.margin == pytest.approx(certify(linear, column(1, 1.5), np.array([6.0]), Ts).margin)
+    assert right.margin == pytest.approx(
+        certify(linear, column(1, 1.5), np.array([6.0]), Ts).margin
+    )
     assert certify(linear, column(1, 1.5), full, Ts).certified
 
 
@@ -252,7 +325,11 @@ def test_outputs_that_gamma_couples_share_a_weight() -> None:
     [
         (np.array([-1.0]), InputError, "gamma: must not be negative, found -1"),
         (np.array([1.0, 2.0]), ShapeError, "gamma: expected 1 number"),
-        (np.array([[1.0, 2.0], [2.0, 1.0]]), InputError, "gamma: a full matrix must be symmetric and positive definite"),
+        (
+            np.array([[1.0, 2.0], [2.0, 1.0]]),
+            InputError,
+            "gamma: a full matrix must be symmetric and positive definite",
+        ),
     ],
 )
 def test_impossible_gamma_is_refused(gamma: Floats, error: type[Exception], message: str) -> None:
@@ -261,7 +338,9 @@ def test_impossible_gamma_is_refused(gamma: Floats, error: type[Exception], mess
 
 
 def test_gains_of_the_wrong_shape_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"L: expected a 2 x 1 matrix \(states x outputs\), found 1 x 2"):
+    with pytest.raises(
+        ShapeError, match=r"L: expected a 2 x 1 matrix \(states x outputs\), found 1 x 2"
+    ):
         certify(PAPER, np.array([[1.0, 1.0]]), np.ones(1))
 
 
@@ -279,7 +358,9 @@ def test_recheck_trusts_nobody() -> None:
     assert not recheck(given._replace(A=(-PAPER.A,)), P, W).proved
     edge = given._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
     assert recheck(edge, np.eye(1), np.ones(1)).proved
-    assert not recheck(edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)).proved
+    assert not recheck(
+        edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)
+    ).proved
 
 
 IMPOSSIBLE: list[tuple[Any, str]] = [
@@ -295,7 +376,9 @@ IMPOSSIBLE: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
 @pytest.mark.parametrize(("A", "reason"), IMPOSSIBLE)
-def test_marginal_and_unstable_models_get_an_honest_no(A: Any, reason: str, Ts: float | None) -> None:
+def test_marginal_and_unstable_models_get_an_honest_no(
+    A: Any, reason: str, Ts: float | None
+) -> None:
     A = np.array(A)
     n = len(A)
     linear = sampled(Matrices(A, np.eye(n)[:, -1:], np.eye(n)[:1]), Ts)
@@ -340,7 +423,11 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
         """Energy of the impulse response of C (s - A)^-1 change, summed the naive way over eigenvalues."""
         poles, V = np.linalg.eig(delta(linear, Ts))
         residues = (linear.C @ V).ravel() * np.linalg.solve(V, change).ravel()
-        overlap = poles[:, None] + poles.conj() + (0 if Ts is None else Ts * poles[:, None] * poles.conj())
+        overlap = (
+            poles[:, None]
+            + poles.conj()
+            + (0 if Ts is None else Ts * poles[:, None] * poles.conj())
+        )
         return float(np.sqrt(np.real(-(residues[:, None] * residues.conj() / overlap).sum())))
 
     best = size(found.certificate.dynamics.L - L)
@@ -379,7 +466,11 @@ def test_one_v_for_several_vertices() -> None:
     """A common P for stiffness and damping within 50 %; none where a vertex is unstable, or where 90 % is asked."""
 
     def vertices(spread: float) -> Dynamics:
-        corners = [np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]) for a in (-1, 1) for b in (-1, 1)]
+        corners = [
+            np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]])
+            for a in (-1, 1)
+            for b in (-1, 1)
+        ]
         return dynamics(PAPER, column(1, 1.5), np.ones(1), None)._replace(A=tuple(corners))
 
     found = certify_dynamics(vertices(0.5))

@@ -27,7 +27,9 @@ def model(A: Floats, B: Floats) -> Matrices:
     return Matrices(np.asarray(A, float), np.asarray(B, float), np.zeros((0, len(A))))
 
 
-@pytest.mark.filterwarnings("ignore:Input .a. has an eigenvalue pair:RuntimeWarning")  # of the nearly singular Newton step of the last case
+@pytest.mark.filterwarnings(
+    "ignore:Input .a. has an eigenvalue pair:RuntimeWarning"
+)  # of the nearly singular Newton step of the last case
 @pytest.mark.parametrize("k", range(20))
 def test_carex(k: int) -> None:
     """The 20 cases of the CAREX collection that scipy's tests carry: the residual is small and the loop stable in all of them.
@@ -57,7 +59,9 @@ def test_darex(k: int) -> None:
     P, K, residual = riccati(model(A, B), Q, R, 1.0)
     assert residual < 1e-11
     direct = A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) + Q
-    assert np.linalg.norm(direct) < 1e-11 * (np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A))
+    assert np.linalg.norm(direct) < 1e-11 * (
+        np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
+    )
     assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
 
 
@@ -77,15 +81,24 @@ def test_care_figures_of_octave() -> None:
 
 def test_place_figures_of_octave() -> None:
     """Its example for one input; its example for two, where K is not unique but the figure's poles are."""
-    K = place(np.array([[0.0, 1.0], [3.0, 2.0]]), np.array([[0.0], [1.0]]), np.array([-1.0, -0.5]), "poles")
+    K = place(
+        np.array([[0.0, 1.0], [3.0, 2.0]]),
+        np.array([[0.0], [1.0]]),
+        np.array([-1.0, -0.5]),
+        "poles",
+    )
     assert K.ravel() == pytest.approx([3.5, 3.5], abs=1e-14)
     A = np.array([[-6.8, 0, -207, 0], [1, 0, 0, 0], [43.2, 0, 0, -4.2], [0, 0, 1, 0]])
     B = np.array([[5.64, 0], [0, 0], [0, 1.18], [0, 0]])
     figure = -np.array([[-0.0876, -4.2138, 0.0837, -18.1412], [-0.0233, 18.2483, -0.4259, -4.8120]])
     poles = np.linalg.eigvals(A - B @ figure)
     K = place(A, B, poles, "poles")
-    assert np.sort_complex(np.linalg.eigvals(A - B @ K)) == pytest.approx(np.sort_complex(poles), abs=1e-6)
-    assert np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(axis=0) == pytest.approx([0, 0], abs=1e-3)
+    assert np.sort_complex(np.linalg.eigvals(A - B @ K)) == pytest.approx(
+        np.sort_complex(poles), abs=1e-6
+    )
+    assert np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(
+        axis=0
+    ) == pytest.approx([0, 0], abs=1e-3)
 
 
 @settings(max_examples=25)
@@ -122,5 +135,7 @@ def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
 def test_what_has_no_solution_is_said() -> None:
     with pytest.raises(StructureError, match="the Riccati equation has no stabilising solution"):
         riccati(model(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1))
-    with pytest.raises(StructureError, match="the discrete Riccati equation has no stabilising solution"):
+    with pytest.raises(
+        StructureError, match="the discrete Riccati equation has no stabilising solution"
+    ):
         riccati(model(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1), 0.1)

@@ -12,7 +12,14 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, scene
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
-from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain, project, sector, ultimate_bound
+from undeadzone.analysis.certificate.robust import (
+    certified_radius,
+    closed_loop,
+    l2_gain,
+    project,
+    sector,
+    ultimate_bound,
+)
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
@@ -65,16 +72,24 @@ def switched(
             F = generator(given, Mode(np.ones(1), S, np.ones(p), h))
             F[n:, n:] -= leak * given.gamma
             inputs = np.block(
-                [[E, -given.L @ active * noise, np.zeros((n, 2 * p))], [np.zeros((2 * p, E.shape[1])), given.gamma @ S.T * noise, leak * given.gamma]]
+                [
+                    [E, -given.L @ active * noise, np.zeros((n, 2 * p))],
+                    [np.zeros((2 * p, E.shape[1])), given.gamma @ S.T * noise, leak * given.gamma],
+                ]
             )
             if given.Ts is None:
                 size = len(F)
-                both = expm(h * np.block([[F, inputs], [np.zeros((inputs.shape[1], size + inputs.shape[1]))]]))
+                both = expm(
+                    h
+                    * np.block([[F, inputs], [np.zeros((inputs.shape[1], size + inputs.shape[1]))]])
+                )
                 maps[key] = both[:size, :size], both[:size, size:]
             else:
                 maps[key] = np.eye(len(F)) + given.Ts * F, given.Ts * inputs
         step, drive = maps[key]
-        after = step @ found[-1] + drive @ np.concatenate([w[k], v[k], np.full(2 * p, d0) if np.ndim(d0) == 0 else d0])
+        after = step @ found[-1] + drive @ np.concatenate(
+            [w[k], v[k], np.full(2 * p, d0) if np.ndim(d0) == 0 else d0]
+        )
         if limit is not None:
             after[n:] = np.clip(after[n:], -limit, limit)
         found.append(after)
@@ -84,7 +99,9 @@ def switched(
 def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
     """A random sequence of rows, each held for about `hold` steps."""
     choices = np.asarray(choices, float)
-    picks = np.repeat(rng.integers(len(choices), size=steps), rng.integers(1, 2 * hold, size=steps))[:steps]
+    picks = np.repeat(
+        rng.integers(len(choices), size=steps), rng.integers(1, 2 * hold, size=steps)
+    )[:steps]
     return choices[picks]
 
 
@@ -94,7 +111,11 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
     """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v; the worst w is a slow one on the silent side."""
     given = paper(Ts, np.array(gains)[:, None], 2.0)
     E = entry(Ts)
-    both, only_w, only_v = l2_gain(given, E, np.array([0.3])), l2_gain(given, E), l2_gain(given, noise=np.array([0.3]))
+    both, only_w, only_v = (
+        l2_gain(given, E, np.array([0.3])),
+        l2_gain(given, E),
+        l2_gain(given, noise=np.array([0.3])),
+    )
     assert both.check.proved
     assert only_w.check.proved
     assert only_v.check.proved
@@ -112,7 +133,9 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
         for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
             path = switched(given, sides, steps, h, E, dist, np.array([0.3]), noise, start)
             z2 = (path[:-1, 0] ** 2).sum() * h
-            supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum())
+            supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (
+                found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum()
+            )
             assert z2 <= supply * (1 + (0.03 if Ts is None else 1e-9))
 
 
@@ -122,7 +145,17 @@ def test_the_disturbance_gain_is_reached() -> None:
     found = l2_gain(given, B)
     assert found.disturbance == pytest.approx(1.0, abs=1e-5)
     steps, h = 20_000, 0.02
-    path = switched(given, np.zeros((steps, 1)), steps, h, B, np.ones((steps, 1)), np.zeros(1), np.zeros((steps, 1)), np.zeros(4))
+    path = switched(
+        given,
+        np.zeros((steps, 1)),
+        steps,
+        h,
+        B,
+        np.ones((steps, 1)),
+        np.zeros(1),
+        np.zeros((steps, 1)),
+        np.zeros(4),
+    )
     assert (path[:-1, 0] ** 2).sum() >= 0.99 * steps
 
 
@@ -142,16 +175,29 @@ def test_gains_of_an_uncertified_observer_are_infinite() -> None:
 
 def test_gains_do_not_depend_on_units() -> None:
     given, x, y = paper(), np.array([1e4, 1e-3]), 100.0
-    other = dynamics(Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y), L * y / x[:, None], np.array([10.0]), None)
-    one, two = l2_gain(given, B, np.array([0.3])), l2_gain(other, B / x[:, None], np.array([0.3 / y]))
+    other = dynamics(
+        Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y),
+        L * y / x[:, None],
+        np.array([10.0]),
+        None,
+    )
+    one, two = (
+        l2_gain(given, B, np.array([0.3])),
+        l2_gain(other, B / x[:, None], np.array([0.3 / y])),
+    )
     assert np.array(two[:2]) * y == pytest.approx(np.array(one[:2]), rel=1e-4)
-    a, b = ultimate_bound(given, 0.5, B, np.array([0.1])), ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y]))
+    a, b = (
+        ultimate_bound(given, 0.5, B, np.array([0.1])),
+        ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y])),
+    )
     assert b.bound * y == pytest.approx(a.bound, rel=1e-3)
 
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
 @pytest.mark.parametrize("sigma", [0.0, 0.02, 0.2])
-def test_ultimate_bound_holds_with_projection_and_with_leakage(sigma: float, Ts: float | None) -> None:
+def test_ultimate_bound_holds_with_projection_and_with_leakage(
+    sigma: float, Ts: float | None
+) -> None:
     """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level, whatever sides, w and v."""
     given = paper(Ts, gamma=[[5.0, 2.0]])
     E, noise, widths = entry(Ts), np.array([0.1]), np.array([0.4, 0.7])
@@ -167,7 +213,9 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(sigma: float, Ts:
         v = held(rng, [[-1.0], [1.0]], steps, 10)
         start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
         d0 = widths * rng.choice([-1, 1], 2)
-        path = switched(given, sides, steps, h, E, w, noise, v, start, sigma, d0, widths if sigma == 0 else None)
+        path = switched(
+            given, sides, steps, h, E, w, noise, v, start, sigma, d0, widths if sigma == 0 else None
+        )
         tail = path[-1500:]
         assert np.abs(tail[:, 0]).max() <= found.bound
         assert found.V.value(tail[:, :2], tail[:, 2:]).max() <= found.level
@@ -183,7 +231,9 @@ def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
 
 
 def test_leakage_is_refused_where_it_is_not_covered() -> None:
-    with pytest.raises(InputError, match="sigma: leakage is covered for a diagonal positive Gamma only"):
+    with pytest.raises(
+        InputError, match="sigma: leakage is covered for a diagonal positive Gamma only"
+    ):
         ultimate_bound(paper(gamma=np.array([[2.0, 1.0], [1.0, 2.0]])), 0.5, sigma=0.1)
     with pytest.raises(InputError, match="sigma: Ts sigma gamma must be below 1, found 2"):
         ultimate_bound(paper(0.1, gamma=10.0), 0.5, sigma=2.0)
@@ -212,13 +262,21 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
 def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
     """A + E Delta F_A, B + E Delta F_B with |Delta| just below the certified radius: V of (x - x_ref, x~, d~) falls."""
     model = PAPER if Ts is None else zoh(PAPER, Ts)
-    K, E, F_A, F_B = np.array([[1.0, 1.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 2.0]]), np.array([[1.0]])
+    K, E, F_A, F_B = (
+        np.array([[1.0, 1.0]]),
+        np.array([[0.0], [1.0]]),
+        np.array([[1.0, 2.0]]),
+        np.array([[1.0]]),
+    )
     nominal = closed_loop(model, [model], L, K, np.array([5.0]), Ts)
     F = np.hstack([F_A - F_B @ K, F_B @ K])
     radius = certified_radius(nominal, np.vstack([E, E]), F)
     assert 0.1 < radius < 1
     step = 1.0 if Ts is None else Ts
-    plants = [Matrices(model.A + step * share * E @ F_A, model.B + step * share * E @ F_B, C) for share in (-0.999 * radius, 0.999 * radius)]
+    plants = [
+        Matrices(model.A + step * share * E @ F_A, model.B + step * share * E @ F_B, C)
+        for share in (-0.999 * radius, 0.999 * radius)
+    ]
     V = l2_gain(nominal, np.vstack([E, E]), output=F).V
     assert not falsify(closed_loop(model, plants, L, K, np.array([5.0]), Ts), V, 5000).broken
 
@@ -235,7 +293,9 @@ def test_known_nonlinear_plant(Ts: float | None) -> None:
     assert found.certified
     ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
     assert not falsify(ends, found.V, 5000).broken
-    assert certify_dynamics(ends).certified  # Jacobian vertices: the same here, phi being one component
+    assert certify_dynamics(
+        ends
+    ).certified  # Jacobian vertices: the same here, phi being one component
     assert not sector(given, -B, C, np.array([-0.1]), np.array([1.0])).certified
     with pytest.raises(InputError, match="low: must not exceed high"):
         sector(given, -B, C, np.array([1.0]), np.array([0.0]))
@@ -251,11 +311,22 @@ def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
 
 def test_v_falls_along_a_nonlinear_closed_loop() -> None:
     """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls from sample to sample."""
-    plant = {"f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"], "h": ["x1"], "states": ["x1", "x2"], "x0": [3.0, -2.0]}
+    plant = {
+        "f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"],
+        "h": ["x1"],
+        "states": ["x1", "x2"],
+        "x0": [3.0, -2.0],
+    }
     run = simulate(
         scene(
             plant=plant,
-            observer={"method": "certified", "L": [1.0, 1.5], "gamma": 5.0, "widths0": [0.2, 0.3], "width_max": 3.0},
+            observer={
+                "method": "certified",
+                "L": [1.0, 1.5],
+                "gamma": 5.0,
+                "widths0": [0.2, 0.3],
+                "width_max": 3.0,
+            },
             controller={"method": "state_feedback", "poles": [-2.0, -3.0]},
             simulation={"duration": 6.0},
         )
@@ -276,7 +347,11 @@ def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
 
     def corners(spread: float) -> list[Matrices]:
         found = [
-            Matrices(np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]), B * (1 + c * spread), C)
+            Matrices(
+                np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]),
+                B * (1 + c * spread),
+                C,
+            )
             for a, b, c in itertools.product((-1, 1), repeat=3)
         ]
         return found if Ts is None else [zoh(plant, Ts) for plant in found]
@@ -284,7 +359,9 @@ def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
     found = certify_dynamics(closed_loop(model, corners(0.2), L, K, np.array([5.0]), Ts))
     assert found.certified
     assert not falsify(found.dynamics, found.V, 10_000).broken
-    assert not certify_dynamics(closed_loop(model, corners(0.9), L, K, np.array([5.0]), Ts)).certified
+    assert not certify_dynamics(
+        closed_loop(model, corners(0.9), L, K, np.array([5.0]), Ts)
+    ).certified
     alone = certify_dynamics(closed_loop(model, [model], L, K, np.array([5.0]), Ts))
     assert alone.certified
     assert alone.margin <= certify(model, L, np.array([5.0]), Ts).margin + 1e-6
@@ -298,12 +375,21 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
             plant={"A": corner, "B": [[0.0], [1.2]], "C": [[1.0, 0.0]], "x0": [5.0, -3.0]},
             model={"A": PAPER.A.tolist(), "B": B.tolist()},
             reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
-            observer={"method": "certified", "L": [1.0, 1.5], "gamma": 5.0, "widths0": [0.2, 0.2], "width_max": 3.0},
+            observer={
+                "method": "certified",
+                "L": [1.0, 1.5],
+                "gamma": 5.0,
+                "widths0": [0.2, 0.2],
+                "width_max": 3.0,
+            },
             controller={"method": "state_feedback", "K": [[1.0, 1.0]]},
             simulation={"duration": 5.0},
         )
     )
-    plants = [Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C) for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2))]
+    plants = [
+        Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C)
+        for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2))
+    ]
     found = certify_dynamics(closed_loop(PAPER, plants, L, np.array([[1.0, 1.0]]), np.array([5.0])))
     assert found.certified
     V = found.V.value(np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat)
@@ -321,7 +407,10 @@ def test_projection_in_the_metric_of_v_never_raises_it() -> None:
     for _ in range(200):
         d, d_hat = rng.uniform(0, 1, 2), rng.normal(0.5, 1.0, 2)
         nearest = project(d_hat, found.V, limit)
-        before, after, naive = (found.V.value(np.zeros((1, 3)), (d - point)[None])[0] for point in (d_hat, nearest, np.clip(d_hat, 0, limit)))
+        before, after, naive = (
+            found.V.value(np.zeros((1, 3)), (d - point)[None])[0]
+            for point in (d_hat, nearest, np.clip(d_hat, 0, limit))
+        )
         assert ((nearest >= 0) & (nearest <= limit)).all()
         assert after <= before * (1 + 1e-9)
         clipped += naive > before * (1 + 1e-9)
@@ -333,7 +422,11 @@ def test_projection_in_the_metric_of_v_never_raises_it() -> None:
 @pytest.mark.parametrize("threshold", [0.0, 0.5, 2.0])
 def test_any_silence_threshold_is_certified(threshold: float) -> None:
     """|y| <= threshold counts as silence: V still never rises, in the real loop."""
-    run = simulate(scene(sensor={"right": 1.0, "left": 0.7, "threshold": threshold}, simulation={"duration": 3.0}))
+    run = simulate(
+        scene(
+            sensor={"right": 1.0, "left": 0.7, "threshold": threshold}, simulation={"duration": 3.0}
+        )
+    )
     assert run.info.certified
     assert run.largest_rise_of_V is not None
     assert run.largest_rise_of_V < 1e-9
@@ -344,7 +437,12 @@ def test_any_silence_threshold_is_certified(threshold: float) -> None:
 def test_noise_below_the_threshold_obeys_the_noise_gain() -> None:
     """Bounded noise, |v| <= threshold: no false side, so that int |z~|^2 <= V(0) + b^2 int |v|^2 in the real loop."""
     Ts, noise = 0.01, 0.02
-    run = simulate(scene(sensor={"noise": noise, "threshold": 6 * noise}, simulation={"time": "sampled", "step": Ts, "duration": 40.0}))
+    run = simulate(
+        scene(
+            sensor={"noise": noise, "threshold": 6 * noise},
+            simulation={"time": "sampled", "step": Ts, "duration": 40.0},
+        )
+    )
     found = l2_gain(paper(Ts), noise=np.array([1.0]))
     v = run.y - np.where(run.z > 1, run.z - 1, np.where(run.z < -1, run.z + 1, 0.0))
     assert np.abs(v).max() < 6 * noise

@@ -28,7 +28,11 @@ from undeadzone.synthesis.gain_search import Weights, assess
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {
-    "plant": {"A": [[-1.0, 0.4], [0.3, -2.0]], "B": [[1.0, 0.2], [0.0, 1.5]], "C": [[1.0, 0.3], [0.0, 1.0]]},
+    "plant": {
+        "A": [[-1.0, 0.4], [0.3, -2.0]],
+        "B": [[1.0, 0.2], [0.0, 1.5]],
+        "C": [[1.0, 0.3], [0.0, 1.0]],
+    },
     "sensor": {"right": [0.5, 0.2], "left": [0.3, 0.6]},
     "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5, "phase": [0.0, 1.0]},
     "observer": {"method": "certified", "gamma": [2.0, 3.0], "L": [[0.2, 0.0], [0.1, 0.3]]},
@@ -47,7 +51,9 @@ def quickest() -> Design:
 
 def test_evolve_finds_the_bottom_of_a_curved_valley() -> None:
     def rosenbrock(x: Floats) -> Floats:
-        return np.asarray((100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2 + (1 - x[:, :-1]) ** 2).sum(axis=1))
+        return np.asarray(
+            (100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2 + (1 - x[:, :-1]) ** 2).sum(axis=1)
+        )
 
     low, high = np.full(4, -3.0), np.full(4, 3.0)
     x, cost = evolve(rosenbrock, low, high, seed=1, size=32, rounds=400)
@@ -64,7 +70,9 @@ def test_pareto_finds_a_front_that_is_known() -> None:
         found = np.stack([((x - 1.0) ** 2).sum(axis=1), ((x + 1.0) ** 2).sum(axis=1)], axis=1)
         return np.where(x[:, :1] < 0.9, found, np.inf)
 
-    points, found = pareto(costs, np.full(3, -3.0), np.full(3, 3.0), seed=0, starts=np.zeros((1, 3)), divisions=40)
+    points, found = pareto(
+        costs, np.full(3, -3.0), np.full(3, 3.0), seed=0, starts=np.zeros((1, 3)), divisions=40
+    )
     assert len(points) >= 30
     assert undominated(found).all()
     assert (points[:, 0] < 0.9).all()
@@ -94,7 +102,9 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
             total += np.trace(Z @ covariance @ Z.T)
             pushed += ((x @ Z.T) ** 2).sum(axis=1)
             covariance = Phi[k] @ covariance @ Phi[k].T + G[k] @ G[k].T
-            x = x @ Phi[k].T + np.array([np.concatenate([B[:, 0] * force[k], [0.0, 0.0]]) for force in forces])
+            x = x @ Phi[k].T + np.array(
+                [np.concatenate([B[:, 0] * force[k], [0.0, 0.0]]) for force in forces]
+            )
     return np.sqrt(total / N), np.sqrt(pushed.sum() / N)
 
 
@@ -105,42 +115,72 @@ def test_gains_are_those_of_a_step_by_step_simulation() -> None:
     noise, mismatch = naive(scenario)
     assert found.noise == pytest.approx(noise, rel=1e-9)
     assert found.mismatch == pytest.approx(mismatch, rel=1e-6)
-    assert found.rate == pytest.approx(rates(problem.model.linear, found.L, found.gamma, make_task(problem, 0.01).schedule).rate, rel=1e-12)
+    assert found.rate == pytest.approx(
+        rates(problem.model.linear, found.L, found.gamma, make_task(problem, 0.01).schedule).rate,
+        rel=1e-12,
+    )
 
 
 def test_noise_gain_is_what_a_noisy_run_shows() -> None:
     """rms of (z - z^, d - d^) over a long run with small white noise and no false alarm, within the scatter of its finite length."""
     noise = 1e-3
-    scenario = scene(sensor={"noise": noise, "false_alarm_rate": 1e-9}, simulation=SAMPLED | {"duration": 400.0, "seed": 3})
+    scenario = scene(
+        sensor={"noise": noise, "false_alarm_rate": 1e-9},
+        simulation=SAMPLED | {"duration": 400.0, "seed": 3},
+    )
     run = simulate(scenario)
     late = run.t > 20
     error = np.hstack([run.z - run.z_hat, run.info.widths - run.d_hat])[late]
-    gain = assess(make_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])).noise
+    gain = assess(
+        make_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])
+    ).noise
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(gain * noise, rel=0.05)
 
 
-@pytest.mark.parametrize("changes", [{}, COUPLED, {"reference": {"kind": "trapezoid", "amplitude": 3.0, "rise": 0.5, "hold": 0.53}}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        COUPLED,
+        {"reference": {"kind": "trapezoid", "amplitude": 3.0, "rise": 0.5, "hold": 0.53}},
+    ],
+)
 def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> None:
     values = []
     for simulation in ({"step": 1e-3}, {"time": "sampled", "step": 1e-3}):
         problem = resolve_scenario(scene(**changes, simulation=simulation))
         per_second = 1.0 if problem.model.Ts is None else 1e3
-        found = assess(make_task(problem, 0.01), problem.observer.params.L * per_second, problem.observer.params.gamma * per_second)
+        found = assess(
+            make_task(problem, 0.01),
+            problem.observer.params.L * per_second,
+            problem.observer.params.gamma * per_second,
+        )
         values.append([found.rate, found.disturbance, found.mismatch, found.noise])
     assert values[0] == pytest.approx(values[1], rel=0.02)
 
 
-@pytest.mark.parametrize("changes", [{}, {"simulation": SAMPLED}, COUPLED, COUPLED | {"simulation": SAMPLED}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"simulation": SAMPLED}, COUPLED, COUPLED | {"simulation": SAMPLED}]
+)
 def test_shrunk_gains_meet_the_margin_and_no_more(changes: dict[str, Any]) -> None:
     """Random gains, shrunk until certified, with their own worst frequencies looked at: the exact margin is the one asked for."""
     rng = np.random.default_rng(0)
     problem = resolve_scenario(scene(**changes))
     task = make_task(problem, 0.05)
-    L, gamma, W = rng.normal(size=(10, task.n, task.p)) * 5, rng.uniform(0.1, 20.0, (10, task.p)), np.ones((10, task.p))
+    L, gamma, W = (
+        rng.normal(size=(10, task.n, task.p)) * 5,
+        rng.uniform(0.1, 20.0, (10, task.p)),
+        np.ones((10, task.p)),
+    )
     for _ in range(3):
         shrunk = certified(task, L, gamma, W)
-        proofs = [certify(problem.model.linear, task.units[:, None] * one, speed, problem.model.Ts) for one, speed in zip(shrunk, gamma, strict=True)]
-        task = watched(task, np.array([proof.frequency for proof in proofs if proof.frequency is not None]))
+        proofs = [
+            certify(problem.model.linear, task.units[:, None] * one, speed, problem.model.Ts)
+            for one, speed in zip(shrunk, gamma, strict=True)
+        ]
+        task = watched(
+            task, np.array([proof.frequency for proof in proofs if proof.frequency is not None])
+        )
     for before, after, proof in zip(L, shrunk, proofs, strict=True):
         assert proof.certified
         assert proof.margin > 0.05 * (1 - 1e-3)
@@ -153,7 +193,9 @@ def test_the_fastest_certified_gains_of_the_paper_example(quickest: Design) -> N
     proof = certify(quickest.model, quickest.L, quickest.gamma)
     assert proof.certified
     assert proof.margin == pytest.approx(quickest.margin, rel=1e-6)
-    judged = check(scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma}))
+    judged = check(
+        scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma})
+    )
     assert judged["rate"] == pytest.approx(quickest.best.rate, rel=1e-6)
 
 
@@ -169,7 +211,9 @@ def test_the_knee_beats_the_present_gains_in_everything(knee: Design) -> None:
 def test_gains_near_the_present_ones_that_beat_them_are_found() -> None:
     """Third order, default L: what is better in everything lies in a narrow valley that the front's search passes by."""
     third = scene(
-        plant={"companion": [6.0, 11.0, 6.0]}, observer={"method": "certified", "gamma": 5.0}, reference={"kind": "sine", "amplitude": 2.0, "frequency": 0.4}
+        plant={"companion": [6.0, 11.0, 6.0]},
+        observer={"method": "certified", "gamma": 5.0},
+        reference={"kind": "sine", "amplitude": 2.0, "frequency": 0.4},
     )
     found = design(third)
     assert found.present is not None
@@ -197,7 +241,9 @@ def test_a_design_is_reproducible(quickest: Design) -> None:
 
 def test_what_cannot_be_had_at_once_is_said(quickest: Design) -> None:
     """Nothing beats the fastest gains in rate."""
-    again = design(scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma}))
+    again = design(
+        scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma})
+    )
     (remark,) = again.remarks
     assert "at once" in remark
     assert "rate" in remark.partition("these lose in")[2]
@@ -208,7 +254,9 @@ def test_weights_move_the_trade(quickest: Design) -> None:
     assert quiet.chosen == "rate / (disturbance^0 mismatch^0 noise^1.5)"
     assert quiet.best.noise < quickest.best.noise
     assert quiet.best.rate < quickest.best.rate
-    assert np.log(quiet.best.rate) - 1.5 * np.log(quiet.best.noise) > np.log(quickest.best.rate) - 1.5 * np.log(quickest.best.noise)
+    assert np.log(quiet.best.rate) - 1.5 * np.log(quiet.best.noise) > np.log(
+        quickest.best.rate
+    ) - 1.5 * np.log(quickest.best.noise)
 
 
 def test_several_outputs_sampled() -> None:
@@ -220,7 +268,9 @@ def test_several_outputs_sampled() -> None:
 
 
 def test_an_edge_that_is_not_reached_is_left_out_and_named() -> None:
-    found = design(scene(reference={"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}), "rate")
+    found = design(
+        scene(reference={"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}), "rate"
+    )
     assert found.never == ["left[0]"]
     assert found.identifiable[0].right
     assert not found.identifiable[0].left
@@ -238,14 +288,36 @@ def test_progress_is_told_in_rounds() -> None:
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [
-        ({"plant": {"integrators": 2}}, StructureError, "plant: no gains can be certified: the model has a chain of integrators"),
-        ({"plant": {"companion": [-1.0, 1.0]}}, StructureError, "plant: no gains can be certified: the model is unstable"),
-        ({"reference": {"kind": "sine", "amplitude": 0.5, "frequency": 1.0}}, InputError, "reference: it never leaves the dead zone.*2.1 times as large"),
-        ({"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0}}, InputError, "controller.method: a design plans on z = r"),
-        ({"sensor": {"kind": "jump"}}, InputError, "sensor.kind: a jump sensor has no automatic design"),
+        (
+            {"plant": {"integrators": 2}},
+            StructureError,
+            "plant: no gains can be certified: the model has a chain of integrators",
+        ),
+        (
+            {"plant": {"companion": [-1.0, 1.0]}},
+            StructureError,
+            "plant: no gains can be certified: the model is unstable",
+        ),
+        (
+            {"reference": {"kind": "sine", "amplitude": 0.5, "frequency": 1.0}},
+            InputError,
+            "reference: it never leaves the dead zone.*2.1 times as large",
+        ),
+        (
+            {"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0}},
+            InputError,
+            "controller.method: a design plans on z = r",
+        ),
+        (
+            {"sensor": {"kind": "jump"}},
+            InputError,
+            "sensor.kind: a jump sensor has no automatic design",
+        ),
     ],
 )
-def test_tasks_without_an_answer(changes: dict[str, Any], error: type[UndeadzoneError], words: str) -> None:
+def test_tasks_without_an_answer(
+    changes: dict[str, Any], error: type[UndeadzoneError], words: str
+) -> None:
     with pytest.raises(error, match=words):
         design(scene(**changes), "rate")
 
@@ -264,8 +336,18 @@ def test_a_design_is_kept_exactly(knee: Design, tmp_path: Path) -> None:
     assert Design.load(knee.save(tmp_path / "knee.toml")) == knee
 
 
-@pytest.mark.parametrize("change", [{"P": [[1.0, 0.0], [0.0, 1.0]]}, {"W": [1.3]}, {"A": [[0.0, 1.0], [-0.8, -2.0]]}, {"best": [[-0.9], [0.7]]}])
-def test_a_changed_design_is_refused(quickest: Design, tmp_path: Path, change: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"P": [[1.0, 0.0], [0.0, 1.0]]},
+        {"W": [1.3]},
+        {"A": [[0.0, 1.0], [-0.8, -2.0]]},
+        {"best": [[-0.9], [0.7]]},
+    ],
+)
+def test_a_changed_design_is_refused(
+    quickest: Design, tmp_path: Path, change: dict[str, Any]
+) -> None:
     if "best" in change:
         change = {"best": msgspec.structs.replace(quickest.best, L=change["best"])}
     path = msgspec.structs.replace(quickest, **change).save(tmp_path / "design.toml")
@@ -276,7 +358,9 @@ def test_a_changed_design_is_refused(quickest: Design, tmp_path: Path, change: d
 def test_a_design_in_a_scenario(quickest: Design, tmp_path: Path) -> None:
     quickest.save(tmp_path / "gains.toml")
     by_file = convert(table(observer={"method": "certified", "design": "gains.toml"}), tmp_path)
-    by_hand = scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma})
+    by_hand = scene(
+        observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma}
+    )
     assert (simulate(by_file).x_hat == simulate(by_hand).x_hat).all()
     assert check(by_file)["certified"]
 
@@ -292,29 +376,66 @@ def test_a_design_of_ragged_numbers_is_refused(quickest: Design, tmp_path: Path)
     [
         ({"L": [1.0, 1.0]}, {}, InputError, "observer.design: it brings L and gamma"),
         ({"gamma": 1.0}, {}, InputError, "observer.design: it brings L and gamma"),
-        ({}, {"plant": {"companion": [1.0, 3.0, 3.0]}}, ProofError, "the design is for 2 states and 1 outputs, the model has 3 and 1"),
-        ({}, {"plant": {"companion": [1.0, 0.3]}}, ProofError, "its proof does not hold.*made for another model"),
-        ({}, {"simulation": {"time": "sampled", "step": 0.1}}, ProofError, "its proof does not hold.*sample time"),
+        (
+            {},
+            {"plant": {"companion": [1.0, 3.0, 3.0]}},
+            ProofError,
+            "the design is for 2 states and 1 outputs, the model has 3 and 1",
+        ),
+        (
+            {},
+            {"plant": {"companion": [1.0, 0.3]}},
+            ProofError,
+            "its proof does not hold.*made for another model",
+        ),
+        (
+            {},
+            {"simulation": {"time": "sampled", "step": 0.1}},
+            ProofError,
+            "its proof does not hold.*sample time",
+        ),
         ({"design": "none.toml"}, {}, FileError, "none.toml: cannot read"),
         ({"design": "other.toml"}, {}, FileError, "other.toml: not a design saved by undeadzone"),
     ],
 )
 def test_a_design_that_does_not_fit(
-    quickest: Design, tmp_path: Path, observer: dict[str, Any], changes: dict[str, Any], error: type[UndeadzoneError], words: str
+    quickest: Design,
+    tmp_path: Path,
+    observer: dict[str, Any],
+    changes: dict[str, Any],
+    error: type[UndeadzoneError],
+    words: str,
 ) -> None:
     quickest.save(tmp_path / "gains.toml")
     (tmp_path / "other.toml").write_text("title = 'a scenario'\n")
     with pytest.raises(error, match=words):
-        simulate(convert(table(observer={"method": "certified", "design": "gains.toml"} | observer, **changes), tmp_path))
+        simulate(
+            convert(
+                table(
+                    observer={"method": "certified", "design": "gains.toml"} | observer, **changes
+                ),
+                tmp_path,
+            )
+        )
 
 
 def test_check_of_the_paper_example() -> None:
     gains = (([12.0, 15.0], 2.0), ([1.0, 1.5], 10.0), ([2.0, 3.0], 10.0))
-    verdicts = [check(scene(observer={"method": "certified", "L": L, "gamma": gamma})) for L, gamma in gains]
+    verdicts = [
+        check(scene(observer={"method": "certified", "L": L, "gamma": gamma})) for L, gamma in gains
+    ]
     assert [found["certified"] for found in verdicts] == [False, True, True]
     assert [found["rate"] for found in verdicts] == pytest.approx([0.024, 0.441, 0.323], abs=6e-4)
-    assert (verdicts[0]["margin"], verdicts[0]["frequency"]) == (pytest.approx(-0.0417, abs=1e-4), pytest.approx(2.49, abs=1e-2))
-    assert verdicts[1]["identifiable"] == {"right": True, "left": True, "width": True, "centre": True}
+    assert (verdicts[0]["margin"], verdicts[0]["frequency"]) == (
+        pytest.approx(-0.0417, abs=1e-4),
+        pytest.approx(2.49, abs=1e-2),
+    )
+    assert verdicts[1]["identifiable"] == {
+        "right": True,
+        "left": True,
+        "width": True,
+        "centre": True,
+    }
     assert (verdicts[1]["reasons"], verdicts[0]["reasons"][0][:13]) == ([], "not certified")
 
 
@@ -322,7 +443,9 @@ def test_check_of_what_has_no_certificate() -> None:
     found = check(scene(observer={"method": "luenberger", "poles": [-4.0, -10.0]}))
     assert (found["certified"], found["rate"]) == (None, None)
     assert found["identifiable"]["centre"]
-    force = check(scene(controller={"method": "pd", "k_p": 1.0, "k_d": 1.0}, simulation={"duration": 4.0}))
+    force = check(
+        scene(controller={"method": "pd", "k_p": 1.0, "k_d": 1.0}, simulation={"duration": 4.0})
+    )
     assert not force["identifiable"]["right"]
     assert "never reached" in force["reasons"][0]
     both = check(scene(**COUPLED))

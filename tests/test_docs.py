@@ -21,11 +21,17 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
 def blocks(kind: str) -> list[tuple[str, str]]:
-    return [(f"{page.name}:{i}", text) for page in PAGES for i, text in enumerate(re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S))]
+    return [
+        (f"{page.name}:{i}", text)
+        for page in PAGES
+        for i, text in enumerate(re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S))
+    ]
 
 
 @pytest.mark.parametrize(("name", "code"), blocks("python"))
-def test_python_blocks_run(name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_run(
+    name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(code, name, "exec"), {"__name__": "__main__"})
 
@@ -40,11 +46,23 @@ def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) 
 def compared(command: str, expected: list[str], folder: Path) -> None:
     """Run a command in a folder and compare what it shows: words exactly, numbers to 2 %."""
     code = "from undeadzone.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *shlex.split(command)], cwd=folder, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *shlex.split(command)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     shown = done.stdout.rstrip("\n").split("\n")
-    assert [NUMBER.sub("#", line) for line in shown] == [NUMBER.sub("#", line) for line in expected], done.stderr
-    for a, b in zip(NUMBER.findall("\n".join(shown)), NUMBER.findall("\n".join(expected)), strict=True):
-        tolerance = 0.02 if abs(float(b)) > 1e-7 else 10.0  # an integration error is known to its order of magnitude
+    assert [NUMBER.sub("#", line) for line in shown] == [
+        NUMBER.sub("#", line) for line in expected
+    ], done.stderr
+    for a, b in zip(
+        NUMBER.findall("\n".join(shown)), NUMBER.findall("\n".join(expected)), strict=True
+    ):
+        tolerance = (
+            0.02 if abs(float(b)) > 1e-7 else 10.0
+        )  # an integration error is known to its order of magnitude
         assert abs(float(a) - float(b)) <= tolerance * abs(float(b)) + 1e-12
 
 
@@ -63,7 +81,14 @@ def test_links_point_to_files(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-@pytest.mark.parametrize("method", [options.__struct_config__.tag for catalogue in (ObserverOptions, ControllerOptions) for options in get_args(catalogue)])
+@pytest.mark.parametrize(
+    "method",
+    [
+        options.__struct_config__.tag
+        for catalogue in (ObserverOptions, ControllerOptions)
+        for options in get_args(catalogue)
+    ],
+)
 def test_every_method_has_its_page(method: str) -> None:
     page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
     assert page.startswith(f"# {method}\n")

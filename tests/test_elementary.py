@@ -19,7 +19,9 @@ from undeadzone.engine.elementary import FAR, FUNCTIONS
 from undeadzone.support.arrays import Array, Floats
 
 ULPS = {"sin": 1.0, "cos": 1.0, "exp": 1.0, "log": 1.0, "erf": 1.5, "tanh": 3.0}
-PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803")
+PI = Decimal(
+    "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803"
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -33,7 +35,9 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @functools.cache
 def kernel(width: int = 128) -> lanes.Kernel:
     x = ca.SX.sym("x")
-    return lanes.build(stateless([x], [getattr(ca, name)(x) for name in FUNCTIONS]), width=width, fused=True)
+    return lanes.build(
+        stateless([x], [getattr(ca, name)(x) for name in FUNCTIONS]), width=width, fused=True
+    )
 
 
 def computed(name: str, x: Array, width: int = 128) -> Floats:
@@ -84,11 +88,28 @@ def numbers(name: str) -> Floats:
     usual = np.concatenate([random.normal(size=300), 3 * random.normal(size=300)])
     turns = np.arange(1, 300) * random.integers(1, 2**35, 299) * np.pi / 2
     edges = {
-        "exp": np.concatenate([random.uniform(-745.2, -700, 300), random.uniform(-700, 709.7, 600), [709.782712893384, -745.1332191019411]]),
-        "log": np.concatenate([1 + random.normal(size=300) * 1e-9, random.uniform(0.5, 2, 600), [1.0, 5e-324, 2.0**-1022, np.finfo(float).max]]),
+        "exp": np.concatenate(
+            [
+                random.uniform(-745.2, -700, 300),
+                random.uniform(-700, 709.7, 600),
+                [709.782712893384, -745.1332191019411],
+            ]
+        ),
+        "log": np.concatenate(
+            [
+                1 + random.normal(size=300) * 1e-9,
+                random.uniform(0.5, 2, 600),
+                [1.0, 5e-324, 2.0**-1022, np.finfo(float).max],
+            ]
+        ),
     }.get(name, np.concatenate([random.uniform(-6, 6, 600), turns]))
     x = np.concatenate([sizes, -sizes, usual, edges])
-    limits = {"sin": (-FAR, FAR), "cos": (-FAR, FAR), "exp": (-745.2, 709.7827128933841), "log": (5e-324, np.inf)}
+    limits = {
+        "sin": (-FAR, FAR),
+        "cos": (-FAR, FAR),
+        "exp": (-745.2, 709.7827128933841),
+        "log": (5e-324, np.inf),
+    }
     low, high = limits.get(name, (-np.inf, np.inf))
     return x[(low <= x) & (x <= high)]
 
@@ -100,7 +121,12 @@ def test_errors_in_units_of_the_last_place(name: str) -> None:
         context.prec, context.Emin, context.Emax = 80, -99999, 99999
         exact = [EXACT[name](Decimal(value)) for value in x.tolist()]
         units = [Decimal(float(np.spacing(abs(float(value))))) for value in exact]
-        errors = np.array([float(abs(Decimal(found) - value) / unit) for found, value, unit in zip(computed(name, x).tolist(), exact, units, strict=True)])
+        errors = np.array(
+            [
+                float(abs(Decimal(found) - value) / unit)
+                for found, value, unit in zip(computed(name, x).tolist(), exact, units, strict=True)
+            ]
+        )
     assert x[errors > ULPS[name]].tolist() == []
     assert errors.max() > 0.4  # a reference that agrees with everything would be none
 
@@ -110,7 +136,10 @@ def test_errors_in_units_of_the_last_place(name: str) -> None:
 def test_any_number_gives_what_the_c_library_gives(name: str, given_numbers: list[float]) -> None:
     x = np.array([*given_numbers, *SPECIAL])
     x = x[~(np.isfinite(x) & (np.abs(x) > FAR))] if name in ("sin", "cos") else x
-    found, expected = computed(name, x), np.array([float(getattr(ca, name)(value)) for value in x.tolist()])
+    found, expected = (
+        computed(name, x),
+        np.array([float(getattr(ca, name)(value)) for value in x.tolist()]),
+    )
     with np.errstate(invalid="ignore"):
         close = np.abs(found - expected) <= (ULPS[name] + 1) * np.spacing(np.abs(expected))
     assert np.all(close | (found == expected) | np.isnan(found) & np.isnan(expected))
@@ -140,6 +169,9 @@ def test_all_of_a_lane_is_vectorised_and_nothing_is_called() -> None:
 
 def test_sine_and_cosine_share_their_arithmetic() -> None:
     x = ca.SX.sym("x")
-    kernels = [lanes.build(stateless([x], [ca.sin(x), ca.cos(angle)]), width=128, fused=True) for angle in (x, 2 * x)]
+    kernels = [
+        lanes.build(stateless([x], [ca.sin(x), ca.cos(angle)]), width=128, fused=True)
+        for angle in (x, 2 * x)
+    ]
     shared, apart = (len(re.findall(r"call .*@llvm\.fma", kernel.block.text)) for kernel in kernels)
     assert shared == apart / 2

@@ -75,16 +75,26 @@ PENDULUM = {
     "h": ["angle"],
     "x0": [0.3, 0.0],
 }
-TWO_OUTPUTS = {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]}
+TWO_OUTPUTS = {
+    "A": [[-1.0, 0.5], [-0.5, -2.0]],
+    "B": [[1.0, 0.0], [0.0, 1.0]],
+    "C": [[1.0, 0.0], [0.2, 1.0]],
+    "x0": [0.5, -0.5],
+}
 
 
 def of(catalogue: Any) -> list[str]:
     return [str(options.__struct_config__.tag) for options in get_args(catalogue)]
 
 
-PAIRS = [(observer, "state_feedback") for observer in of(ObserverOptions)] + [("certified", controller) for controller in of(ControllerOptions)]
+PAIRS = [(observer, "state_feedback") for observer in of(ObserverOptions)] + [
+    ("certified", controller) for controller in of(ControllerOptions)
+]
 COMBINATIONS = [
-    (observer, controller, time) for observer, controller in PAIRS for time in OBSERVERS.get(observer, PLAIN)[0] if time in CONTROLLERS[controller][0]
+    (observer, controller, time)
+    for observer, controller in PAIRS
+    for time in OBSERVERS.get(observer, PLAIN)[0]
+    if time in CONTROLLERS[controller][0]
 ]
 
 
@@ -115,7 +125,9 @@ def parts(scenario: Scenario) -> tuple[ca.Function, Floats, Floats, Floats, list
     return loop.step, state, exogenous, tree.pack(loop.params), tree.names(loop.params)
 
 
-def compiled(step: ca.Function, states: Floats, exogenous: Floats, params: Floats) -> tuple[Floats, Floats]:
+def compiled(
+    step: ca.Function, states: Floats, exogenous: Floats, params: Floats
+) -> tuple[Floats, Floats]:
     """A single run on lanes, in the shape of `interpret.run`."""
     outputs, finals = lanes.run(lanes.build(step, width=8), states, exogenous, params)
     return outputs[0], finals[0]
@@ -125,7 +137,10 @@ def distance(found: Floats, expected: Floats) -> float:
     """The largest difference relative to the size of its signal (column); inf where NaN or infinity differ."""
     assert found.shape == expected.shape
     finite = np.isfinite(expected)
-    if not np.array_equal(found[~finite], expected[~finite], equal_nan=True) or not np.isfinite(found[finite]).all():
+    if (
+        not np.array_equal(found[~finite], expected[~finite], equal_nan=True)
+        or not np.isfinite(found[finite]).all()
+    ):
         return np.inf
     expected = np.where(finite, expected, 0.0)
     size = np.abs(expected).max(axis=0) + 1e-300
@@ -134,16 +149,23 @@ def distance(found: Floats, expected: Floats) -> float:
 
 def identical(a: Floats, b: Floats) -> bool:
     """Equal to the last bit and the sign of zero; every NaN is the same."""
-    return a.shape == b.shape and bool(((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all())
+    return a.shape == b.shape and bool(
+        ((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all()
+    )
 
 
 # --- The same loop on both engines
 
 
 @pytest.mark.parametrize(("observer", "controller", "time"), COMBINATIONS)
-def test_every_observer_and_controller_runs_the_same(observer: str, controller: str, time: str) -> None:
+def test_every_observer_and_controller_runs_the_same(
+    observer: str, controller: str, time: str
+) -> None:
     """On plain steps, which compile in a fraction of the time that located ones take; those follow with `certified`."""
-    options = {"method": observer} | OBSERVERS.get(observer, PLAIN)[1], {"method": controller} | CONTROLLERS[controller][1]
+    options = (
+        {"method": observer} | OBSERVERS.get(observer, PLAIN)[1],
+        {"method": controller} | CONTROLLERS[controller][1],
+    )
     steps = {"duration": 3.0, "step": 1e-2, "switching": "plain"}
     given = parts(small(time, observer=options[0], controller=options[1], simulation=steps))[:4]
     expected, found = interpret.run(*given), compiled(*given)
@@ -208,7 +230,20 @@ def generated(step: ca.Function, folder: Path) -> ca.Function:
     generator = ca.CodeGenerator("step")
     generator.add(step)
     generator.generate(f"{folder}/")
-    subprocess.run(["gcc", "-O2", "-ffp-contract=off", "-fPIC", "-shared", folder / "step.c", "-o", folder / "step.so", "-lm"], check=True)
+    subprocess.run(
+        [
+            "gcc",
+            "-O2",
+            "-ffp-contract=off",
+            "-fPIC",
+            "-shared",
+            folder / "step.c",
+            "-o",
+            folder / "step.so",
+            "-lm",
+        ],
+        check=True,
+    )
     return ca.external("step", str(folder / "step.so"))
 
 
@@ -243,7 +278,24 @@ ELEMENTARY: dict[str, Callable[[Any, Any], Any]] = {
         "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
     )},
 }  # fmt: skip
-SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 0.3, 1e-9, 710.0, 1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
+SPECIAL = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    -2.5,
+    3.0,
+    0.3,
+    1e-9,
+    710.0,
+    1e308,
+    5e-324,
+    -1e-310,
+    np.inf,
+    -np.inf,
+    np.nan,
+]
 
 
 def lanes_once(step: ca.Function, states: Floats) -> Floats:
@@ -252,7 +304,9 @@ def lanes_once(step: ca.Function, states: Floats) -> Floats:
 
 
 def machine_once(step: ca.Function, states: Floats) -> Floats:
-    return np.array([interpret.run(step, state, np.empty((1, 0)), np.empty(0))[0][0] for state in states])
+    return np.array(
+        [interpret.run(step, state, np.empty((1, 0)), np.empty(0))[0][0] for state in states]
+    )
 
 
 def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
@@ -268,9 +322,17 @@ def test_every_instruction_means_the_same_for_every_kind_of_number() -> None:
     states = np.vstack([np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T, random])
     found, expected = lanes_once(step, states), machine_once(step, states)
     names = [*UNARY, *BINARY, *ELEMENTARY]
-    assert [name for i, name in enumerate(names[: len(exact)]) if not identical(found[:, i], expected[:, i])] == []
+    assert [
+        name
+        for i, name in enumerate(names[: len(exact)])
+        if not identical(found[:, i], expected[:, i])
+    ] == []
     with np.errstate(invalid="ignore"):
-        close = (found == expected) | (np.abs(found - expected) <= 4 * np.spacing(np.abs(expected))) | np.isnan(found) & np.isnan(expected)
+        close = (
+            (found == expected)
+            | (np.abs(found - expected) <= 4 * np.spacing(np.abs(expected)))
+            | np.isnan(found) & np.isnan(expected)
+        )
     assert [name for i, name in enumerate(names) if not close[:, i].all()] == []
 
 
@@ -283,7 +345,9 @@ def graphs(draw: st.DrawFn) -> ca.Function:
         name = draw(st.sampled_from([*UNARY, *BINARY]))
         x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
         nodes.append(UNARY[name](x) if name in UNARY else BINARY[name](x, y))
-    ends = [ELEMENTARY[draw(st.sampled_from(list(ELEMENTARY)))](node, nodes[6]) for node in nodes[6:10]]
+    ends = [
+        ELEMENTARY[draw(st.sampled_from(list(ELEMENTARY)))](node, nodes[6]) for node in nodes[6:10]
+    ]
     return stateless(inputs, nodes[6:] + ends)
 
 
@@ -303,8 +367,14 @@ def test_an_unknown_instruction_is_named() -> None:
 
 def test_structural_zeros_and_unused_inputs() -> None:
     s, w, p = ca.SX.sym("s", 2), ca.SX.sym("w", 3), ca.SX.sym("p", 2)
-    step = ca.Function("step", [s, w, p], [ca.vertcat(ca.SX(1, 1), s[0] + w[2]), ca.vertcat(ca.SX(2, 1), p[1], 7.0)])
-    outputs, finals = compiled(step, np.array([1.0, 2.0]), np.arange(6.0).reshape(2, 3), np.array([3.0, 4.0]))
+    step = ca.Function(
+        "step",
+        [s, w, p],
+        [ca.vertcat(ca.SX(1, 1), s[0] + w[2]), ca.vertcat(ca.SX(2, 1), p[1], 7.0)],
+    )
+    outputs, finals = compiled(
+        step, np.array([1.0, 2.0]), np.arange(6.0).reshape(2, 3), np.array([3.0, 4.0])
+    )
     assert outputs.tolist() == [[0.0, 0.0, 4.0, 7.0]] * 2
     assert finals.tolist() == [0.0, 5.0]
 
@@ -342,7 +412,11 @@ def test_a_lane_is_a_single_run_to_the_last_bit() -> None:
     assert np.unique(finals[:, 0]).size == WIDTHS.size
 
 
-@pytest.mark.parametrize("options", [{"width": 1}, {"width": 8}, {"width": 8, "threads": 3}, {"width": 16, "threads": 1}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{"width": 1}, {"width": 8}, {"width": 8, "threads": 3}, {"width": 16, "threads": 1}],
+    ids=str,
+)
 def test_neither_width_nor_threads_change_a_bit(options: dict[str, Any]) -> None:
     assert all(map(identical, varied(**options), varied()))
 
@@ -363,7 +437,13 @@ def test_fused_lanes_agree_to_rounding(time: str) -> None:
     step, state, exogenous, params, _ = parts(small(time))
     assert any("fma(" in line for line in straight_line(step, fused=True).statements)
     found = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
-    assert max(distance(a[0], b) for a, b in zip(found, interpret.run(step, state, exogenous, params), strict=True)) < 1e-13
+    assert (
+        max(
+            distance(a[0], b)
+            for a, b in zip(found, interpret.run(step, state, exogenous, params), strict=True)
+        )
+        < 1e-13
+    )
 
 
 def test_fused_lanes_do_not_depend_on_what_is_shared() -> None:
@@ -380,10 +460,18 @@ def test_a_product_is_fused_into_either_side_of_a_sum_or_difference() -> None:
     found = []
     for expression in (a * b + c, c + a * b, a * b - c, c - a * b, a * a - c, a * b + b * c):
         step = stateless([a, b, c], [expression])
-        found.append(lanes.run(lanes.build(step, width=8, fused=True), states, np.empty((1, 0)), np.empty(0))[0][:, 0, 0])
-        np.testing.assert_allclose(found[-1], machine_once(step, states)[:, 0], rtol=1e-15, atol=1e-15)
+        found.append(
+            lanes.run(
+                lanes.build(step, width=8, fused=True), states, np.empty((1, 0)), np.empty(0)
+            )[0][:, 0, 0]
+        )
+        np.testing.assert_allclose(
+            found[-1], machine_once(step, states)[:, 0], rtol=1e-15, atol=1e-15
+        )
     residue = np.float64(0.1 * 10.0 - 1.0)
-    assert residue == 0.0 != found[0][0] == found[1][0]  # 0.1 is not 1/10, which only one rounding shows
+    assert (
+        residue == 0.0 != found[0][0] == found[1][0]
+    )  # 0.1 is not 1/10, which only one rounding shows
 
 
 @st.composite
@@ -392,7 +480,24 @@ def sums(draw: st.DrawFn) -> ca.Function:
     inputs = [ca.SX.sym(name) for name in "abc"]
     nodes = inputs + [ca.SX(draw(st.floats(-3.0, 3.0))) for _ in range(3)]
     for _ in range(draw(st.integers(5, 30))):
-        name = draw(st.sampled_from(["add", "sub", "mul", "add", "sub", "mul", "neg", "sq", "twice", "fmin", "fmax", "where"]))
+        name = draw(
+            st.sampled_from(
+                [
+                    "add",
+                    "sub",
+                    "mul",
+                    "add",
+                    "sub",
+                    "mul",
+                    "neg",
+                    "sq",
+                    "twice",
+                    "fmin",
+                    "fmax",
+                    "where",
+                ]
+            )
+        )
         x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
         if name == "where":
             i, j = draw(st.permutations(range(3)))[:2]
@@ -404,8 +509,12 @@ def sums(draw: st.DrawFn) -> ca.Function:
 
 @settings(max_examples=15)
 @given(sums(), st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=1, max_size=20))
-def test_fused_sums_mean_the_same_to_rounding(step: ca.Function, states: list[tuple[float, ...]]) -> None:
-    fused = lanes.run(lanes.build(step, width=8, fused=True), np.array(states), np.empty((1, 0)), np.empty(0))[0][:, 0]
+def test_fused_sums_mean_the_same_to_rounding(
+    step: ca.Function, states: list[tuple[float, ...]]
+) -> None:
+    fused = lanes.run(
+        lanes.build(step, width=8, fused=True), np.array(states), np.empty((1, 0)), np.empty(0)
+    )[0][:, 0]
     plain = machine_once(step, np.array(states))
     largest = np.abs(plain).max(axis=1, keepdims=True)
     kept = np.isfinite(largest[:, 0]) & (largest[:, 0] < 1e6)
@@ -414,7 +523,9 @@ def test_fused_sums_mean_the_same_to_rounding(step: ca.Function, states: list[tu
 
 def test_lanes_are_computed_by_vector_instructions() -> None:
     step = parts(small("sampled"))[0]
-    kernel = lanes.build(step, params=range(step.size1_in(2)), exogenous=range(step.size1_in(1)), width=32)
+    kernel = lanes.build(
+        step, params=range(step.size1_in(2)), exogenous=range(step.size1_in(1)), width=32
+    )
     code = kernel.block.text
     assert re.search(r"fmul <\d+ x double>", code)
 
@@ -422,7 +533,9 @@ def test_lanes_are_computed_by_vector_instructions() -> None:
 def test_progress_counts_the_steps_of_all_lanes() -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
     told: list[int] = []
-    lanes.run(lanes.build(step, width=8), np.tile(state, (19, 1)), exogenous, params, progress=told.append)
+    lanes.run(
+        lanes.build(step, width=8), np.tile(state, (19, 1)), exogenous, params, progress=told.append
+    )
     assert sum(told) == 19 * len(exogenous)
 
 
@@ -471,7 +584,9 @@ def test_the_same_graph_compiles_once_and_a_changed_one_again(folder: Path) -> N
     assert len(list(folder.glob("*.kernel"))) == 2
 
 
-def test_another_machine_or_version_compiles_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_machine_or_version_compiles_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     doubled()
     monkeypatch.setattr(cache, "_machine", lambda: "numba 99 on another processor")
     assert doubled() == (6.0, False)
@@ -484,7 +599,14 @@ def test_a_damaged_file_costs_a_compilation_and_no_more(folder: Path) -> None:
     whole = kernel.read_bytes()
     rest = b"nowhere" + whole.partition(b"\n")[2]  # calls a function that is not there
     missing = hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
-    for damaged in (b"", whole[:100], whole[:-1], whole[:-1] + bytes([whole[-1] ^ 1]), b"no kernel", missing):
+    for damaged in (
+        b"",
+        whole[:100],
+        whole[:-1],
+        whole[:-1] + bytes([whole[-1] ^ 1]),
+        b"no kernel",
+        missing,
+    ):
         assert damaged != whole
         kernel.write_bytes(damaged)
         assert doubled() == (6.0, False)
@@ -504,7 +626,13 @@ print(found.tobytes().hex(), "numba" in sys.modules)
 
 def test_a_kernel_from_disk_with_every_instruction_needs_no_numba(folder: Path) -> None:
     def shown() -> list[str]:
-        return subprocess.run([sys.executable, "-c", IN_A_PROCESS], capture_output=True, text=True, check=True, cwd=Path(__file__).parent).stdout.split()
+        return subprocess.run(
+            [sys.executable, "-c", IN_A_PROCESS],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).parent,
+        ).stdout.split()
 
     (compiled, imported), (kept, again) = shown(), shown()
     assert (imported, again) == ("True", "False")
@@ -513,7 +641,15 @@ def test_a_kernel_from_disk_with_every_instruction_needs_no_numba(folder: Path) 
 
 def test_processes_may_compile_the_same_kernel_at_once(folder: Path) -> None:
     code = "from test_engines import doubled; print(doubled()[0])"
-    racing = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) for _ in range(3)]
+    racing = [
+        subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).parent,
+        )
+        for _ in range(3)
+    ]
     assert [process.communicate()[0] for process in racing] == ["6.0\n"] * 3
     assert [path.suffix for path in folder.iterdir()] == [".kernel"]
     assert doubled() == (6.0, True)
@@ -527,7 +663,9 @@ def test_other_arguments_are_refused() -> None:
             block(1, flat, wrong, flat, flat, flat)
 
 
-def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_is_done_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "file" / "kernels"))
     assert doubled() == (6.0, False)

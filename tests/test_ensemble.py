@@ -31,27 +31,66 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.toml import dumps
 
 RUNS = 150  # more than one block of lanes
-WIDTHS: dict[str, Any] = {"sensor.right": {"uniform": [0.3, 0.8]}, "sensor.left": {"uniform": [0.2, 0.4]}}
-PLANT: dict[str, Any] = {"plant.A": {"normal": [1.0, 0.05], "relative": True}, "plant.B + plant.C": {"normal": [1.0, 0.05], "relative": True}}
-NOISE: dict[str, Any] = {"sensor.noise": {"log_normal": [0.01, 0.5]}, "sensor.noise_before": {"uniform": [0.0, 0.02]}}
+WIDTHS: dict[str, Any] = {
+    "sensor.right": {"uniform": [0.3, 0.8]},
+    "sensor.left": {"uniform": [0.2, 0.4]},
+}
+PLANT: dict[str, Any] = {
+    "plant.A": {"normal": [1.0, 0.05], "relative": True},
+    "plant.B + plant.C": {"normal": [1.0, 0.05], "relative": True},
+}
+NOISE: dict[str, Any] = {
+    "sensor.noise": {"log_normal": [0.01, 0.5]},
+    "sensor.noise_before": {"uniform": [0.0, 0.02]},
+}
 SECOND: dict[str, Any] = {
-    "plant": {"A": [[-0.3, 1.0], [-1.0, -2.0]], "B": [[0.3], [1.0]], "C": [[1.0, 0.7]], "x0": [0.4, 0.2]},
+    "plant": {
+        "A": [[-0.3, 1.0], [-1.0, -2.0]],
+        "B": [[0.3], [1.0]],
+        "C": [[1.0, 0.7]],
+        "x0": [0.4, 0.2],
+    },
     "observer": {"method": "certified", "L": [1.0, 0.5], "gamma": 5.0},
 }
 GUST: dict[str, Any] = {"disturbance": {"kind": "random", "rms": 0.5, "correlation_time": 0.1}}
 SWINGING: dict[str, Any] = {
-    "plant": PENDULUM | {"f": ["rate", "-g * sin(angle) - 1.5 * rate + torque"], "parameters": {"g": 9.81}},
+    "plant": PENDULUM
+    | {"f": ["rate", "-g * sin(angle) - 1.5 * rate + torque"], "parameters": {"g": 9.81}},
     "observer": {"method": "certified", "L": [1.0, 0.0]},
     "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
     "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1},
 }
 SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
-    "continuous": ("continuous", GUST, WIDTHS | PLANT | NOISE | {"reference.amplitude": {"uniform": [1.5, 2.5]}}),
-    "plain": ("continuous", {"simulation": {"duration": 3.0, "step": 1e-2, "switching": "plain"}}, WIDTHS | {"plant.x0": {"normal": [0.0, 1.0]}}),
-    "sampled": ("sampled", SECOND | GUST, WIDTHS | PLANT | NOISE | {"disturbance.rms": {"uniform": [0.1, 1.0]}}),
-    "two outputs": ("sampled", {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}}, WIDTHS | PLANT | NOISE),
-    "nonlinear": ("sampled", SWINGING, {"plant.parameters.g": {"uniform": [9.0, 10.5]}, "sensor.right": {"uniform": [0.1, 0.5]}}),
-    "jump": ("sampled", {"sensor": {"kind": "jump", "noise": 0.05}}, WIDTHS | {"observer.gamma": {"uniform": [5.0, 15.0]}}),
+    "continuous": (
+        "continuous",
+        GUST,
+        WIDTHS | PLANT | NOISE | {"reference.amplitude": {"uniform": [1.5, 2.5]}},
+    ),
+    "plain": (
+        "continuous",
+        {"simulation": {"duration": 3.0, "step": 1e-2, "switching": "plain"}},
+        WIDTHS | {"plant.x0": {"normal": [0.0, 1.0]}},
+    ),
+    "sampled": (
+        "sampled",
+        SECOND | GUST,
+        WIDTHS | PLANT | NOISE | {"disturbance.rms": {"uniform": [0.1, 1.0]}},
+    ),
+    "two outputs": (
+        "sampled",
+        {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
+        WIDTHS | PLANT | NOISE,
+    ),
+    "nonlinear": (
+        "sampled",
+        SWINGING,
+        {"plant.parameters.g": {"uniform": [9.0, 10.5]}, "sensor.right": {"uniform": [0.1, 0.5]}},
+    ),
+    "jump": (
+        "sampled",
+        {"sensor": {"kind": "jump", "noise": 0.05}},
+        WIDTHS | {"observer.gamma": {"uniform": [5.0, 15.0]}},
+    ),
 }
 
 
@@ -63,7 +102,9 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def vary(scenario: Scenario, entries: dict[str, Any], runs: int = RUNS, **changes: Any) -> Scenario:
-    return msgspec.structs.replace(scenario, ensemble=msgspec.convert({"runs": runs, "entries": entries} | changes, Vary))
+    return msgspec.structs.replace(
+        scenario, ensemble=msgspec.convert({"runs": runs, "entries": entries} | changes, Vary)
+    )
 
 
 def named(name: str, runs: int = RUNS) -> Scenario:
@@ -72,21 +113,29 @@ def named(name: str, runs: int = RUNS) -> Scenario:
 
 
 def table(fleet: Fleet, rows: Floats | None = None) -> dict[str, Floats]:
-    return dict(zip(fleet.layout.columns, (fleet.block(0) if rows is None else rows).T, strict=True))
+    return dict(
+        zip(fleet.layout.columns, (fleet.block(0) if rows is None else rows).T, strict=True)
+    )
 
 
 def finals(fleet: Fleet, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
     given = fleet.binding.lanes(fleet.binding.draw(0, fleet.layout.runs, fleet.layout.runs))
     start, supply = fleet.started(given.states), fleet.own.supply(np.arange(fleet.layout.runs))
-    return lanes.run(fleet.kernel, start, fleet.exogenous[:steps], fleet.params, supply, given.params)[1]
+    return lanes.run(
+        fleet.kernel, start, fleet.exogenous[:steps], fleet.params, supply, given.params
+    )[1]
 
 
 def metrics(run: Run, fleet: Fleet, tolerance: float) -> dict[str, float]:
     """What the recorded signals of a run say."""
     worst = np.abs(run.z[:, fleet.problem.tracked] - run.r).max(axis=1)
     late = np.flatnonzero(worst > tolerance)
-    widths = {f"d_{edge}[{i}]": float(run.d_hat[-1, 2 * i + k]) for i in range(run.z.shape[1]) for k, edge in enumerate(("right", "left"))}
+    widths = {
+        f"d_{edge}[{i}]": float(run.d_hat[-1, 2 * i + k])
+        for i in range(run.z.shape[1])
+        for k, edge in enumerate(("right", "left"))
+    }
     return {
         "rms_tracking": run.rms_tracking,
         "rms_estimation": run.rms_estimation,
@@ -113,7 +162,11 @@ def test_a_replayed_run_is_the_run_of_the_ensemble(name: str) -> None:
         scale = rows.get("reference.amplitude", np.full(RUNS, 2.0))[k] / 2.0
         for metric, value in metrics(run, fleet, 0.02 * largest * scale).items():
             # In continuous time the loop reads r 1e-9 of a step late; widths are states, equal to the bit.
-            assert rows[metric][k] == value if metric.startswith("d_") else rows[metric][k] == pytest.approx(value, rel=1e-13, abs=1e-9), metric
+            assert (
+                rows[metric][k] == value
+                if metric.startswith("d_")
+                else rows[metric][k] == pytest.approx(value, rel=1e-13, abs=1e-9)
+            ), metric
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -122,15 +175,29 @@ def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
     last = finals(fleet, len(fleet.exogenous))
     for k in (0, 7, 149):
         state, params = fleet.binding.packed(fleet.binding.draw(k, 1, RUNS)[0])
-        noisy = fleet.problem._replace(sensor=msgspec.structs.replace(fleet.problem.sensor, noise=np.ones(2), noise_before=np.ones(2)))
-        exogenous = inputs.exogenous(noisy if NOISE.keys() & fleet.problem.scenario.ensemble.entries.keys() else fleet.problem, run=k, seed=fleet.binding.seed)
+        noisy = fleet.problem._replace(
+            sensor=msgspec.structs.replace(
+                fleet.problem.sensor, noise=np.ones(2), noise_before=np.ones(2)
+            )
+        )
+        exogenous = inputs.exogenous(
+            noisy
+            if NOISE.keys() & fleet.problem.scenario.ensemble.entries.keys()
+            else fleet.problem,
+            run=k,
+            seed=fleet.binding.seed,
+        )
         expected = interpret.run(fleet.loop.step, state, exogenous, params)[1]
         assert distance(last[k, : state.size, None], expected[:, None]) < 1e-12
 
 
-@pytest.mark.parametrize("observer", [name for name, (times, _) in OBSERVERS.items() if "sampled" in times])
+@pytest.mark.parametrize(
+    "observer", [name for name, (times, _) in OBSERVERS.items() if "sampled" in times]
+)
 def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
-    fleet = prepare(vary(small("sampled", observer={"method": observer} | OBSERVERS[observer][1]), WIDTHS, 40))
+    fleet = prepare(
+        vary(small("sampled", observer={"method": observer} | OBSERVERS[observer][1]), WIDTHS, 40)
+    )
     rows, last = table(fleet), finals(fleet, len(fleet.exogenous) - 1)
     run = replay(fleet, 39)
     assert identical(run.x[-1], last[39, :1])
@@ -142,25 +209,36 @@ def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
 
 def test_an_observer_in_python_is_refused() -> None:
     with pytest.raises(InputError, match=r"observer\.method: this one computes in Python"):
-        prepare(vary(small("sampled", observer={"method": "particle_filter", "right": [0.1, 1.0]}), WIDTHS))
+        prepare(
+            vary(
+                small("sampled", observer={"method": "particle_filter", "right": [0.1, 1.0]}),
+                WIDTHS,
+            )
+        )
 
 
 # --- Bits
 
 
 @pytest.mark.parametrize("name", ["continuous", "sampled"])
-def test_neither_blocks_nor_threads_nor_the_number_of_runs_change_a_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_neither_blocks_nor_threads_nor_the_number_of_runs_change_a_bit(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fleet = prepare(named(name))
     rows = fleet.block(0)
     assert identical(fleet.block(0, threads=1), rows)
     monkeypatch.setattr(lanes, "BUFFER", 1)
     assert identical(fleet.block(0, threads=3), rows)
     few = np.array([149, 3, 77])
-    assert identical(fleet.rows(few, np.vstack([fleet.binding.draw(k, 1, RUNS) for k in few])), rows[few])
+    assert identical(
+        fleet.rows(few, np.vstack([fleet.binding.draw(k, 1, RUNS) for k in few])), rows[few]
+    )
     many = prepare(named(name, 4000))
     assert many.layout.blocks == 2
     assert identical(many.block(0)[:RUNS], rows)
-    across = many._replace(layout=many.layout._replace(block=100)).block(20)  # runs 2000 to 2099, of two blocks of 2048
+    across = many._replace(layout=many.layout._replace(block=100)).block(
+        20
+    )  # runs 2000 to 2099, of two blocks of 2048
     assert identical(across, np.vstack([many.block(0)[2000:], many.block(1)[:52]]))
 
 
@@ -179,7 +257,10 @@ def test_a_file_holds_the_same_bytes_whatever_computed_it(tmp_path: Path) -> Non
             assert identical(result.column(name), other.column(name)), name
         assert result.bands is not None
         assert other.bands is not None
-        assert all(identical(quantiles, other.bands.quantiles[name]) for name, quantiles in result.bands.quantiles.items())
+        assert all(
+            identical(quantiles, other.bands.quantiles[name])
+            for name, quantiles in result.bands.quantiles.items()
+        )
     assert result.info == in_memory.info == parquet.info
 
 
@@ -188,7 +269,9 @@ def test_bands_are_those_of_the_first_runs() -> None:
     found = recorded_bands(fleet, 5)
     runs = [replay(fleet, k) for k in range(5)]
     error = np.sort([np.abs(run.z[:, 0] - run.r[:, 0]) for run in runs], axis=0)
-    np.testing.assert_allclose(found.quantiles["tracking[0]"], error[[0, 0, 2, 4, 4]].T, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(
+        found.quantiles["tracking[0]"], error[[0, 0, 2, 4, 4]].T, rtol=1e-13, atol=1e-15
+    )
     assert found.t.tolist() == runs[0].t.tolist()
 
 
@@ -209,7 +292,9 @@ def test_a_replay_tells_whether_it_meets_the_ensemble(tmp_path: Path) -> None:
 
 def test_runs_that_diverge_are_counted_and_left_out() -> None:
     unstable = {"plant.A[0,0]": {"uniform": [-3.0, 60.0]}}
-    result = run_ensemble(vary(small("sampled", controller={"method": "state_feedback", "K": [[0.0]]}), unstable))
+    result = run_ensemble(
+        vary(small("sampled", controller={"method": "state_feedback", "K": [[0.0]]}), unstable)
+    )
     lost = result.diverged
     assert 0.3 < lost.mean() < 0.9
     assert result.varied["plant.A[0,0]"][lost].min() > result.varied["plant.A[0,0]"][~lost].max()
@@ -223,18 +308,35 @@ def test_without_entries_runs_differ_by_their_noise_alone() -> None:
     result = run_ensemble(vary(small("sampled"), {}, 20))
     assert result.varied == {}
     assert np.unique(result.metrics["rms_estimation"]).size == 20
-    assert np.ptp(run_ensemble(vary(small("sampled", sensor={"noise": 0.0, "noise_before": 0.0}), {}, 20)).metrics["rms_tracking"]) == 0
+    assert (
+        np.ptp(
+            run_ensemble(
+                vary(small("sampled", sensor={"noise": 0.0, "noise_before": 0.0}), {}, 20)
+            ).metrics["rms_tracking"]
+        )
+        == 0
+    )
 
 
 def test_noise_that_is_nominally_absent_may_vary() -> None:
-    quiet = small("sampled", sensor={"noise": 0.0, "threshold": 0.3}, observer={"method": "oracle", "L": [20.0]})
+    quiet = small(
+        "sampled",
+        sensor={"noise": 0.0, "threshold": 0.3},
+        observer={"method": "oracle", "L": [20.0]},
+    )
     result = run_ensemble(vary(quiet, {"sensor.noise": {"uniform": [0.0, 0.1]}}))
     assert result.sensitivities("rms_estimation")["sensor.noise[0]"].spearman.value > 0.9
 
 
 def test_settling_is_within_a_share_of_the_largest_reference() -> None:
-    scenario = small("sampled", sensor={"right": 0.1, "left": 0.1, "noise": 0.0, "noise_before": 0.0}, simulation={"duration": 6.0, "step": 1e-2})
-    wide, narrow = (run_ensemble(vary(scenario, {}, 1, tolerance=tolerance)) for tolerance in (0.1, 1e-9))
+    scenario = small(
+        "sampled",
+        sensor={"right": 0.1, "left": 0.1, "noise": 0.0, "noise_before": 0.0},
+        simulation={"duration": 6.0, "step": 1e-2},
+    )
+    wide, narrow = (
+        run_ensemble(vary(scenario, {}, 1, tolerance=tolerance)) for tolerance in (0.1, 1e-9)
+    )
     assert wide.settled.all()
     assert 0 < wide.metrics["settling_time"][0] < 6.0 - LAST
     assert not narrow.settled.any()
@@ -268,7 +370,12 @@ def undeadzone(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 def with_little_room(room: int, *arguments: str | int | Path) -> Done:
     """The command in a process whose files can have `room` bytes."""
     code = f"import resource\nfrom undeadzone.cli import main\nresource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\nmain()"
-    done = subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     return Done(done.returncode, done.stdout, done.stderr)
 
 
@@ -279,7 +386,9 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_command_prints_what_it_found_and_how_to_see_a_run(undeadzone: Call, study: Path, tmp_path: Path) -> None:
+def test_the_command_prints_what_it_found_and_how_to_see_a_run(
+    undeadzone: Call, study: Path, tmp_path: Path
+) -> None:
     done = undeadzone("ensemble", study, "--out", tmp_path / "out")
     assert done.code == 0, done.err
     assert max(map(len, done.out.split("\n")[:-2])) < 140
@@ -287,7 +396,14 @@ def test_the_command_prints_what_it_found_and_how_to_see_a_run(undeadzone: Call,
     assert lines[0].endswith("150 runs of 3 s, random sampling, seed 0")
     command = next(line for line in lines if line.startswith("see one")).split()
     assert command[2:4] == ["undeadzone", "run"]
-    written = {"runs.npz", "distributions.png", "over_time.png", "tornado.png", "influence.png", "report.html"}
+    written = {
+        "runs.npz",
+        "distributions.png",
+        "over_time.png",
+        "tornado.png",
+        "influence.png",
+        "report.html",
+    }
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
     seen = undeadzone(*command[3:], "--json", "--no-figures")
     assert seen.code == 0, seen.err
@@ -297,18 +413,33 @@ def test_the_command_prints_what_it_found_and_how_to_see_a_run(undeadzone: Call,
 
 
 def test_json_is_one_object_with_everything(undeadzone: Call, study: Path, tmp_path: Path) -> None:
-    done = undeadzone("ensemble", study, "--runs", 60, "--json", "--no-figures", "--parquet", "--out", tmp_path / "out")
+    done = undeadzone(
+        "ensemble",
+        study,
+        "--runs",
+        60,
+        "--json",
+        "--no-figures",
+        "--parquet",
+        "--out",
+        tmp_path / "out",
+    )
     assert (done.code, done.err) == (0, "")
     found = json.loads(done.out)
     result = Ensemble.load(tmp_path / "out" / "runs.parquet")
     assert found["files"] == [str(tmp_path / "out" / "runs.parquet")]
     assert found["runs"] == 60 == result.info.runs
-    assert found["metrics"]["rms_tracking"]["median"]["value"] == np.sort(result.metrics["rms_tracking"])[29]
+    assert (
+        found["metrics"]["rms_tracking"]["median"]["value"]
+        == np.sort(result.metrics["rms_tracking"])[29]
+    )
     assert [row["run"] for row in found["worst"]] == result.worst()
 
 
 def test_some_diverged_is_exit_code_1(undeadzone: Call, study: Path, tmp_path: Path) -> None:
-    study.write_text(dumps(vary(small("sampled"), {"plant.A[0,0]": {"uniform": [-3.0, 300.0]}}, 100)))
+    study.write_text(
+        dumps(vary(small("sampled"), {"plant.A[0,0]": {"uniform": [-3.0, 300.0]}}, 100))
+    )
     done = undeadzone("ensemble", study, "--no-figures", "--out", tmp_path / "out")
     assert done.code == 1, done.err
     assert "left out of what follows" in done.out
@@ -324,10 +455,16 @@ def test_some_diverged_is_exit_code_1(undeadzone: Call, study: Path, tmp_path: P
         ("[ensemble]", "[ignored]", ["ignored"]),
     ],
 )
-def test_a_wrong_table_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Path, old: str, new: str, words: list[str]) -> None:
+def test_a_wrong_table_is_one_clear_line(
+    undeadzone: Call, study: Path, tmp_path: Path, old: str, new: str, words: list[str]
+) -> None:
     text = study.read_text()
     assert old in text
-    study.write_text(text.replace(old, new, 1).replace("[ensemble.", "[ignored." if new == "[ignored]" else "[ensemble."))
+    study.write_text(
+        text.replace(old, new, 1).replace(
+            "[ensemble.", "[ignored." if new == "[ignored]" else "[ensemble."
+        )
+    )
     refused(undeadzone("ensemble", study, "--out", tmp_path / "out"), *words)
     assert not (tmp_path / "out" / "runs.npz.partial").exists()
 
@@ -344,24 +481,42 @@ def test_wrong_use_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Pa
     out = tmp_path / "out"
     refused(undeadzone("ensemble", study, "--runs", 0, "--out", out), "--runs", "found 0")
     refused(undeadzone("ensemble", study, "--out", study), "cannot write")
-    refused(undeadzone("ensemble", study, "--workers", 2, "--cluster", "127.0.0.1:9", "--out", out), "found 2 and 127.0.0.1:9")
+    refused(
+        undeadzone("ensemble", study, "--workers", 2, "--cluster", "127.0.0.1:9", "--out", out),
+        "found 2 and 127.0.0.1:9",
+    )
     refused(undeadzone("run", study, "--replay", 3), "not an ensemble saved by undeadzone")
     plain = tmp_path / "plain.toml"
     plain.write_text(dumps(small("sampled")))
-    refused(undeadzone("ensemble", plain, "--out", out), "ensemble: missing; add a table [ensemble]")
+    refused(
+        undeadzone("ensemble", plain, "--out", out), "ensemble: missing; add a table [ensemble]"
+    )
     study.write_text(study.read_text().replace("sensor.right", "sensor.rihgt"))
     refused(undeadzone("run", study, "--no-figures"), 'ensemble."sensor.rihgt"')
     assert not out.exists() or not list(out.iterdir())
 
 
-def test_a_full_disk_is_noticed_and_loses_nothing(undeadzone: Call, study: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_noticed_and_loses_nothing(
+    undeadzone: Call, study: Path, tmp_path: Path
+) -> None:
     out, size = tmp_path / "out", 8 * RUNS * len(prepare(named("sampled")).layout.columns)
-    refused(with_little_room(size, "ensemble", study, "--out", out), "runs.npz.partial: cannot write: File too large")
+    refused(
+        with_little_room(size, "ensemble", study, "--out", out),
+        "runs.npz.partial: cannot write: File too large",
+    )
     assert list(out.iterdir()) == []
-    refused(with_little_room(size + 8192, "ensemble", study, "--out", out), "runs.npz: cannot write: ", "150 of 150 runs are kept", "--resume")
+    refused(
+        with_little_room(size + 8192, "ensemble", study, "--out", out),
+        "runs.npz: cannot write: ",
+        "150 of 150 runs are kept",
+        "--resume",
+    )
     assert [path.name for path in out.iterdir()] == ["runs.npz.partial"]
     refused(undeadzone("ensemble", study, "--out", out), "continue it with --resume, or delete it")
-    refused(undeadzone("ensemble", study, "--out", out, "--resume", "--runs", 9), "holds another problem (runs: 150 there, 9 here")
+    refused(
+        undeadzone("ensemble", study, "--out", out, "--resume", "--runs", 9),
+        "holds another problem (runs: 150 there, 9 here",
+    )
     assert undeadzone("ensemble", study, "--out", out, "--resume", "--no-figures").code == 0
     assert [path.name for path in out.iterdir()] == ["runs.npz"]
 
@@ -377,7 +532,11 @@ INTERRUPTIBLE = (
 
 def interrupted(study: Path, path: Path, blocks: int, how: signal.Signals) -> str:
     """What an ensemble that gets a signal after so many reports of progress says."""
-    with subprocess.Popen([sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)], stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as running:
         assert running.stdout is not None
         for _ in range(blocks):
             running.stdout.readline()

@@ -25,10 +25,20 @@ ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
 NASTY = "<b>Ω & more</b>"
 
 
-def ensemble(runs: int = 400, entries: tuple[str, ...] = ENTRIES, sampling: str = "random", diverge: float = 0.02, recorded: int = 50) -> Ensemble:
+def ensemble(
+    runs: int = 400,
+    entries: tuple[str, ...] = ENTRIES,
+    sampling: str = "random",
+    diverge: float = 0.02,
+    recorded: int = 50,
+) -> Ensemble:
     """An ensemble with the shape of a real one: rms grows with the right width, with the mass and with the noise, in this order."""
     random = np.random.default_rng(runs)
-    drawn = {"sensor.right[0]": random.uniform(0.3, 2.0, runs), "plant.A[1,0] (relative)": random.normal(1, 0.1, runs), "sensor.noise[0]": random.random(runs)}
+    drawn = {
+        "sensor.right[0]": random.uniform(0.3, 2.0, runs),
+        "plant.A[1,0] (relative)": random.normal(1, 0.1, runs),
+        "sensor.noise[0]": random.random(runs),
+    }
     right, mass, noise = drawn.values()
     lost = random.random(runs) < diverge
     metrics = {
@@ -42,7 +52,11 @@ def ensemble(runs: int = 400, entries: tuple[str, ...] = ENTRIES, sampling: str 
         "d_left[0]": 0.7 + 0.01 * random.standard_normal(runs),
         "diverged": lost.astype(float),
     }
-    metrics |= {name: np.where(lost, np.nan, column) for name, column in metrics.items() if name != "diverged"}
+    metrics |= {
+        name: np.where(lost, np.nan, column)
+        for name, column in metrics.items()
+        if name != "diverged"
+    }
     info = Info(
         title=NASTY,
         method="certified",
@@ -60,7 +74,12 @@ def ensemble(runs: int = 400, entries: tuple[str, ...] = ENTRIES, sampling: str 
         recorded=recorded,
         units=Units(output="mm", input="N"),
     )
-    return Ensemble({name: drawn[name] for name in entries}, metrics, info, recorded_bands(recorded) if recorded else None)
+    return Ensemble(
+        {name: drawn[name] for name in entries},
+        metrics,
+        info,
+        recorded_bands(recorded) if recorded else None,
+    )
 
 
 def recorded_bands(lanes: int) -> Any:
@@ -79,10 +98,20 @@ def test_runs_that_diverged_are_counted_and_never_averaged() -> None:
     result = ensemble()
     lost = result.diverged
     assert 0 < lost.sum() < 20
-    spoilt = dataclasses.replace(result, metrics={k: np.where(lost, 1e300, v) if k != "diverged" else v for k, v in result.metrics.items()})
+    spoilt = dataclasses.replace(
+        result,
+        metrics={
+            k: np.where(lost, 1e300, v) if k != "diverged" else v for k, v in result.metrics.items()
+        },
+    )
     summary = result.summary()
-    assert summary["diverged"] == proportion(int(lost.sum()), 400)._asdict() | {"runs": np.flatnonzero(lost).tolist()}
-    assert summary["metrics"]["rms_tracking"]["mean"] == describe(result.metrics["rms_tracking"][~lost])["mean"]._asdict()
+    assert summary["diverged"] == proportion(int(lost.sum()), 400)._asdict() | {
+        "runs": np.flatnonzero(lost).tolist()
+    }
+    assert (
+        summary["metrics"]["rms_tracking"]["mean"]
+        == describe(result.metrics["rms_tracking"][~lost])["mean"]._asdict()
+    )
     for key in ("metrics", "sensitivities", "settled", "typical"):
         assert spoilt.summary()[key] == summary[key]
 
@@ -105,7 +134,11 @@ def test_a_run_that_diverged_has_not_settled() -> None:
 
 
 def test_the_worst_runs_come_first() -> None:
-    result = with_metrics(ensemble(8, diverge=0.0), rms_tracking=np.array([3.0, 1, 7, 7, 2, np.nan, 5, 0]), diverged=np.eye(8)[5])
+    result = with_metrics(
+        ensemble(8, diverge=0.0),
+        rms_tracking=np.array([3.0, 1, 7, 7, 2, np.nan, 5, 0]),
+        diverged=np.eye(8)[5],
+    )
     assert result.worst(count=4) == [5, 2, 3, 6]
     assert result.worst(count=100) == [5, 2, 3, 6, 0, 4, 1, 7]
     assert result.typical() == 0
@@ -115,14 +148,21 @@ def test_the_worst_runs_come_first() -> None:
     assert row["metrics"]["rms_tracking"] == 7
     with pytest.raises(InputError, match="expected 0 to 7"):
         result.row(8)
-    with pytest.raises(InputError, match="no_such: is not a column of this ensemble; there are sensor"):
+    with pytest.raises(
+        InputError, match="no_such: is not a column of this ensemble; there are sensor"
+    ):
         result.worst("no_such")
 
 
 def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
     result = ensemble(diverge=0.0)
-    np.testing.assert_array_equal(result.column("d_right_error[0]"), result.metrics["d_right[0]"] - result.varied["sensor.right[0]"])
-    np.testing.assert_array_equal(result.column("d_left_error[0]"), result.metrics["d_left[0]"] - 0.7)
+    np.testing.assert_array_equal(
+        result.column("d_right_error[0]"),
+        result.metrics["d_right[0]"] - result.varied["sensor.right[0]"],
+    )
+    np.testing.assert_array_equal(
+        result.column("d_left_error[0]"), result.metrics["d_left[0]"] - 0.7
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,7 +176,9 @@ def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
         ("plant.x0[1]", 1.4, 0.5),
     ],
 )
-def test_true_widths_are_found_in_whatever_words_they_vary(words: str, right: Any, left: Any) -> None:
+def test_true_widths_are_found_in_whatever_words_they_vary(
+    words: str, right: Any, left: Any
+) -> None:
     varied = {words: np.array([2.0, 3.0])}
     np.testing.assert_allclose(true_width("right[1]", 1.4, varied), right)
     np.testing.assert_allclose(true_width("left[1]", 0.5, varied), left)
@@ -155,14 +197,22 @@ def test_saltellis_blocks_that_repeat_values_enter_the_indices_only() -> None:
     """Blocks A, B, AB_1, AB_2 of y = 2 x_1 + x_2: variance shares 0.8 and 0.2; rows of AB are not independent of A and B."""
     n = 512
     A, B = np.random.default_rng(1).random((2, n, 2))
-    X = np.concatenate([A, B, np.column_stack([B[:, 0], A[:, 1]]), np.column_stack([A[:, 0], B[:, 1]])])
+    X = np.concatenate(
+        [A, B, np.column_stack([B[:, 0], A[:, 1]]), np.column_stack([A[:, 0], B[:, 1]])]
+    )
     result = ensemble(4 * n, ("sensor.right[0]", "sensor.noise[0]"), "saltelli", diverge=0.0)
-    result = dataclasses.replace(with_metrics(result, rms_tracking=X @ [2.0, 1.0]), varied=dict(zip(result.varied, X.T, strict=True)))
+    result = dataclasses.replace(
+        with_metrics(result, rms_tracking=X @ [2.0, 1.0]),
+        varied=dict(zip(result.varied, X.T, strict=True)),
+    )
     for one, share in zip(result.sensitivities().values(), (0.8, 0.2), strict=True):
         assert one.total_order is not None
         assert one.first_order.low <= share <= one.first_order.high
         assert one.total_order.low <= share <= one.total_order.high
-    assert result.summary()["metrics"]["rms_tracking"]["mean"] == describe(X[: 2 * n] @ [2.0, 1.0])["mean"]._asdict()
+    assert (
+        result.summary()["metrics"]["rms_tracking"]["mean"]
+        == describe(X[: 2 * n] @ [2.0, 1.0])["mean"]._asdict()
+    )
     assert result.summary()["diverged"]["high"] == proportion(0, 2 * n).high
 
 
@@ -170,23 +220,51 @@ def test_bands_are_quantiles_of_all_recorded_runs() -> None:
     """Of 100 runs with |z - r| = 1, ..., 100 and one that is lost after the first instant."""
     z = np.arange(1.0, 101.0)[:, None, None] * np.array([1.0, -1.0])[:, None]
     z[0, 1] = np.nan
-    found = bands(np.array([0.0, 1.0]), z, np.zeros((100, 2, 1)), np.ones((100, 2, 2)), np.tile([1.0, 0.7], (100, 1)), [0])
+    found = bands(
+        np.array([0.0, 1.0]),
+        z,
+        np.zeros((100, 2, 1)),
+        np.ones((100, 2, 2)),
+        np.tile([1.0, 0.7], (100, 1)),
+        [0],
+    )
     assert list(found.quantiles) == ["tracking[0]", "d_right[0]", "d_left[0]"]
-    np.testing.assert_array_equal(found.quantiles["tracking[0]"], [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]])
+    np.testing.assert_array_equal(
+        found.quantiles["tracking[0]"], [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]]
+    )
     np.testing.assert_allclose(found.quantiles["d_left[0]"], np.full((2, len(LEVELS)), 0.3))
     z[1:3, 1] = np.nan
-    assert bands(np.zeros(2), z, np.zeros((100, 2, 1)), z, z[:, 0], [0]).quantiles["tracking[0]"][1, -1] == np.inf
+    assert (
+        bands(np.zeros(2), z, np.zeros((100, 2, 1)), z, z[:, 0], [0]).quantiles["tracking[0]"][
+            1, -1
+        ]
+        == np.inf
+    )
 
 
 def same(one: Ensemble, other: Ensemble) -> bool:
-    columns = [{**result.varied, **result.metrics} | (result.bands.quantiles | {"t": result.bands.t} if result.bands else {}) for result in (one, other)]
-    equal = all(np.array_equal(column, columns[1][name], equal_nan=True) for name, column in columns[0].items())
-    return equal and list(columns[0]) == list(columns[1]) and list(one.varied) == list(other.varied) and one.info == other.info
+    columns = [
+        {**result.varied, **result.metrics}
+        | (result.bands.quantiles | {"t": result.bands.t} if result.bands else {})
+        for result in (one, other)
+    ]
+    equal = all(
+        np.array_equal(column, columns[1][name], equal_nan=True)
+        for name, column in columns[0].items()
+    )
+    return (
+        equal
+        and list(columns[0]) == list(columns[1])
+        and list(one.varied) == list(other.varied)
+        and one.info == other.info
+    )
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".parquet"])
 @pytest.mark.parametrize("kind", [{}, {"entries": (), "recorded": 0}, {"runs": 1}])
-def test_a_saved_ensemble_comes_back_to_the_last_bit(suffix: str, kind: dict[str, Any], tmp_path: Path) -> None:
+def test_a_saved_ensemble_comes_back_to_the_last_bit(
+    suffix: str, kind: dict[str, Any], tmp_path: Path
+) -> None:
     result = ensemble(**kind)
     path = result.save(tmp_path / f"runs{suffix}")
     loaded = Ensemble.load(path)
@@ -220,7 +298,9 @@ def test_columns_of_a_loaded_file_stay_on_disk(tmp_path: Path) -> None:
     assert peak < 6 * 8 * runs  # bytes: six columns of the twelve
 
 
-def test_without_pyarrow_the_message_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_message_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = ensemble().save(tmp_path / "runs.parquet")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     for act in (lambda: ensemble().save(tmp_path / "other.parquet"), lambda: Ensemble.load(path)):
@@ -252,13 +332,22 @@ LOST = {name: np.full(100, np.nan) for name in ensemble(100).metrics} | {"diverg
 ALIKE = {name: np.ones(100) for name in ensemble(100).metrics} | {"diverged": np.zeros(100)}
 CASES = {
     "usual": (ensemble(), {"distributions", "over_time", "tornado", "influence"}),
-    "saltelli": (ensemble(500, sampling="saltelli", diverge=0.0), {"distributions", "over_time", "tornado", "influence"}),
-    "one entry": (ensemble(entries=ENTRIES[:1]), {"distributions", "over_time", "tornado", "influence"}),
+    "saltelli": (
+        ensemble(500, sampling="saltelli", diverge=0.0),
+        {"distributions", "over_time", "tornado", "influence"},
+    ),
+    "one entry": (
+        ensemble(entries=ENTRIES[:1]),
+        {"distributions", "over_time", "tornado", "influence"},
+    ),
     "nothing varies": (ensemble(entries=(), recorded=0), {"distributions"}),
     "one run": (ensemble(1, diverge=0.0), {"distributions", "over_time"}),
     "all lost": (with_metrics(ensemble(100), **LOST), {"over_time"}),
     "all alike": (with_metrics(ensemble(100), **ALIKE), {"distributions", "over_time"}),
-    "never settles": (with_metrics(ensemble(), settling_time=np.full(400, 9.99)), {"distributions", "over_time", "tornado", "influence"}),
+    "never settles": (
+        with_metrics(ensemble(), settling_time=np.full(400, 9.99)),
+        {"distributions", "over_time", "tornado", "influence"},
+    ),
 }
 
 
@@ -283,17 +372,41 @@ def test_figures_show_what_the_summary_says() -> None:
     result = ensemble(2000)
     summary = result.summary()
     drawn = figures(result, summary)
-    marks = {text.get_text() for axes in drawn["distributions"].axes if axes.get_legend() for text in axes.get_legend().get_texts()}
+    marks = {
+        text.get_text()
+        for axes in drawn["distributions"].axes
+        if axes.get_legend()
+        for text in axes.get_legend().get_texts()
+    }
     found = summary["metrics"]["rms_tracking"]
-    assert {f"{name} {found[key]['value']:.3g}" for name, key in (("median", "median"), ("95 %", "p95"), ("99 %", "p99"))} <= marks
-    assert [text.get_text() for text in drawn["tornado"].axes[0].get_yticklabels()] == list(summary["sensitivities"])
+    assert {
+        f"{name} {found[key]['value']:.3g}"
+        for name, key in (("median", "median"), ("95 %", "p95"), ("99 %", "p99"))
+    } <= marks
+    assert [text.get_text() for text in drawn["tornado"].axes[0].get_yticklabels()] == list(
+        summary["sensitivities"]
+    )
     for figure in drawn.values():
-        assert all(axes.get_xlabel() or axes.get_ylabel() or axes.get_title(loc="left") for axes in figure.axes)
+        assert all(
+            axes.get_xlabel() or axes.get_ylabel() or axes.get_title(loc="left")
+            for axes in figure.axes
+        )
 
 
 def test_units_and_words() -> None:
-    result = dataclasses.replace(ensemble(), info=msgspec.structs.replace(ensemble().info, units=Units(output="mm", input="N")))
+    result = dataclasses.replace(
+        ensemble(),
+        info=msgspec.structs.replace(ensemble().info, units=Units(output="mm", input="N")),
+    )
     units = {
-        name: result.unit(name) for name in ("rms_tracking", "settling_time", "silent_fraction", "rms_input", "sensor.right[0]", "sensor.right[0] (relative)")
+        name: result.unit(name)
+        for name in (
+            "rms_tracking",
+            "settling_time",
+            "silent_fraction",
+            "rms_input",
+            "sensor.right[0]",
+            "sensor.right[0] (relative)",
+        )
     }
     assert list(units.values()) == ["mm", "s", "1", "N", "mm", "1"]

@@ -20,7 +20,10 @@ def run(name: str) -> uz.Run:
     if name not in RUNS:
         scenario = uz.read(FOLDER / f"{name}.toml")
         if name in SHORTER:
-            scenario = msgspec.structs.replace(scenario, simulation=msgspec.structs.replace(scenario.simulation, duration=SHORTER[name]))
+            scenario = msgspec.structs.replace(
+                scenario,
+                simulation=msgspec.structs.replace(scenario.simulation, duration=SHORTER[name]),
+            )
         if name == "ur5":
             pytest.importorskip("adam")
         RUNS[name] = uz.simulate(scenario)
@@ -28,7 +31,17 @@ def run(name: str) -> uz.Run:
 
 
 def test_every_example_is_tested() -> None:
-    tested = {"paper_5sin", "paper_2sin", "asymmetric_noise", "jump_velocity", "third_order", "two_outputs", "integrators", "pendulum", *SHORTER}
+    tested = {
+        "paper_5sin",
+        "paper_2sin",
+        "asymmetric_noise",
+        "jump_velocity",
+        "third_order",
+        "two_outputs",
+        "integrators",
+        "pendulum",
+        *SHORTER,
+    }
     assert {path.stem for path in FOLDER.glob("*.toml")} >= tested
 
 
@@ -69,7 +82,12 @@ def test_two_outputs() -> None:
 def test_integrators_give_the_width_alone() -> None:
     result = run("integrators")
     verdict = result.info.identifiable[0]
-    assert (verdict["width"], verdict["centre"], verdict["right"], verdict["left"]) == (True, False, False, False)
+    assert (verdict["width"], verdict["centre"], verdict["right"], verdict["left"]) == (
+        True,
+        False,
+        False,
+        False,
+    )
     assert result.widths.sum() == pytest.approx(2.0, abs=1e-4)
     assert abs(result.widths[0, 0] - 1.2) > 0.1
 

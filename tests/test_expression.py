@@ -13,15 +13,21 @@ from hypothesis import strategies as st
 from undeadzone.errors import InputError
 from undeadzone.plants.formulas import evaluate
 
-NUMPY_NAMES = {name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")} | {"abs": abs, "min": min, "max": max}
+NUMPY_NAMES = {
+    name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")
+} | {"abs": abs, "min": min, "max": max}
 leaves = st.sampled_from(["x", "y", "pi", "2", "0.5", "1e-1"])
 formulas = st.recursive(
     leaves,
     lambda inner: st.one_of(
         st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda t: f"({t[0]} {t[1]} {t[2]})"),
         st.tuples(inner, inner).map(lambda t: f"{t[0]} / (2 + sin({t[1]}))"),
-        st.tuples(st.sampled_from(["sin", "cos", "tanh", "atan", "abs", "-", "+"]), inner).map(lambda t: f"{t[0]}({t[1]})"),
-        st.tuples(st.sampled_from(["min", "max", "atan2"]), inner, inner).map(lambda t: f"{t[0]}({t[1]}, {t[2]})"),
+        st.tuples(st.sampled_from(["sin", "cos", "tanh", "atan", "abs", "-", "+"]), inner).map(
+            lambda t: f"{t[0]}({t[1]})"
+        ),
+        st.tuples(st.sampled_from(["min", "max", "atan2"]), inner, inner).map(
+            lambda t: f"{t[0]}({t[1]}, {t[2]})"
+        ),
         inner.map(lambda text: f"({text}) ** 2"),
     ),
     max_leaves=12,
@@ -32,14 +38,25 @@ formulas = st.recursive(
 def test_equals_pythons_arithmetic_in_numbers_and_symbols(text: str, x: float, y: float) -> None:
     expected = eval(text, {"__builtins__": {}}, NUMPY_NAMES | {"x": x, "y": y})
     symbols = ca.SX.sym("x"), ca.SX.sym("y")
-    function = ca.Function("f", [*symbols], [evaluate("f", text, dict(zip("xy", symbols, strict=True)))])
-    assert float(evaluate("f", text, {"x": x, "y": y})) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    function = ca.Function(
+        "f", [*symbols], [evaluate("f", text, dict(zip("xy", symbols, strict=True)))]
+    )
+    assert float(evaluate("f", text, {"x": x, "y": y})) == pytest.approx(
+        expected, rel=1e-12, abs=1e-12
+    )
     assert float(function(x, y)) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("-2 ** 2", -4.0), ("2 * pi", 2 * math.pi), ("sqrt(2)", math.sqrt(2)), (" 1 + 1\n", 2.0), ("(1\n + 1)", 2.0), ("sign(-3) + exp(0) + log(1)", 0.0)],
+    [
+        ("-2 ** 2", -4.0),
+        ("2 * pi", 2 * math.pi),
+        ("sqrt(2)", math.sqrt(2)),
+        (" 1 + 1\n", 2.0),
+        ("(1\n + 1)", 2.0),
+        ("sign(-3) + exp(0) + log(1)", 0.0),
+    ],
 )
 def test_values(text: str, value: float) -> None:
     assert float(evaluate("f", text, {})) == pytest.approx(value)

@@ -50,7 +50,9 @@ class Watched(NamedTuple):
     def right(self, widths: Floats) -> Floats:
         """Errors of the last d_r^, d_l^ in their standard deviations."""
         error = np.concatenate([self.found.right[-1], self.found.left[-1]]) - widths.ravel()
-        return np.asarray(error / np.concatenate([self.found.right_std[-1], self.found.left_std[-1]]))
+        return np.asarray(
+            error / np.concatenate([self.found.right_std[-1], self.found.left_std[-1]])
+        )
 
 
 def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watched]:
@@ -58,12 +60,26 @@ def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watche
     N, seen = arm.p, watch(options, arm, where)
 
     def run(
-        path: Floats, seed: int, widths: Any, x0: Floats | None = None, disturbance: Floats | float = 0.0, params: Floats | None = None, noise: float = 1.0
+        path: Floats,
+        seed: int,
+        widths: Any,
+        x0: Floats | None = None,
+        disturbance: Floats | float = 0.0,
+        params: Floats | None = None,
+        noise: float = 1.0,
     ) -> Watched:
         rng = np.random.default_rng(seed)
         first = np.concatenate([path[0, : 2 * N] if x0 is None else x0, seen.filter])
-        rows = np.hstack([path, noise * rng.normal(size=(len(path), N)), np.broadcast_to(disturbance, (len(path), N))])
-        numbers = np.concatenate([np.ravel(widths), arm.params if params is None else params, seen.numbers])
+        rows = np.hstack(
+            [
+                path,
+                noise * rng.normal(size=(len(path), N)),
+                np.broadcast_to(disturbance, (len(path), N)),
+            ]
+        )
+        numbers = np.concatenate(
+            [np.ravel(widths), arm.params if params is None else params, seen.numbers]
+        )
         out, _ = interpret.run(seen.step, first, rows, numbers)
         x, *parts = np.split(out, np.cumsum(seen.sizes), axis=1)
         return Watched(x, Estimate(*parts[:-1]), parts[-1][-1, 4 * N :])
@@ -72,7 +88,9 @@ def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watche
 
 
 def centre_std(found: Estimate) -> Floats:
-    return np.asarray(np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[-1] / 2)
+    return np.asarray(
+        np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[-1] / 2
+    )
 
 
 def agree(first: Estimate, second: Estimate, tolerance: float = 1e-9) -> None:
@@ -86,19 +104,30 @@ def agree(first: Estimate, second: Estimate, tolerance: float = 1e-9) -> None:
 
 @settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 2), st.booleans())
-def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censored(seed: int, n: int, p: int, shaken: bool) -> None:
+def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censored(
+    seed: int, n: int, p: int, shaken: bool
+) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), 0.02), zone(p, 0.02, noise=0.02)
     common: dict[str, Any] = {"right": [0.3, 2.0], "x_std": 2.0, "drift": 0.1}
     if shaken:
-        twins: Any = Censored(**common, levels=1, bias=0.0, calibrated=0.0, tolerance=0.0), Extended(**common)
+        twins: Any = (
+            Censored(**common, levels=1, bias=0.0, calibrated=0.0, tolerance=0.0),
+            Extended(**common),
+        )
     else:
         twins = Kalman(**common), Extended(**common, **EXACT, silence=False)
     pair = [options.build(model, where) for options in twins]
-    steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
+    steps, states = (
+        [on_numbers(observer, model) for observer in pair],
+        [observer.init(observer.params) for observer in pair],
+    )
     for _ in range(40):
         y, u = rng.normal(size=p) * rng.choice([0.0, 0.02, 3.0], p), rng.normal(size=1)
-        found = [step(state, u, y, sensor.side(y, where.threshold)) for step, state in zip(steps, states, strict=True)]
+        found = [
+            step(state, u, y, sensor.side(y, where.threshold))
+            for step, state in zip(steps, states, strict=True)
+        ]
         states = [after for after, _ in found]
         agree(found[0][1], found[1][1]._replace(w=found[0][1].w))
         if shaken:
@@ -107,7 +136,12 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
 
 PENDULUMS = Plant(
     states=["a", "b", "v", "w"],
-    f=["v", "w", "-g * sin(a) - c * v + k * (b - a) + u", "-2 * g * sin(b) - c * w + k * (a - b) + u / 2"],
+    f=[
+        "v",
+        "w",
+        "-g * sin(a) - c * v + k * (b - a) + u",
+        "-2 * g * sin(b) - c * w + k * (a - b) + u / 2",
+    ],
     h=["a + 0.1 * sin(b)", "b - 0.2 * a ** 2"],
     parameters={"g": 9.0, "c": 0.4, "k": 2.0},
 )
@@ -120,14 +154,22 @@ def pendulums(X: Any, u: float, Ts: float) -> Any:
 
     def rate(s: Any) -> Any:
         (a, b), v = s[:2], s[2:]
-        return np.array([*v, -g * np.sin(a) - 0.4 * v[0] + k * (b - a) + force, -2 * g * np.sin(b) - 0.4 * v[1] + k * (a - b) + force / 2])
+        return np.array(
+            [
+                *v,
+                -g * np.sin(a) - 0.4 * v[0] + k * (b - a) + force,
+                -2 * g * np.sin(b) - 0.4 * v[1] + k * (a - b) + force / 2,
+            ]
+        )
 
     s = np.array([*a, *b])
     k1 = rate(s)
     k2 = rate(s + Ts / 2 * k1)
     k3 = rate(s + Ts / 2 * k2)
     k4 = rate(s + Ts * k3)
-    return np.concatenate([s + Ts / 6 * (k1 + 2 * k2 + 2 * k3 + k4), X[4:8], [np.exp(-Ts / 0.1) * X[8]], X[9:]])
+    return np.concatenate(
+        [s + Ts / 6 * (k1 + 2 * k2 + 2 * k3 + k4), X[4:8], [np.exp(-Ts / 0.1) * X[8]], X[9:]]
+    )
 
 
 def reading(X: Any, side: Floats) -> Any:
@@ -154,7 +196,10 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
     step, state = on_numbers(observer, model), observer.init(observer.params)
     widths = np.zeros(4) if blind else np.array([0.085, 0.085, 0.05, 0.05])
     spans = np.zeros(4) if blind else np.array([0.13, 0.13, 0.1, 0.1]) / np.sqrt(12)
-    X, P = np.array([0.1, -0.2, 0.5, 0.0, *widths, 0.0, 0.0, 0.0]), np.diag([0.1, 0.1, 0.3, 0.2, *spans, 0.5, 0.5, 0.2]) ** 2
+    X, P = (
+        np.array([0.1, -0.2, 0.5, 0.0, *widths, 0.0, 0.0, 0.0]),
+        np.diag([0.1, 0.1, 0.3, 0.2, *spans, 0.5, 0.5, 0.2]) ** 2,
+    )
     fade = np.exp(-Ts / 0.1)
     Q = np.diag([0, 0, 0, 0, *[0.0 if blind else 1e-4 * Ts] * 4, 0.25 * (1 - fade**2), 0, 0])
     for _ in range(60):
@@ -168,8 +213,12 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
                 X, P = X + K * (y[i] - reading(X, take)[i]), P - np.outer(K, h @ P)
                 P = (P + P.T) / 2
         state, found = step(state, u, y, side)
-        assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(X[:8], rel=1e-9, abs=1e-9)
-        assert np.concatenate([found.x_std, found.right_std, found.left_std]) ** 2 == pytest.approx(np.diag(P)[:8], rel=1e-9, abs=1e-12)
+        assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+            X[:8], rel=1e-9, abs=1e-9
+        )
+        assert np.concatenate([found.x_std, found.right_std, found.left_std]) ** 2 == pytest.approx(
+            np.diag(P)[:8], rel=1e-9, abs=1e-12
+        )
         F = slope(lambda X, u=u: pendulums(X, u, Ts), X)
         X, P = pendulums(X, u, Ts), F @ P @ F.T + Q
         assert state.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
@@ -177,14 +226,38 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
 
 def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
     """Two carts: one filter of 10 unknowns, or two of 5, to rounding; a torque on one is an acceleration of it."""
-    carts = Plant(states=["a", "b", "v", "w"], inputs=["s", "t"], f=["v", "w", "s / m", "t / M"], h=["a", "b"], parameters={"m": 2.0, "M": 0.5})
+    carts = Plant(
+        states=["a", "b", "v", "w"],
+        inputs=["s", "t"],
+        f=["v", "w", "s / m", "t / M"],
+        h=["a", "b"],
+        parameters={"m": 2.0, "M": 0.5},
+    )
     model, where, rng = sampled(system(carts), 0.01, 1), zone(2, 0.01), np.random.default_rng(4)
-    common: dict[str, Any] = {"right": RANGE, "x_std": 0.5, "disturbance": [0.3, 0.5], "correlation_time": 0.2, "drift": 0.01}
-    pair = [Extended(**common, joints=joints).build(model, where) for joints in ("coupled", "separate")]  # type: ignore[arg-type]
-    steps, states = [on_numbers(observer, model) for observer in pair], [observer.init(observer.params) for observer in pair]
+    common: dict[str, Any] = {
+        "right": RANGE,
+        "x_std": 0.5,
+        "disturbance": [0.3, 0.5],
+        "correlation_time": 0.2,
+        "drift": 0.01,
+    }
+    pair = [
+        Extended(**common, joints=joints).build(model, where) for joints in ("coupled", "separate")
+    ]  # type: ignore[arg-type]
+    steps, states = (
+        [on_numbers(observer, model) for observer in pair],
+        [observer.init(observer.params) for observer in pair],
+    )
     for k in range(300):
-        y, u = sensor.deadzone(0.4 * np.sin(np.array([0.03, 0.05]) * k), 0.08, 0.05) + 1e-3 * rng.normal(size=2), rng.normal(size=2)
-        found = [step(state, u, y, sensor.side(y, where.threshold)) for step, state in zip(steps, states, strict=True)]
+        y, u = (
+            sensor.deadzone(0.4 * np.sin(np.array([0.03, 0.05]) * k), 0.08, 0.05)
+            + 1e-3 * rng.normal(size=2),
+            rng.normal(size=2),
+        )
+        found = [
+            step(state, u, y, sensor.side(y, where.threshold))
+            for step, state in zip(steps, states, strict=True)
+        ]
         states = [after for after, _ in found]
         agree(found[0][1], found[1][1])
     assert (found[0][1].width_std < 0.5 * PRIOR).all()
@@ -198,15 +271,25 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
 def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
     """20 s of sines through 0, an exact model: widths to 5 %; the centres by weight alone where the covariance knows of it."""
     model, widths = arm(Ts=1e-3), np.array([[0.05, 0.08], [0.08, 0.05]])
-    options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1} if joints == "separate" else EXACT
+    options = (
+        {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1}
+        if joints == "separate"
+        else EXACT
+    )
     path = sines(20.0, 0.5, [2.0, 4.0], 1e-3)
-    found = watcher(Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options), model, zone(2, 1e-3))(path, 0, widths)
+    found = watcher(
+        Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options),
+        model,
+        zone(2, 1e-3),
+    )(path, 0, widths)
     width = found.found.right[-1] + found.found.left[-1]
     assert width == pytest.approx(widths.sum(axis=0), rel=0.05)
     assert (np.abs(found.right(widths)) < 3).all()
     assert (np.abs(width - widths.sum(axis=0)) < 3 * found.found.width_std[-1]).all()
     if joints == "coupled":
-        assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(widths.ravel(), abs=2e-4)
+        assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(
+            widths.ravel(), abs=2e-4
+        )
         assert found.found.z[5000:] == pytest.approx(found.x[5000:, :2], abs=1e-3)
 
 
@@ -215,23 +298,40 @@ def test_homing_tells_the_centre_that_nothing_else_does() -> None:
     model, widths = arm(OneLink, g=0.0), np.array([0.05, 0.08])
     path = sines(8.0, 0.5, [3.0], TS)
     homed, lost = (
-        watcher(Extended(right=RANGE, x_std=[std, 0.01], start=[0.0, 1.5], **EXACT), model, zone())(path, 1, widths, x0=np.array([0.0, 1.5]))
+        watcher(Extended(right=RANGE, x_std=[std, 0.01], start=[0.0, 1.5], **EXACT), model, zone())(
+            path, 1, widths, x0=np.array([0.0, 1.5])
+        )
         for std in (1e-4, 1.0)
     )
     for found in (homed, lost):
         assert found.found.right[-1] + found.found.left[-1] == pytest.approx([0.13], rel=0.01)
         assert found.found.width_std[-1] < 1e-3
     assert centre_std(homed.found) < 1e-3
-    assert np.array([homed.found.right[-1], homed.found.left[-1]]).ravel() == pytest.approx(widths, abs=1e-3)
+    assert np.array([homed.found.right[-1], homed.found.left[-1]]).ravel() == pytest.approx(
+        widths, abs=1e-3
+    )
     assert centre_std(lost.found) == pytest.approx([PRIOR / np.sqrt(2)], rel=0.02)
 
 
 def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
-    believed, widths, path = arm(payload=0.6), np.array([[0.05, 0.08], [0.08, 0.05]]), sines(10.0, 0.5, PULSES, TS)
-    options: dict[str, Any] = {"right": RANGE, "start": path[0, :4], "x_std": [0.02, 0.02, 0.1, 0.1], "disturbance": 0.05, "correlation_time": 0.1}
+    believed, widths, path = (
+        arm(payload=0.6),
+        np.array([[0.05, 0.08], [0.08, 0.05]]),
+        sines(10.0, 0.5, PULSES, TS),
+    )
+    options: dict[str, Any] = {
+        "right": RANGE,
+        "start": path[0, :4],
+        "x_std": [0.02, 0.02, 0.1, 0.1],
+        "disturbance": 0.05,
+        "correlation_time": 0.1,
+    }
     loaded = believed.params + 0.5 * np.array([name == "payload" for name in believed.names])
     told, untold = (
-        watcher(Extended(**options, uncertain=uncertain), believed, zone(2))(path, 2, widths, params=loaded) for uncertain in ({"payload": 0.5}, {})
+        watcher(Extended(**options, uncertain=uncertain), believed, zone(2))(
+            path, 2, widths, params=loaded
+        )
+        for uncertain in ({"payload": 0.5}, {})
     )
     assert told.extra[-1] == pytest.approx(0.5, abs=0.01)
     assert (np.abs(told.right(widths)) < 3).all()
@@ -242,8 +342,17 @@ def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
     """An arm at rest beyond its edges reads z - d_r, z + d_l: so it is believed, where nothing knows of a dead zone."""
     model, widths = arm(), np.array([[0.05, 0.08], [0.08, 0.05]])
     rest = np.tile([0.4, -0.5, 0.0, 0.0, 0.0, 0.0], (1500, 1))
-    options: dict[str, Any] = {"right": RANGE, "start": rest[0, :4], "x_std": 0.01, "disturbance": 20.0, "correlation_time": 100.0}
-    blind, seeing = (watcher(Extended(**options, blind=blind), model, zone(2))(rest, 3, widths) for blind in (True, False))
+    options: dict[str, Any] = {
+        "right": RANGE,
+        "start": rest[0, :4],
+        "x_std": 0.01,
+        "disturbance": 20.0,
+        "correlation_time": 100.0,
+    }
+    blind, seeing = (
+        watcher(Extended(**options, blind=blind), model, zone(2))(rest, 3, widths)
+        for blind in (True, False)
+    )
     assert (blind.x - blind.found.x)[-1, :2] == pytest.approx([0.05, -0.05], rel=0.05)
     assert np.abs((seeing.x - seeing.found.x)[-1, :2]).max() < 0.02
     assert not np.any([blind.found.right, blind.found.left, blind.found.width_std])
@@ -252,10 +361,18 @@ def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
 def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     """Readings show z itself; that they are 0, or not, bounds each width: from both sides in the end."""
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
-    model, widths, path = sampled(flow, TS, 1), np.array([[0.3, 0.5], [0.4, 0.6]]), sines(8.0, 0.5, [2.0, 4.0], TS)
-    options = Extended(right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02, **EXACT)
+    model, widths, path = (
+        sampled(flow, TS, 1),
+        np.array([[0.3, 0.5], [0.4, 0.6]]),
+        sines(8.0, 0.5, [2.0, 4.0], TS),
+    )
+    options = Extended(
+        right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02, **EXACT
+    )
     found = watcher(options, model, zone(2, kind="jump", noise=0.01))(path, 4, widths)
-    assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(widths.ravel(), abs=0.05)
+    assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(
+        widths.ravel(), abs=0.05
+    )
     assert (found.found.right_std[-1] < 0.3 / np.sqrt(12)).all()
     assert (np.abs(found.right(widths)) < 3).all()
 
@@ -265,14 +382,23 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
 
 @pytest.mark.parametrize(
     ("options", "rms", "payload"),
-    [(EXACT, 0.0, 0.0), (SHAKEN, 0.5, 0.0), (SHAKEN | {"joints": "separate"}, 0.5, 0.0), (SHAKEN | {"uncertain": {"payload": 0.3}}, 0.5, 0.3)],
+    [
+        (EXACT, 0.0, 0.0),
+        (SHAKEN, 0.5, 0.0),
+        (SHAKEN | {"joints": "separate"}, 0.5, 0.0),
+        (SHAKEN | {"uncertain": {"payload": 0.3}}, 0.5, 0.3),
+    ],
     ids=["exact", "disturbed", "separate", "payload"],
 )
-def test_claims_are_true_over_random_arms(options: dict[str, Any], rms: float, payload: float) -> None:
+def test_claims_are_true_over_random_arms(
+    options: dict[str, Any], rms: float, payload: float
+) -> None:
     """2 standard deviations hold the truth in 95 %: at least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed."""
     Ts, runs = 4e-3, 25
     model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, 0.5, PULSES, Ts), START
-    run = watcher(Extended(right=RANGE, start=path[0, :4], x_std=x_std, **options), model, zone(2, Ts))
+    run = watcher(
+        Extended(right=RANGE, start=path[0, :4], x_std=x_std, **options), model, zone(2, Ts)
+    )
     fade, errors = np.exp(-Ts / 0.1), []
     for seed in range(runs):
         rng = np.random.default_rng([5, seed])
@@ -280,9 +406,17 @@ def test_claims_are_true_over_random_arms(options: dict[str, Any], rms: float, p
         w = [rms * rng.normal(size=2)]
         for shock in rng.normal(size=(len(path) - 1, 2)):
             w.append(fade * w[-1] + rms * np.sqrt(1 - fade**2) * shock)
-        params = model.params + payload * rng.normal() * np.array([name == "payload" for name in model.names])
-        found = run(path, seed, widths, path[0, :4] + x_std * rng.normal(size=4), np.array(w), params)
-        errors.append(np.concatenate([found.right(widths), ((found.found.x - found.x) / found.found.x_std)[-1]]))
+        params = model.params + payload * rng.normal() * np.array(
+            [name == "payload" for name in model.names]
+        )
+        found = run(
+            path, seed, widths, path[0, :4] + x_std * rng.normal(size=4), np.array(w), params
+        )
+        errors.append(
+            np.concatenate(
+                [found.right(widths), ((found.found.x - found.x) / found.found.x_std)[-1]]
+            )
+        )
     assert (np.abs(errors) < 2).mean() > 0.9
     assert 0.5 < np.square(errors).mean() < 1.5
 
@@ -290,7 +424,9 @@ def test_claims_are_true_over_random_arms(options: dict[str, Any], rms: float, p
 # --- In the loop
 
 
-def test_lanes_and_the_virtual_machine_agree(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lanes_and_the_virtual_machine_agree(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
     given = scene(
         plant={
@@ -327,18 +463,80 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
     ("options", "model", "kind", "error", "message"),
     [
         ({"start": [0.0]}, arm(), "deadzone", ShapeError, "observer.start: expected 4 numbers"),
-        ({"uncertain": {"paylod": 1.0}}, arm(), "deadzone", InputError, "observer.uncertain.paylod: unknown parameter; the model has m1"),
-        ({"uncertain": {"payload": 0.0}}, arm(), "deadzone", InputError, "observer.uncertain.payload: must be greater than 0"),
-        ({"uncertain": {"a": 1.0}}, sampled(random_plant(np.random.default_rng(0), 2), TS), "deadzone", InputError, "none with a name"),
-        ({"correlation_time": 1e-9}, arm(), "deadzone", InputError, "observer.correlation_time: must lie between"),
-        ({"silence": False}, arm(), "jump", InputError, "observer.silence: readings of a jump sensor only bound"),
-        (SEPARATE | {"uncertain": {"payload": 1.0}}, arm(), "deadzone", InputError, "observer.uncertain: a parameter binds the joints"),
-        (SEPARATE | EXACT, arm(), "deadzone", InputError, "observer.disturbance: must be positive for separate joints"),
-        (SEPARATE, sampled(system(PENDULUMS), TS), "deadzone", InputError, "observer.joints: separate joints need"),
-        (SEPARATE, sampled(random_plant(np.random.default_rng(0), 2), TS), "deadzone", InputError, "observer.joints: separate joints need"),
-        ({}, system(Plant(arm=TwoLink())), "deadzone", InputError, 'set simulation.time = "sampled"'),
+        (
+            {"uncertain": {"paylod": 1.0}},
+            arm(),
+            "deadzone",
+            InputError,
+            "observer.uncertain.paylod: unknown parameter; the model has m1",
+        ),
+        (
+            {"uncertain": {"payload": 0.0}},
+            arm(),
+            "deadzone",
+            InputError,
+            "observer.uncertain.payload: must be greater than 0",
+        ),
+        (
+            {"uncertain": {"a": 1.0}},
+            sampled(random_plant(np.random.default_rng(0), 2), TS),
+            "deadzone",
+            InputError,
+            "none with a name",
+        ),
+        (
+            {"correlation_time": 1e-9},
+            arm(),
+            "deadzone",
+            InputError,
+            "observer.correlation_time: must lie between",
+        ),
+        (
+            {"silence": False},
+            arm(),
+            "jump",
+            InputError,
+            "observer.silence: readings of a jump sensor only bound",
+        ),
+        (
+            SEPARATE | {"uncertain": {"payload": 1.0}},
+            arm(),
+            "deadzone",
+            InputError,
+            "observer.uncertain: a parameter binds the joints",
+        ),
+        (
+            SEPARATE | EXACT,
+            arm(),
+            "deadzone",
+            InputError,
+            "observer.disturbance: must be positive for separate joints",
+        ),
+        (
+            SEPARATE,
+            sampled(system(PENDULUMS), TS),
+            "deadzone",
+            InputError,
+            "observer.joints: separate joints need",
+        ),
+        (
+            SEPARATE,
+            sampled(random_plant(np.random.default_rng(0), 2), TS),
+            "deadzone",
+            InputError,
+            "observer.joints: separate joints need",
+        ),
+        (
+            {},
+            system(Plant(arm=TwoLink())),
+            "deadzone",
+            InputError,
+            'set simulation.time = "sampled"',
+        ),
     ],
 )
-def test_what_is_wrong_is_named(options: dict[str, Any], model: System, kind: str, error: type[Exception], message: str) -> None:
+def test_what_is_wrong_is_named(
+    options: dict[str, Any], model: System, kind: str, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         Extended(right=RANGE, **options).build(model, zone(model.p, kind=kind))

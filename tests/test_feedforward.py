@@ -16,7 +16,16 @@ from undeadzone.feedforward.targets import inverted_targets, linear_targets, reg
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import System, sampled
-from undeadzone.signals.exosystem import Exosystem, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
+from undeadzone.signals.exosystem import (
+    Exosystem,
+    Signal,
+    Sine,
+    Sines,
+    Step,
+    Tone,
+    Trapezoid,
+    exosystem,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 T = np.linspace(0.0, 3.0, 301)
@@ -32,11 +41,22 @@ def plant_of(**options: Any) -> System:
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 3), st.integers(0, 1), st.floats(0.01, 1e4))
-def test_regulator_equations_hold_for_random_plants(seed: int, n: int, q: int, extra: int, frequency: float) -> None:
+def test_regulator_equations_hold_for_random_plants(
+    seed: int, n: int, q: int, extra: int, frequency: float
+) -> None:
     """A Pi + B Gamma = Pi S, C Pi = Q, so that x_ref' = A x_ref + B u_ff and C x_ref = r for all time."""
     q = min(q, n)
     plant = random_plant(np.random.default_rng(seed), n, q + extra, q, stable=False)
-    reference = exo(Sines(components=[Tone(amplitude=1.0, frequency=frequency), Tone(amplitude=2.0, frequency=2.1 * frequency, phase=1.0)], offset=0.5), q)
+    reference = exo(
+        Sines(
+            components=[
+                Tone(amplitude=1.0, frequency=frequency),
+                Tone(amplitude=2.0, frequency=2.1 * frequency, phase=1.0),
+            ],
+            offset=0.5,
+        ),
+        q,
+    )
     target = linear_targets(plant, reference, list(range(q)), T)
     Pi, _, residual = regulator(plant.linear, reference.S, reference.Q)
     A, B, C = plant.linear
@@ -44,10 +64,14 @@ def test_regulator_equations_hold_for_random_plants(seed: int, n: int, q: int, e
     size = 1 + np.abs(target.x_ref).max()
     assert residual < 1e-8
     assert target.x_ref @ C.T == pytest.approx(reference.value(T), abs=1e-7)
-    assert w @ (Pi @ reference.S).T == pytest.approx(target.x_ref @ A.T + target.u_ff @ B.T, abs=1e-7 * size)
+    assert w @ (Pi @ reference.S).T == pytest.approx(
+        target.x_ref @ A.T + target.u_ff @ B.T, abs=1e-7 * size
+    )
 
 
-@pytest.mark.parametrize("signal", [SINE, Step(amplitude=2.0), Sine(amplitude=1.0, frequency=0.3, offset=2.0, phase=0.4)])
+@pytest.mark.parametrize(
+    "signal", [SINE, Step(amplitude=2.0), Sine(amplitude=1.0, frequency=0.3, offset=2.0, phase=0.4)]
+)
 @pytest.mark.parametrize("unstable", [False, True])
 def test_a_plant_started_on_x_ref_follows(signal: Signal, unstable: bool) -> None:
     plant = plant_of(companion=[-0.5 if unstable else 1.0, 2.0, 1.5])
@@ -64,14 +88,24 @@ def test_a_plant_started_on_x_ref_follows(signal: Signal, unstable: bool) -> Non
 
 def test_amplitude_of_the_feedforward_is_the_inverse_of_the_frequency_response() -> None:
     for frequency in (0.1, 1.0, 30.0, 1000.0):
-        target = linear_targets(PAPER_PLANT, exo(Sine(amplitude=1.0, frequency=frequency)), [0], np.linspace(0, 1 / frequency, 401))
-        assert np.abs(target.u_ff).max() * abs(response(PAPER_PLANT.linear, 2j * np.pi * frequency)[0, 0]) == pytest.approx(1.0, rel=1e-4)
+        target = linear_targets(
+            PAPER_PLANT,
+            exo(Sine(amplitude=1.0, frequency=frequency)),
+            [0],
+            np.linspace(0, 1 / frequency, 401),
+        )
+        assert np.abs(target.u_ff).max() * abs(
+            response(PAPER_PLANT.linear, 2j * np.pi * frequency)[0, 0]
+        ) == pytest.approx(1.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("order", [2, 4, 6])
 @pytest.mark.parametrize("frequency", [1e-2, 1.0, 1e3])
 def test_chains_far_from_unit_scale_are_followed(order: int, frequency: float) -> None:
-    reference, t = exo(Sine(amplitude=1e-3, frequency=frequency)), np.linspace(0, 1 / frequency, 401)
+    reference, t = (
+        exo(Sine(amplitude=1e-3, frequency=frequency)),
+        np.linspace(0, 1 / frequency, 401),
+    )
     target = linear_targets(plant_of(integrators=order), reference, [0], t)
     assert target.x_ref[:, 0] == pytest.approx(reference.value(t)[:, 0], abs=1e-10)
     assert np.abs(target.u_ff).max() == pytest.approx(1e-3 * (2 * np.pi * frequency) ** order)
@@ -85,7 +119,9 @@ def test_sampled_targets_are_exact_at_the_samples(seed: int, Ts: float) -> None:
     reference = exo(Sine(amplitude=2.0, frequency=0.4 / (10 * Ts), phase=0.5, offset=1.0))
     target = linear_targets(plant, reference, [0], t)
     size = 1 + np.abs(target.x_ref).max()
-    assert target.x_ref[1:] == pytest.approx(target.x_ref[:-1] @ A.T + target.u_ff[:-1] @ B.T, abs=1e-7 * size)
+    assert target.x_ref[1:] == pytest.approx(
+        target.x_ref[:-1] @ A.T + target.u_ff[:-1] @ B.T, abs=1e-7 * size
+    )
     assert target.x_ref @ C.T == pytest.approx(reference.value(t), abs=1e-7)
 
 
@@ -105,16 +141,26 @@ def test_tracked_output_is_the_one_asked_for() -> None:
     ],
 )
 @pytest.mark.parametrize("Ts", [None, 0.05])
-def test_a_zero_on_the_spectrum_is_named(numerator: list[float], signal: Signal, where: str, Ts: float | None) -> None:
-    plant = plant_of(transfer_function=TransferFunction(numerator=numerator, denominator=[1.0, 3.0, 3.0, 1.0]))
+def test_a_zero_on_the_spectrum_is_named(
+    numerator: list[float], signal: Signal, where: str, Ts: float | None
+) -> None:
+    plant = plant_of(
+        transfer_function=TransferFunction(numerator=numerator, denominator=[1.0, 3.0, 3.0, 1.0])
+    )
     if Ts is not None and len(numerator) == 3:
         return  # sampling moves complex zeros off the axis
-    with pytest.raises(TrackingError, match=f"^reference: .* a zero of the plant at s = {where} lies"):
+    with pytest.raises(
+        TrackingError, match=f"^reference: .* a zero of the plant at s = {where} lies"
+    ):
         linear_targets(plant if Ts is None else sampled(plant, Ts), exo(signal), [0], T)
 
 
 def test_a_zero_elsewhere_is_no_obstacle() -> None:
-    plant = plant_of(transfer_function=TransferFunction(numerator=[1.0, 0.0, 4.0], denominator=[1.0, 3.0, 3.0, 1.0]))
+    plant = plant_of(
+        transfer_function=TransferFunction(
+            numerator=[1.0, 0.0, 4.0], denominator=[1.0, 3.0, 3.0, 1.0]
+        )
+    )
     reference = exo(Sine(amplitude=1.0, frequency=1.01 / np.pi))
     target = linear_targets(plant, reference, [0], T)
     assert target.x_ref @ plant.linear.C.T == pytest.approx(reference.value(T), abs=1e-7)
@@ -122,7 +168,10 @@ def test_a_zero_elsewhere_is_no_obstacle() -> None:
 
 def test_more_outputs_than_inputs_cannot_follow() -> None:
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2))
-    with pytest.raises(TrackingError, match=r"^tracked: the plant has 1 input and cannot make 2 outputs follow; name at most 1"):
+    with pytest.raises(
+        TrackingError,
+        match=r"^tracked: the plant has 1 input and cannot make 2 outputs follow; name at most 1",
+    ):
         linear_targets(plant, exo(SINE, 2), [0, 1], T)
 
 
@@ -141,18 +190,28 @@ def test_inversion_of_a_pendulum_is_that_by_hand() -> None:
 
 
 def test_inversion_of_two_coupled_outputs() -> None:
-    plant = plant_of(f=["-a + b ** 2 + u", "-b ** 3 + a * b + v"], h=["a + b ** 3", "b"], states=["a", "b"], inputs=["u", "v"])
+    plant = plant_of(
+        f=["-a + b ** 2 + u", "-b ** 3 + a * b + v"],
+        h=["a + b ** 3", "b"],
+        states=["a", "b"],
+        inputs=["u", "v"],
+    )
     reference = exo(Sine(amplitude=[1.0, 0.5], frequency=0.5, phase=[0.0, 1.0]), 2)
     target = inverted_targets(plant, reference, [0, 1], T, np.zeros(2))
     (r, s), (dr, ds) = reference.value(T).T, reference.value(T, 1).T
     a, b, da = r - s**3, s, dr - 3 * s**2 * ds
     assert target.x_ref == pytest.approx(np.stack([a, b], axis=1), abs=1e-9)
-    assert target.u_ff == pytest.approx(np.stack([da + a - b**2, ds + b**3 - a * b], axis=1), abs=1e-9)
+    assert target.u_ff == pytest.approx(
+        np.stack([da + a - b**2, ds + b**3 - a * b], axis=1), abs=1e-9
+    )
 
 
 def test_inversion_agrees_with_the_regulator_equations_on_a_linear_plant() -> None:
     formulas = plant_of(f=["v", "-x - 2 * v + u"], h=["x"], states=["x", "v"])
-    by_inversion, by_regulator = inverted_targets(formulas, exo(SINE), [0], T, np.zeros(2)), linear_targets(PAPER_PLANT, exo(SINE), [0], T)
+    by_inversion, by_regulator = (
+        inverted_targets(formulas, exo(SINE), [0], T, np.zeros(2)),
+        linear_targets(PAPER_PLANT, exo(SINE), [0], T),
+    )
     for one, other in zip(by_inversion, by_regulator, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
 
@@ -161,21 +220,35 @@ def test_inversion_agrees_with_the_regulator_equations_on_a_linear_plant() -> No
     ("changes", "channels", "words"),
     [
         ({"h": ["rate"]}, 1, "has zero dynamics .relative degrees .1. add up to 1, not to n = 2"),
-        ({"h": ["0 * torque + angle", "rate"]}, 2, "^tracked: a nonlinear plant with 1 input needs 1 tracked output"),
+        (
+            {"h": ["0 * torque + angle", "rate"]},
+            2,
+            "^tracked: a nonlinear plant with 1 input needs 1 tracked output",
+        ),
         ({"h": ["sin(angle)"]}, 1, "cannot follow it at t = "),
     ],
 )
-def test_inversion_says_what_it_cannot_do(changes: dict[str, Any], channels: int, words: str) -> None:
+def test_inversion_says_what_it_cannot_do(
+    changes: dict[str, Any], channels: int, words: str
+) -> None:
     changes = {"h": [text.replace("0 * torque + ", "") for text in changes["h"]]}
     with pytest.raises(TrackingError, match=words):
-        inverted_targets(plant_of(**PENDULUM | changes), exo(Sine(amplitude=2.0, frequency=0.5), channels), list(range(channels)), T, np.zeros(2))
+        inverted_targets(
+            plant_of(**PENDULUM | changes),
+            exo(Sine(amplitude=2.0, frequency=0.5), channels),
+            list(range(channels)),
+            T,
+            np.zeros(2),
+        )
 
 
 def test_default_gain_is_unity_dc_only_when_asked() -> None:
     """u_ff for a constant r is r / G(0)."""
     for gain, expected in ((1.0, 4 * np.pi**2 * 3.0), (4 * np.pi**2, 3.0)):
         plant = plant_of(second_order=SecondOrder(zeta=1.0, omega_n=2 * np.pi, gain=gain))
-        assert linear_targets(plant, exo(Step(amplitude=3.0)), [0], T).u_ff[0, 0] == pytest.approx(expected)
+        assert linear_targets(plant, exo(Step(amplitude=3.0)), [0], T).u_ff[0, 0] == pytest.approx(
+            expected
+        )
 
 
 def test_inversion_of_fast_and_large_references() -> None:
@@ -185,4 +258,6 @@ def test_inversion_of_fast_and_large_references() -> None:
         reference = exo(Sine(amplitude=1.0, frequency=frequency))
         r, dr, ddr = (reference.value(t, order)[:, 0] for order in range(3))
         target = inverted_targets(plant_of(**PENDULUM), reference, [0], t, np.zeros(2))
-        assert target.u_ff[:, 0] == pytest.approx(ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max())
+        assert target.u_ff[:, 0] == pytest.approx(
+            ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max()
+        )

@@ -18,7 +18,8 @@ def run(**observer: Any) -> uz.Run:
                 "plant": {"arm": {"kind": "one_link"}, "parameters": {"g": 0.0, "b1": 0.1}},
                 "sensor": {"right": 0.08, "left": 0.05, "noise": 1e-3},
                 "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
-                "observer": {"method": "extended", "right": [0.0, 0.15], "disturbance": 0.05} | observer,
+                "observer": {"method": "extended", "right": [0.0, 0.15], "disturbance": 0.05}
+                | observer,
                 "controller": {"method": "computed_torque", "bandwidth": 10.0},
                 "simulation": {"time": "sampled", "duration": 4.0, "step": 0.004, "substeps": 1},
             }
@@ -44,4 +45,6 @@ def test_a_known_start_tells_the_centre_as_well_as_the_start_is_known() -> None:
     assert verdict["std"]["centre"] == pytest.approx(2 * 0.002, rel=0.01)
     np.testing.assert_allclose(found.widths, [[0.08, 0.05]], atol=0.005)
     assert found.d_std is not None
-    np.testing.assert_allclose(found.d_std[-1], [verdict["std"]["right"], verdict["std"]["left"]], rtol=0.3)
+    np.testing.assert_allclose(
+        found.d_std[-1], [verdict["std"]["right"], verdict["std"]["left"]], rtol=0.3
+    )

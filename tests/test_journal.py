@@ -74,7 +74,9 @@ def test_a_damaged_byte_loses_its_block_and_no_other(tmp_path: Path) -> None:
         damaged = bytearray(whole)
         damaged[store.start + place] ^= 1 << rng.randrange(8)
         store.path.write_bytes(damaged)
-        assert again(store.path) == [place // 8 % 95 // 10 if place < numbers else (place - numbers) // 8]
+        assert again(store.path) == [
+            place // 8 % 95 // 10 if place < numbers else (place - numbers) // 8
+        ]
 
 
 def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
@@ -96,7 +98,9 @@ def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
     store.close()
     os.truncate(store.path, kept)
     if kept < 200:  # the header itself is torn
-        with pytest.raises(FileError, match="is not an unfinished ensemble; choose another name or delete it"):
+        with pytest.raises(
+            FileError, match="is not an unfinished ensemble; choose another name or delete it"
+        ):
             again(store.path)
         return
     execute.run(functools.partial(sines, 95), store.path, resume=True).close()
@@ -104,7 +108,9 @@ def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", bytes(10_000)])
-def test_a_file_whose_header_was_never_written_is_begun_anew(tmp_path: Path, content: bytes) -> None:
+def test_a_file_whose_header_was_never_written_is_begun_anew(
+    tmp_path: Path, content: bytes
+) -> None:
     (tmp_path / "runs.partial").write_bytes(content)
     assert execute.run(functools.partial(sines, 95), tmp_path / "runs.partial").runs_done == 95
 
@@ -112,12 +118,17 @@ def test_a_file_whose_header_was_never_written_is_begun_anew(tmp_path: Path, con
 def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial")
     store.close()
-    with pytest.raises(FileError, match=r"an unfinished ensemble is there; continue it with --resume, or delete it to start anew"):
+    with pytest.raises(
+        FileError,
+        match=r"an unfinished ensemble is there; continue it with --resume, or delete it to start anew",
+    ):
         journal.start(store.path, store.layout)
     assert again(store.path) == []
 
 
-@pytest.mark.parametrize("content", [b"time,z\n0,1\n", b"\x89PNG\r\n\x1a\n", b"[1, 2]\n", b'{"runs": 3}\n'])
+@pytest.mark.parametrize(
+    "content", [b"time,z\n0,1\n", b"\x89PNG\r\n\x1a\n", b"[1, 2]\n", b'{"runs": 3}\n']
+)
 @pytest.mark.parametrize("resume", [False, True])
 def test_another_file_is_left_alone(tmp_path: Path, content: bytes, resume: bool) -> None:
     path = tmp_path / "runs.partial"
@@ -137,16 +148,26 @@ def test_another_file_is_left_alone(tmp_path: Path, content: bytes, resume: bool
         (layout(95, scenario="a = 1\n"), "scenario: nothing there, b = 2 here"),
         (layout(95, scenario="a = 1\nb = 2\n\n"), "scenario:  there, nothing here"),
         (layout(95, extra=1), "extra: 1 there, None here"),
-        (layout(95, columns=2), "columns: ['column 0', 'column 1'] there, ['column 0', 'column 1', 'column 2'] here"),
+        (
+            layout(95, columns=2),
+            "columns: ['column 0', 'column 1'] there, ['column 0', 'column 1', 'column 2'] here",
+        ),
     ],
 )
-def test_another_problem_is_refused_with_the_difference(tmp_path: Path, other: journal.Layout, difference: str) -> None:
+def test_another_problem_is_refused_with_the_difference(
+    tmp_path: Path, other: journal.Layout, difference: str
+) -> None:
     journal.start(tmp_path / "runs.partial", other).close()
-    with pytest.raises(InputError, match=re.escape(f"holds another problem ({difference}); delete it to start anew")):
+    with pytest.raises(
+        InputError,
+        match=re.escape(f"holds another problem ({difference}); delete it to start anew"),
+    ):
         again(tmp_path / "runs.partial")
 
 
-def test_other_versions_of_packages_are_another_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_versions_of_packages_are_another_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stored(tmp_path / "runs.partial").close()
     monkeypatch.setattr(journal, "versions", lambda: {"numba": "0.1"})
     with pytest.raises(InputError, match=r"numba: [\d.]+ there, 0\.1 here"):
@@ -162,7 +183,9 @@ def test_a_long_scenario_in_the_header(tmp_path: Path) -> None:
 def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial", blocks=range(2))
     for resume in (False, True):
-        with pytest.raises(FileError, match="another process is writing it; wait for it, or choose another name"):
+        with pytest.raises(
+            FileError, match="another process is writing it; wait for it, or choose another name"
+        ):
             journal.start(store.path, store.layout, resume)
     store.put(2, sines(95).block(2))
     store.close()
@@ -187,7 +210,10 @@ def file_size_limit(size: int) -> Iterator[None]:
 
 
 def test_a_full_disk_is_noticed_at_the_start(tmp_path: Path) -> None:
-    with file_size_limit(50_000), pytest.raises(FileError, match=r"runs\.partial: cannot write: File too large$"):
+    with (
+        file_size_limit(50_000),
+        pytest.raises(FileError, match=r"runs\.partial: cannot write: File too large$"),
+    ):
         execute.run(functools.partial(sines, 10_000), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: "):
@@ -202,7 +228,10 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "runs.partial"
     try:
-        with pytest.raises(FileError, match=r"cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume"):
+        with pytest.raises(
+            FileError,
+            match=r"cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume",
+        ):
             execute.run(functools.partial(sines, 95), path, progress=progress)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -211,7 +240,12 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
 
 def test_unwritable_places(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for path in (tmp_path, tmp_path / "file" / "runs.partial", tmp_path / "zero\0byte", tmp_path / ("x" * 300)):
+    for path in (
+        tmp_path,
+        tmp_path / "file" / "runs.partial",
+        tmp_path / "zero\0byte",
+        tmp_path / ("x" * 300),
+    ):
         with pytest.raises(FileError, match="cannot write"):
             journal.start(path, layout(95))
 
@@ -235,7 +269,10 @@ class Interrupted(Sines):
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     path, told = tmp_path / "runs.partial", []
-    with pytest.raises(KeyboardInterrupt, match=r"50 of 95 runs are kept in .*runs\.partial; continue with --resume"):
+    with pytest.raises(
+        KeyboardInterrupt,
+        match=r"50 of 95 runs are kept in .*runs\.partial; continue with --resume",
+    ):
         execute.run(lambda: Interrupted(layout(95), wrong=5), path)
     store = execute.run(functools.partial(sines, 95), path, resume=True, progress=told.append)
     assert told == [50, 10, 10, 10, 10, 5]
@@ -244,7 +281,13 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
 
 def test_what_stops_the_use_of_a_store_keeps_it(tmp_path: Path) -> None:
     store = execute.run(functools.partial(sines, 95), tmp_path / "runs.partial")
-    with pytest.raises(InputError, match=r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$"), execute.keeping(store):
+    with (
+        pytest.raises(
+            InputError,
+            match=r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$",
+        ),
+        execute.keeping(store),
+    ):
         raise InputError("no such suffix")
     assert again(store.path) == []
 
@@ -296,4 +339,9 @@ def test_imports() -> None:
         "import sys\nsys.modules['fcntl'] = sys.modules['distributed'] = None\nimport undeadzone.ensemble.blocks.run_blocks\n"
         "print([name for name in ('numba', 'scipy', 'casadi', 'dask') if name in sys.modules])"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )

@@ -53,8 +53,16 @@ def covariance(state: State) -> Floats:
 
 def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
     """f of CasADi symbols, at numbers."""
-    symbols = [ca.SX.sym("a", *np.reshape(value, (len(np.atleast_1d(value)), -1)).shape) for value in values]
-    return [found.full() for found in ca.Function("f", symbols, list(f(*symbols))).call([ca.DM(value) for value in values])]
+    symbols = [
+        ca.SX.sym("a", *np.reshape(value, (len(np.atleast_1d(value)), -1)).shape)
+        for value in values
+    ]
+    return [
+        found.full()
+        for found in ca.Function("f", symbols, list(f(*symbols))).call(
+            [ca.DM(value) for value in values]
+        )
+    ]
 
 
 # --- Gaussian maths
@@ -63,7 +71,9 @@ def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
 @given(seeds)
 def test_covariance_and_triangle_are_inverse(seed: int) -> None:
     square = np.random.default_rng(seed).normal(size=(4, 4))
-    (found,) = evaluate(lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T)
+    (found,) = evaluate(
+        lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T
+    )
     assert (found == square + square.T).all()
 
 
@@ -71,7 +81,13 @@ def test_covariance_and_triangle_are_inverse(seed: int) -> None:
 def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     """Mean and covariance of random quadratic maps by Gauss-Hermite quadrature, which is exact for them."""
     rng = np.random.default_rng(seed)
-    H, F, mean, root, Q = rng.normal(size=(2, 3, 3)), rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=(3, 3)), np.diag(rng.uniform(size=3))
+    H, F, mean, root, Q = (
+        rng.normal(size=(2, 3, 3)),
+        rng.normal(size=(3, 3)),
+        rng.normal(size=3),
+        rng.normal(size=(3, 3)),
+        np.diag(rng.uniform(size=3)),
+    )
 
     def f(X: Any) -> Any:
         return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
@@ -80,10 +96,18 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     nodes, weights = np.polynomial.hermite_e.hermegauss(4)
     points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
     weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)
-    values = np.stack([*(points @ F[i] + np.einsum("ki,ij,kj->k", points, H[i], points) for i in range(2)), points @ F[2]], axis=1)
+    values = np.stack(
+        [
+            *(points @ F[i] + np.einsum("ki,ij,kj->k", points, H[i], points) for i in range(2)),
+            points @ F[2],
+        ],
+        axis=1,
+    )
     expected = weight @ values
     assert found[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert found[1] == pytest.approx((values - expected).T @ np.diag(weight) @ (values - expected) + Q, rel=1e-8, abs=1e-8)
+    assert found[1] == pytest.approx(
+        (values - expected).T @ np.diag(weight) @ (values - expected) + Q, rel=1e-8, abs=1e-8
+    )
 
 
 def test_hazard_agrees_with_scipy() -> None:
@@ -100,7 +124,11 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     rng = np.random.default_rng(seed)
     root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
     P, mean = root @ root.T, rng.normal(size=3)
-    found = evaluate(lambda m, P: gaussian.cut(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0], mean, P)
+    found = evaluate(
+        lambda m, P: gaussian.cut(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0],
+        mean,
+        P,
+    )
     variance = h @ P @ h
 
     def moment(power: int) -> float:
@@ -108,7 +136,16 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
         chance = norm.cdf if R else lambda x: float(x >= 0)
         ends = (excess - 12 * std, excess + 12 * std)
         return float(
-            quad(lambda q: (q - excess) ** power * norm.pdf(q, excess, std) * chance(-q / np.sqrt(R) if R else -q), *ends, points=[0.0, excess], limit=200)[0]
+            quad(
+                lambda q: (
+                    (q - excess) ** power
+                    * norm.pdf(q, excess, std)
+                    * chance(-q / np.sqrt(R) if R else -q)
+                ),
+                *ends,
+                points=[0.0, excess],
+                limit=200,
+            )[0]
         )
 
     total = moment(0)
@@ -117,14 +154,18 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     shift = moment(1) / total
     gain = P @ h / variance
     assert found[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
-    assert found[1] == pytest.approx(P + np.outer(gain, gain) * (moment(2) / total - shift**2 - variance), abs=1e-5)
+    assert found[1] == pytest.approx(
+        P + np.outer(gain, gain) * (moment(2) / total - shift**2 - variance), abs=1e-5
+    )
 
 
 def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
     """Noise of 1e-6 on a prior of 1e3: the plain form P - K S K' goes indefinite there."""
     rng = np.random.default_rng(1)
     P, mean, h = ca.SX.sym("P", 4, 4), ca.SX.sym("m", 4), ca.SX.sym("h", 1, 4)
-    step = ca.Function("step", [mean, P, h], list(gaussian.update(Gaussian(mean, P), h, 0.0, 1e-12, 1.0)[0]))
+    step = ca.Function(
+        "step", [mean, P, h], list(gaussian.update(Gaussian(mean, P), h, 0.0, 1e-12, 1.0)[0])
+    )
     belief, plain = np.eye(4) * 1e6, np.eye(4) * 1e6
     lowest = plain_lowest = 0.0
     for _ in range(300):
@@ -132,7 +173,10 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
         belief = step(np.zeros(4), belief, row)[1].full()
         gain = plain @ row / (row @ plain @ row + 1e-12)
         plain = plain - np.outer(gain, row @ plain)
-        lowest, plain_lowest = (min(low, np.linalg.eigvalsh((P + P.T) / 2)[0] / np.abs(P).max()) for low, P in ((lowest, belief), (plain_lowest, plain)))
+        lowest, plain_lowest = (
+            min(low, np.linalg.eigvalsh((P + P.T) / 2)[0] / np.abs(P).max())
+            for low, P in ((lowest, belief), (plain_lowest, plain))
+        )
     assert lowest > -1e-15
     assert plain_lowest < -1e-12
 
@@ -140,13 +184,24 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
 # --- Twins
 
 
-def textbook(model: System, given: Kalman, noise: float, ys: Floats, us: Floats) -> list[tuple[Floats, Floats]]:
+def textbook(
+    model: System, given: Kalman, noise: float, ys: Floats, us: Floats
+) -> list[tuple[Floats, Floats]]:
     """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook: all outputs at once, K = P H' S^-1."""
     A, B, C = model.linear
     n, p = model.n, model.p
     (lo, hi), (low, high) = given.right, given.left or given.right  # type: ignore[misc]
     mean = np.concatenate([np.zeros(n), np.full(p, (lo + hi) / 2), np.full(p, (low + high) / 2)])
-    P = np.diag(np.concatenate([np.full(n, given.x_std), np.full(p, (hi - lo) / np.sqrt(12)), np.full(p, (high - low) / np.sqrt(12))]) ** 2)
+    P = np.diag(
+        np.concatenate(
+            [
+                np.full(n, given.x_std),
+                np.full(p, (hi - lo) / np.sqrt(12)),
+                np.full(p, (high - low) / np.sqrt(12)),
+            ]
+        )
+        ** 2
+    )
     F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * given.drift**2 * TS
     F[:n, :n], Q[:n, :n] = A, B @ B.T * float(given.disturbance) ** 2  # type: ignore[arg-type]
     found = []
@@ -161,19 +216,30 @@ def textbook(model: System, given: Kalman, noise: float, ys: Floats, us: Floats)
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.integers(1, 2))
-def test_where_every_reading_is_active_it_is_the_textbook_filter(seed: int, n: int, m: int, p: int) -> None:
+def test_where_every_reading_is_active_it_is_the_textbook_filter(
+    seed: int, n: int, m: int, p: int
+) -> None:
     rng = np.random.default_rng(seed)
     model = sampled(random_plant(rng, n, m, p), TS)
-    options = Kalman(right=[0.5, 2.0], left=[0.2, 3.0], noise=0.1, x_std=2.0, disturbance=0.7, drift=0.3)
+    options = Kalman(
+        right=[0.5, 2.0], left=[0.2, 3.0], noise=0.1, x_std=2.0, disturbance=0.7, drift=0.3
+    )
     observer = options.build(model, zone(p))
     step, state = on_numbers(observer, model), observer.init(observer.params)
     ys, us = rng.choice([-1, 1], (30, p)) * rng.uniform(1, 9, (30, p)), rng.normal(size=(30, m))
     for y, u, (mean, P) in zip(ys, us, textbook(model, options, 0.1, ys, us), strict=True):
         state, estimate = step(state, u, y, np.sign(y))
-        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(mean, rel=1e-10, abs=1e-10)
+        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(
+            mean, rel=1e-10, abs=1e-10
+        )
         std = np.sqrt(np.diag(P))
-        assert np.concatenate([estimate.x_std, estimate.right_std, estimate.left_std]) == pytest.approx(std, rel=1e-10)
-        width = [np.sqrt(P[n + i, n + i] + P[n + p + i, n + p + i] + 2 * P[n + i, n + p + i]) for i in range(p)]
+        assert np.concatenate(
+            [estimate.x_std, estimate.right_std, estimate.left_std]
+        ) == pytest.approx(std, rel=1e-10)
+        width = [
+            np.sqrt(P[n + i, n + i] + P[n + p + i, n + p + i] + 2 * P[n + i, n + p + i])
+            for i in range(p)
+        ]
         assert estimate.width_std == pytest.approx(width, rel=1e-10)
 
 
@@ -195,14 +261,20 @@ def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> N
         Phi, forced = A @ Phi, A @ forced + B[:, 0] * u
     scale = np.concatenate([np.full(n, 2.0), np.full(2, 1.5 / np.sqrt(12))])
     first = np.concatenate([np.zeros(n), [1.25, 1.25]])
-    theta = np.linalg.lstsq(np.vstack([rows, np.diag(1 / scale)]), np.concatenate([rest, first / scale]), rcond=None)[0]
+    theta = np.linalg.lstsq(
+        np.vstack([rows, np.diag(1 / scale)]), np.concatenate([rest, first / scale]), rcond=None
+    )[0]
     assert estimate.x == pytest.approx(last[0] @ theta[:n] + last[1], rel=1e-8, abs=1e-8)
-    assert np.concatenate([estimate.right, estimate.left]) == pytest.approx(theta[n:], rel=1e-8, abs=1e-8)
+    assert np.concatenate([estimate.right, estimate.left]) == pytest.approx(
+        theta[n:], rel=1e-8, abs=1e-8
+    )
 
 
 def test_sides_that_are_never_read_and_missing_samples_only_predict() -> None:
     A, B, _ = MODEL.linear
-    observer = Kalman(right=[0.5, 2.0], x_std=2.0, disturbance=0.5, drift=0.1).build(MODEL, zone(noise=0.01))
+    observer = Kalman(right=[0.5, 2.0], x_std=2.0, disturbance=0.5, drift=0.1).build(
+        MODEL, zone(noise=0.01)
+    )
     step, state = on_numbers(observer, MODEL), observer.init(observer.params)
     for y in (NOTHING, 0.0, 0.01, np.inf, -0.01):
         after, estimate = step(state, [0.3], [y], [0.0])
@@ -239,7 +311,9 @@ def test_the_estimate_does_not_depend_on_the_input() -> None:
         (-0.1, -1.2, -1.1, -1),
     ],
 )
-def test_a_reading_is_used_if_far_or_announced(y: float, last: float, previous: float, expected: int) -> None:
+def test_a_reading_is_used_if_far_or_announced(
+    y: float, last: float, previous: float, expected: int
+) -> None:
     (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
     assert found == expected
 
@@ -250,10 +324,14 @@ def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previ
     assert found == sensor.side(y)
 
 
-def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     problems = coverage.problems("grazing", coverage.World(), 2, 150, 3)
     ours = coverage.observe(coverage.kalman, problems)
-    monkeypatch.setattr(filtering, "sure_side", lambda y, last, previous, gate: sensor.side(y, gate))
+    monkeypatch.setattr(
+        filtering, "sure_side", lambda y, last, previous, gate: sensor.side(y, gate)
+    )
     naive = coverage.observe(coverage.kalman, problems)
     assert ours.covered()[:2].min() > 0.92
     assert ours.nis == pytest.approx(1.0, abs=0.03)
@@ -273,9 +351,13 @@ def test_claims_are_true_over_random_problems(reach: str) -> None:
 
 
 def test_an_edge_that_is_never_reached_keeps_its_prior() -> None:
-    found = coverage.observe(coverage.kalman, coverage.problems("no edge", coverage.World(), 2, 50, 6))
+    found = coverage.observe(
+        coverage.kalman, coverage.problems("no edge", coverage.World(), 2, 50, 6)
+    )
     prior = np.ptp(coverage.RANGE) / np.sqrt(12)
-    assert found.stds[:, :4] == pytest.approx(np.tile([prior, prior, np.sqrt(2) * prior, prior / np.sqrt(2)], (50, 1)))
+    assert found.stds[:, :4] == pytest.approx(
+        np.tile([prior, prior, np.sqrt(2) * prior, prior / np.sqrt(2)], (50, 1))
+    )
     assert found.covered().min() > 0.9
 
 
@@ -285,7 +367,10 @@ def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, rea
     """filterpy's EKF and UKF where an edge is hardly or never reached, on problems that ours gets right."""
     pytest.importorskip("filterpy")
     problems = coverage.problems(reach, coverage.World(), 2, 12, 7)
-    ours, theirs = coverage.observe(coverage.kalman, problems), coverage.rivalling(build, problems, 12)
+    ours, theirs = (
+        coverage.observe(coverage.kalman, problems),
+        coverage.rivalling(build, problems, 12),
+    )
     assert ours.covered()[:4].min() >= 10 / 12
     assert ours.nees() < 2
     assert theirs.covered()[:4].min() < ours.covered()[:4].min()
@@ -296,7 +381,11 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
     model = sampled(system(Plant(integrators=2, x0=[2.0, 0.0])), TS)
     where = zone(right=1.3, left=0.6)
     observer = Kalman(right=[0.5, 2.0], x_std=3.0).build(model, where)
-    step, state, x = on_numbers(observer, model), observer.init(observer.params), np.array([2.0, 0.0])
+    step, state, x = (
+        on_numbers(observer, model),
+        observer.init(observer.params),
+        np.array([2.0, 0.0]),
+    )
     for k in range(400):
         u = np.array([-12.0 * np.cos(2.0 * k * TS)])
         y = sensor.deadzone(model.linear.C @ x, where.right, where.left)
@@ -304,7 +393,9 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
         x = model.linear.A @ x + model.linear.B @ u
     assert estimate.width_std < 1e-3
     assert estimate.right + estimate.left == pytest.approx(1.9, abs=3 * estimate.width_std[0])
-    centre = np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2) / 2
+    centre = (
+        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2) / 2
+    )
     assert centre == pytest.approx(1.5 / np.sqrt(24), rel=0.01)
     assert abs((estimate.right - estimate.left) / 2 - 0.35) < 2 * centre
 
@@ -313,7 +404,13 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
 
 
 def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any) -> None:
-    run = simulate(scene(observer=OPTIONS, sensor={"right": 1.3, "left": 0.6, "noise": 0.02}, simulation={"time": "sampled", "step": 0.01, "duration": 10.0}))
+    run = simulate(
+        scene(
+            observer=OPTIONS,
+            sensor={"right": 1.3, "left": 0.6, "noise": 0.02},
+            simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
+        )
+    )
     assert run.info.method == "kalman"
     assert run.d_std is not None
     assert run.x_std is not None
@@ -322,14 +419,23 @@ def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any)
     assert (np.abs(run.d_hat[-1] - [1.3, 0.6]) < 4 * run.d_std[-1]).all()
     for suffix in ("npz", "csv"):
         kept = Run.load(run.save(tmp_path / f"run.{suffix}"))
-        assert all(np.array_equal(getattr(run, name), getattr(kept, name)) for name in ("x_std", "d_std", "width_std", "innovation_std"))
+        assert all(
+            np.array_equal(getattr(run, name), getattr(kept, name))
+            for name in ("x_std", "d_std", "width_std", "innovation_std")
+        )
     assert simulate(scene()).d_std is None
     assert {"d_right_std[0]", "d_left_std[0]", "width_std[0]"} <= set(run.columns())
     assert run.unit("d_right_std[0]") == run.unit("z")
 
 
 def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
-    pendulum = {"states": ["angle", "rate"], "inputs": ["u"], "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"], "h": ["angle"], "x0": [2.0, 0.0]}
+    pendulum = {
+        "states": ["angle", "rate"],
+        "inputs": ["u"],
+        "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
+        "h": ["angle"],
+        "x0": [2.0, 0.0],
+    }
     run = simulate(
         scene(
             plant=pendulum,
@@ -357,12 +463,26 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
         ({"left": [-1.0, 0.5]}, MODEL, zone(), InputError, "observer.left: a range"),
         ({"right": 1.0}, MODEL, zone(), ShapeError, "observer.right: expected the declared range"),
         ({"noise": 0.0}, MODEL, zone(), InputError, "observer.noise: must be positive"),
-        ({"x_std": [1.0, 2.0, 3.0]}, MODEL, zone(), ShapeError, "observer.x_std: expected 2 numbers"),
-        ({"disturbance": -1.0}, MODEL, zone(), InputError, "observer.disturbance: must not be negative"),
+        (
+            {"x_std": [1.0, 2.0, 3.0]},
+            MODEL,
+            zone(),
+            ShapeError,
+            "observer.x_std: expected 2 numbers",
+        ),
+        (
+            {"disturbance": -1.0},
+            MODEL,
+            zone(),
+            InputError,
+            "observer.disturbance: must not be negative",
+        ),
         ({"drift": -1.0}, MODEL, zone(), InputError, "observer.drift"),
     ],
 )
-def test_wrong_options_are_named(changes: dict[str, Any], model: System, where: Zone, error: type[Exception], words: str) -> None:
+def test_wrong_options_are_named(
+    changes: dict[str, Any], model: System, where: Zone, error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         Kalman(**{"right": [0.5, 2.0]} | changes).build(model, where)
 

@@ -39,11 +39,15 @@ def test_a_step_in_parts_is_the_whole_step_to_the_last_bit() -> None:
     found = lanes.run(lanes.build(*loop.parts, width=16), *run)
     assert all(map(identical, found, lanes.run(lanes.build(loop.step, width=16), *run)))
     side = found[0][:, :, tree.names(loop.outputs).index("side[0]")]
-    assert np.unique((side != side[:, :1]).argmax(axis=1)).size > 3  # lanes cross at different steps
+    assert (
+        np.unique((side != side[:, :1]).argmax(axis=1)).size > 3
+    )  # lanes cross at different steps
 
 
 @pytest.mark.parametrize("buffer", [1, lanes.BUFFER])
-def test_every_so_many_th_output_is_one_of_all(buffer: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_so_many_th_output_is_one_of_all(
+    buffer: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(lanes, "BUFFER", buffer)
     step, state, exogenous, params, _ = parts(small("sampled"))
     kernel = lanes.build(step, width=8)
@@ -56,8 +60,14 @@ def test_every_so_many_th_output_is_one_of_all(buffer: int, monkeypatch: pytest.
 
 def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    kernel, given = lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8), shocks(len(exogenous))
-    expected, asked = lanes.run(kernel, state, exogenous, params, given), list[tuple[int, int, int]]()
+    kernel, given = (
+        lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8),
+        shocks(len(exogenous)),
+    )
+    expected, asked = (
+        lanes.run(kernel, state, exogenous, params, given),
+        list[tuple[int, int, int]](),
+    )
 
     def supply(chosen: Any) -> Callable[[int, int], Floats]:
         def source(first: int, count: int) -> Floats:
@@ -70,18 +80,34 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
     states = np.tile(state, (WIDTHS.size, 1))
     assert all(map(identical, lanes.run(kernel, states, exogenous, params, supply), expected))
     for lane in (0, 8, 16):
-        assert [(first, count) for which, first, count in asked if which == lane] == [(k, min(40, 301 - k)) for k in range(0, 301, 40)]
+        assert [(first, count) for which, first, count in asked if which == lane] == [
+            (k, min(40, 301 - k)) for k in range(0, 301, 40)
+        ]
 
 
 @pytest.mark.parametrize("time", BOTH)
 def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
     simulation = {"duration": 3.0, "step": 1e-2, "switching": "plain"}
-    loop, state, exogenous = prepare(resolve_scenario(small(time, sensor={"noise": 0.0, "noise_before": 0.0}, simulation=simulation)))
-    params, inputs = tree.pack(loop.params), {i: 0.0 for i, column in enumerate(exogenous.T) if not column.any()}
+    loop, state, exogenous = prepare(
+        resolve_scenario(
+            small(time, sensor={"noise": 0.0, "noise_before": 0.0}, simulation=simulation)
+        )
+    )
+    params, inputs = (
+        tree.pack(loop.params),
+        {i: 0.0 for i, column in enumerate(exogenous.T) if not column.any()},
+    )
     numbers = {i: value for i, value in enumerate(params.tolist()) if value in (0.0, 1.0)}
     assert inputs
     assert numbers
-    kernels = [lanes.build(loop.step, width=8, **known) for known in ({}, {"known_exogenous": inputs}, {"known_exogenous": inputs, "known_params": numbers})]
+    kernels = [
+        lanes.build(loop.step, width=8, **known)
+        for known in (
+            {},
+            {"known_exogenous": inputs},
+            {"known_exogenous": inputs, "known_params": numbers},
+        )
+    ]
     plain, same, close = (lanes.run(kernel, state, exogenous, params) for kernel in kernels)
     assert all(map(np.array_equal, same, plain))
     assert max(distance(a[0], b[0]) for a, b in zip(close, plain, strict=True)) < 1e-13
@@ -89,7 +115,11 @@ def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
 
 def test_entries_that_are_not_there_are_named() -> None:
     step = parts(small("sampled"))[0]
-    for name, options in (("exogenous", {"known_exogenous": {99: 0.0}}), ("params", {"known_params": {99: 0.0}}), ("params", {"params": [-1]})):
+    for name, options in (
+        ("exogenous", {"known_exogenous": {99: 0.0}}),
+        ("params", {"known_params": {99: 0.0}}),
+        ("params", {"params": [-1]}),
+    ):
         with pytest.raises(InputError, match=f"^{name}: expected entries from 0 to "):
             lanes.build(step, **options)
 
@@ -104,10 +134,27 @@ finally:
 """
 
 
-def test_a_second_start_of_an_ensemble_imports_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_start_of_an_ensemble_imports_no_compiler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    command = [sys.executable, "-c", STARTED, "ensemble", str(EXAMPLES / "ensemble.toml"), "--runs", "4", "--no-figures", "--out"]
-    shown = [subprocess.run([*command, str(tmp_path / name)], capture_output=True, text=True, check=True).stderr.splitlines()[-1] for name in "ab"]
+    command = [
+        sys.executable,
+        "-c",
+        STARTED,
+        "ensemble",
+        str(EXAMPLES / "ensemble.toml"),
+        "--runs",
+        "4",
+        "--no-figures",
+        "--out",
+    ]
+    shown = [
+        subprocess.run(
+            [*command, str(tmp_path / name)], capture_output=True, text=True, check=True
+        ).stderr.splitlines()[-1]
+        for name in "ab"
+    ]
     assert shown == ["['numba']", "[]"]
     first, second = (Ensemble.load(tmp_path / name / "runs.npz").metrics for name in "ab")
     assert all(map(identical, first.values(), second.values()))

@@ -56,14 +56,18 @@ def imports(text: str) -> set[str]:
             assert not node.level, "relative imports hide where an arrow points"
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                found.add(inner if inner.removeprefix("undeadzone.") in MODULES else f"{node.module}")
+                found.add(
+                    inner if inner.removeprefix("undeadzone.") in MODULES else f"{node.module}"
+                )
     return {name.removeprefix("undeadzone.") for name in found if name.startswith("undeadzone.")}
 
 
 def upward(path: Path, text: str) -> list[str]:
     """The imports of a file that do not point to a lower floor."""
     here = room(path)
-    outside = {name for name in imports(text) if name.split(".")[0] != here and name.split(".")[0] in FLOOR}
+    outside = {
+        name for name in imports(text) if name.split(".")[0] != here and name.split(".")[0] in FLOOR
+    }
     return sorted(name for name in outside if FLOOR[name.split(".")[0]] >= FLOOR[here])
 
 

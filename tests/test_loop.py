@@ -21,7 +21,13 @@ L, GAMMA = np.array([1.0, 1.5]), 10.0
 W = 2 * np.pi  # [rad/s]
 RICCATI = 10.0 * B @ solve_continuous_are(A, B[:, None], np.eye(2), np.array([[1 / 20.0]]))
 PLANT = {"A": A.tolist(), "B": B[:, None].tolist(), "C": C[None].tolist()}
-OBSERVER = {"method": "certified", "L": L.tolist(), "gamma": GAMMA, "widths0": [0.2, 0.2], "width_max": 3.0}
+OBSERVER = {
+    "method": "certified",
+    "L": L.tolist(),
+    "gamma": GAMMA,
+    "widths0": [0.2, 0.2],
+    "width_max": 3.0,
+}
 
 
 class Twin(NamedTuple):
@@ -35,7 +41,9 @@ class Twin(NamedTuple):
     silence: bool = False
     gamma: float = GAMMA
     K: Floats = RICCATI
-    reference: Callable[[float], Any] = lambda t: 5 * np.array([np.sin(W * t), W * np.cos(W * t), -(W**2) * np.sin(W * t)])
+    reference: Callable[[float], Any] = lambda t: (
+        5 * np.array([np.sin(W * t), W * np.cos(W * t), -(W**2) * np.sin(W * t)])
+    )
     start: tuple[float, ...] = (0.5, 0.0, 0.0, 0.0, 0.2, 0.2)
 
     def input(self, t: float, s: Floats) -> float:
@@ -47,10 +55,14 @@ class Twin(NamedTuple):
         """e and what drives [d_r^, d_l^] on the measured side; y in the unit of z."""
         d_r, d_l = s[4:]
         if side == 0:
-            over, under = (max(s[2] - d_r, 0.0), max(-s[2] - d_l, 0.0)) if self.silence else (0.0, 0.0)
+            over, under = (
+                (max(s[2] - d_r, 0.0), max(-s[2] - d_l, 0.0)) if self.silence else (0.0, 0.0)
+            )
             return under - over, np.array([over, under])
         if self.jump:
-            return y - s[2], np.array([min(y - d_r, 0.0) if side > 0 else 0.0, min(-y - d_l, 0.0) if side < 0 else 0.0])
+            return y - s[2], np.array(
+                [min(y - d_r, 0.0) if side > 0 else 0.0, min(-y - d_l, 0.0) if side < 0 else 0.0]
+            )
         e = y - (s[2] - d_r if side > 0 else s[2] + d_l)
         return e, np.array([-e if side > 0 else 0.0, e if side < 0 else 0.0])
 
@@ -66,7 +78,11 @@ class Twin(NamedTuple):
     def run(self, t: Floats) -> Floats:
         """s at times t: DOP853 from one change of side to the next, located by events."""
         margin = self.threshold / self.slope
-        top, bottom = (max(self.right, margin), -max(self.left, margin)) if self.jump else (self.right + margin, -self.left - margin)
+        top, bottom = (
+            (max(self.right, margin), -max(self.left, margin))
+            if self.jump
+            else (self.right + margin, -self.left - margin)
+        )
         exits = {0: [(top, 1, 1), (bottom, -1, -1)], 1: [(top, -1, 0)], -1: [(bottom, 1, 0)]}
         now, state = 0.0, np.array(self.start)
         side = int(state[0] > top) - int(state[0] < bottom)
@@ -101,10 +117,17 @@ def signals(run: Run) -> Floats:
 
 def error(twin: Twin, step: float, duration: float, **tables: Any) -> Floats:
     """The largest error of each signal of `simulate` against the twin."""
-    sensor = {"right": twin.right, "left": twin.left, "slope": twin.slope, "threshold": twin.threshold, "kind": "jump" if twin.jump else "deadzone"}
+    sensor = {
+        "right": twin.right,
+        "left": twin.left,
+        "slope": twin.slope,
+        "threshold": twin.threshold,
+        "kind": "jump" if twin.jump else "deadzone",
+    }
     run = simulate(
         scene(
-            observer=OBSERVER | {"gamma": twin.gamma, "widths0": [twin.start[4:]], "silence": twin.silence},
+            observer=OBSERVER
+            | {"gamma": twin.gamma, "widths0": [twin.start[4:]], "silence": twin.silence},
             sensor=sensor,
             simulation={"duration": duration, "step": step},
             **tables,
@@ -148,7 +171,13 @@ def test_jump_sensor_equals_its_event_twin() -> None:
 def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
     """The twin judges reading and side anew at each stage of fifty small steps, so that both err by about h^2 at a change of side."""
     step, substeps, steps = 1e-3, 50, 500
-    sensor = {"right": twin.right, "left": twin.left, "noise": after, "noise_before": before, "threshold": twin.threshold}
+    sensor = {
+        "right": twin.right,
+        "left": twin.left,
+        "noise": after,
+        "noise_before": before,
+        "threshold": twin.threshold,
+    }
     run = simulate(
         scene(
             sensor=sensor | {"kind": "jump" if twin.jump else "deadzone"},
@@ -157,7 +186,10 @@ def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -
         ),
         check_step=False,
     )
-    samples = [rms * noise.gaussian(3, stream, steps + 1, 1)[:, 0] for rms, stream in ((after, noise.AFTER), (before, noise.BEFORE))]
+    samples = [
+        rms * noise.gaussian(3, stream, steps + 1, 1)[:, 0]
+        for rms, stream in ((after, noise.AFTER), (before, noise.BEFORE))
+    ]
 
     def rate(t: float, s: Floats, n: float, b: float) -> Floats:
         z = s[0] + b
@@ -182,9 +214,16 @@ def test_order_is_four_across_kinks_as_away_from_them(kinks: bool) -> None:
     """Away from the kinks a raised reference holds z on the right, and a low gamma keeps d^ off its bounds."""
     twin, tables = Twin(), {}
     if not kinks:
-        tables = {"plant": PLANT | {"x0": [1.5, 0.0]}, "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0}}
+        tables = {
+            "plant": PLANT | {"x0": [1.5, 0.0]},
+            "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0},
+        }
         twin = Twin(
-            gamma=0.5, start=(1.5, 0.0, 0.0, 0.0, 1.0, 1.0), reference=lambda t: np.array([4 + np.sin(W * t), W * np.cos(W * t), -(W**2) * np.sin(W * t)])
+            gamma=0.5,
+            start=(1.5, 0.0, 0.0, 0.0, 1.0, 1.0),
+            reference=lambda t: np.array(
+                [4 + np.sin(W * t), W * np.cos(W * t), -(W**2) * np.sin(W * t)]
+            ),
         )
     steps = [0.04, 0.02, 0.01, 0.005]
     errors = [error(twin, step, 2.0, **tables).max() for step in steps]
@@ -204,7 +243,13 @@ def test_order_is_two_with_the_silence_innovation() -> None:
 def test_reported_integration_error_is_the_error(width: float, bound: float) -> None:
     """A zone that is crossed within one step is skipped (one change a step is located): less accurate, and reported."""
     twin = Twin(width, width, gamma=0.1, start=(0.5, 0.0, 0.0, 0.0, 1.0, 1.0))
-    run = simulate(scene(sensor={"right": width, "left": width}, observer=OBSERVER | {"gamma": 0.1, "widths0": 1.0}, simulation={"step": 4e-3}))
+    run = simulate(
+        scene(
+            sensor={"right": width, "left": width},
+            observer=OBSERVER | {"gamma": 0.1, "widths0": 1.0},
+            simulation={"step": 4e-3},
+        )
+    )
     found = np.abs(signals(run) - twin.run(run.t)).max()
     assert run.info.integration_error is not None
     assert 0.3 * run.info.integration_error < found < 3 * run.info.integration_error < 3 * bound
@@ -213,13 +258,33 @@ def test_reported_integration_error_is_the_error(width: float, bound: float) -> 
 @pytest.mark.parametrize("silence", [False, True])
 def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
     """Mismatched model, asymmetric widths, slope, noise, threshold, disturbance, projection; exact hold by A^-1 (Ad - I) B."""
-    h, steps, right, left, slope, threshold, gamma, limit = 0.01, 1500, 1.3, 0.6, 1.5, 0.05, 8.0, 1.5
+    h, steps, right, left, slope, threshold, gamma, limit = (
+        0.01,
+        1500,
+        1.3,
+        0.6,
+        1.5,
+        0.05,
+        8.0,
+        1.5,
+    )
     true_A, true_B = np.array([[0.0, 1.0], [-1.1, -1.8]]), np.array([0.0, 0.9])
     run = simulate(
         scene(
-            plant={"A": true_A.tolist(), "B": true_B[:, None].tolist(), "C": [[1.0, 0.0]], "x0": [1.0, 0.0]},
+            plant={
+                "A": true_A.tolist(),
+                "B": true_B[:, None].tolist(),
+                "C": [[1.0, 0.0]],
+                "x0": [1.0, 0.0],
+            },
             model={"A": A.tolist(), "B": B[:, None].tolist()},
-            sensor={"right": right, "left": left, "slope": slope, "noise": 0.05, "threshold": threshold},
+            sensor={
+                "right": right,
+                "left": left,
+                "slope": slope,
+                "noise": 0.05,
+                "threshold": threshold,
+            },
             disturbance={"kind": "sine", "amplitude": 3.0, "frequency": 0.3},
             observer=OBSERVER | {"gamma": gamma, "width_max": limit, "silence": silence},
             controller={"method": "state_feedback", "poles": [-10.0, -12.0]},
@@ -235,21 +300,35 @@ def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
 
     (Ad, Bd), (Am, Bm) = hold(true_A, true_B), hold(A, B)
     wanted = np.poly(np.exp([-10.0 * h, -12.0 * h]))
-    K = np.linalg.solve(np.stack([Bm, Am @ Bm]), [0.0, 1.0]) @ (Am @ Am + wanted[1] * Am + wanted[2] * np.eye(2))
+    K = np.linalg.solve(np.stack([Bm, Am @ Bm]), [0.0, 1.0]) @ (
+        Am @ Am + wanted[1] * Am + wanted[2] * np.eye(2)
+    )
     state_response = np.linalg.solve(np.exp(1j * W * h) * np.eye(2) - Am, Bm)
     x, x_hat, d = np.array([1.0, 0.0]), np.zeros(2), np.array([0.2, 0.2])
     for k in range(steps + 1):
         y = slope * (x[0] - min(max(x[0], -left), right)) + noise[k]
         side = int(y > threshold) - int(y < -threshold)
-        over, under = max(x_hat[0] - d[0] - threshold / slope, 0.0), max(-x_hat[0] - d[1] - threshold / slope, 0.0)
+        over, under = (
+            max(x_hat[0] - d[0] - threshold / slope, 0.0),
+            max(-x_hat[0] - d[1] - threshold / slope, 0.0),
+        )
         over, under = (over, under) if silence and side == 0 else (0.0, 0.0)
         e = y / slope - x_hat[0] + (d[0] if side > 0 else -d[1]) if side else under - over
         phasor = 5 * np.exp(1j * W * k * h) / state_response[0]
         u = phasor.imag - K @ (x_hat - (phasor * state_response).imag)
-        assert [*run.x[k], *run.x_hat[k], *run.d_hat[k]] == pytest.approx([*x, *x_hat, *d], abs=1e-11)
-        assert (run.side[k, 0], run.innovation[k, 0], run.u[k, 0]) == pytest.approx((side, e, u), abs=1e-10)
-        x, x_hat = Ad @ x + Bd * (u + 3 * np.sin(2 * np.pi * 0.3 * (k + 0.5) * h)), Am @ x_hat + Bm * u + h * L * e
-        d = np.clip(d + h * gamma * np.array([-e * (side > 0) + over, e * (side < 0) + under]), 0.0, limit)
+        assert [*run.x[k], *run.x_hat[k], *run.d_hat[k]] == pytest.approx(
+            [*x, *x_hat, *d], abs=1e-11
+        )
+        assert (run.side[k, 0], run.innovation[k, 0], run.u[k, 0]) == pytest.approx(
+            (side, e, u), abs=1e-10
+        )
+        x, x_hat = (
+            Ad @ x + Bd * (u + 3 * np.sin(2 * np.pi * 0.3 * (k + 0.5) * h)),
+            Am @ x_hat + Bm * u + h * L * e,
+        )
+        d = np.clip(
+            d + h * gamma * np.array([-e * (side > 0) + over, e * (side < 0) + under]), 0.0, limit
+        )
     assert {-1, 0, 1} == set(run.side.ravel())
     assert d.tolist() != run.d_hat[0].tolist()
 
@@ -259,23 +338,46 @@ def test_two_decoupled_outputs_equal_two_loops() -> None:
     zero = np.zeros((2, 2))
     both = simulate(
         scene(
-            plant={"A": np.block([[A, zero], [zero, A]]).tolist(), "B": np.kron(np.eye(2), B[:, None]).tolist(), "C": np.kron(np.eye(2), C).tolist()},
+            plant={
+                "A": np.block([[A, zero], [zero, A]]).tolist(),
+                "B": np.kron(np.eye(2), B[:, None]).tolist(),
+                "C": np.kron(np.eye(2), C).tolist(),
+            },
             sensor={"right": [1.0, 0.5], "left": [0.8, 1.1]},
-            reference={"kind": "sine", "amplitude": [5.0, 4.0], "frequency": 1.0, "phase": [0.0, 1.0]},
-            observer=OBSERVER | {"L": np.kron(np.eye(2), L[:, None]).tolist(), "gamma": [10.0, 2.0]},
+            reference={
+                "kind": "sine",
+                "amplitude": [5.0, 4.0],
+                "frequency": 1.0,
+                "phase": [0.0, 1.0],
+            },
+            observer=OBSERVER
+            | {"L": np.kron(np.eye(2), L[:, None]).tolist(), "gamma": [10.0, 2.0]},
             controller={"method": "state_feedback", "K": np.kron(np.eye(2), RICCATI).tolist()},
         )
     )
-    for i, (right, left, amplitude, phase, gamma) in enumerate([(1.0, 0.8, 5.0, 0.0, 10.0), (0.5, 1.1, 4.0, 1.0, 2.0)]):
+    for i, (right, left, amplitude, phase, gamma) in enumerate(
+        [(1.0, 0.8, 5.0, 0.0, 10.0), (0.5, 1.1, 4.0, 1.0, 2.0)]
+    ):
         alone = simulate(
             scene(
                 plant=PLANT,
                 sensor={"right": right, "left": left},
-                reference={"kind": "sine", "amplitude": amplitude, "frequency": 1.0, "phase": phase},
+                reference={
+                    "kind": "sine",
+                    "amplitude": amplitude,
+                    "frequency": 1.0,
+                    "phase": phase,
+                },
                 observer=OBSERVER | {"gamma": gamma},
                 controller={"method": "state_feedback", "K": [RICCATI.tolist()]},
             )
         )
         pair = slice(2 * i, 2 * i + 2)
-        assert np.abs(np.hstack([both.x[:, pair], both.x_hat[:, pair], both.d_hat[:, pair]]) - signals(alone)).max() < 1e-8
+        assert (
+            np.abs(
+                np.hstack([both.x[:, pair], both.x_hat[:, pair], both.d_hat[:, pair]])
+                - signals(alone)
+            ).max()
+            < 1e-8
+        )
         assert (both.side[:, i] == alone.side[:, 0]).mean() > 0.999

@@ -30,36 +30,74 @@ from undeadzone.support.arrays import Floats
 STEP = 2e-3
 TABLE = {"g": 0.0}
 SWINGING = {  # plants, and torques under which every output passes -0.2 and 0.3
-    "pendulum": (Plant(arm=OneLink(reference=-np.pi / 2), x0=[-1.0, 0.0]), lambda t, x: [1.5 * np.sin(3 * t) - 0.1 * x[1]]),
-    "upright": (Plant(arm=OneLink(reference=np.pi / 2), x0=[1.6, 0.0]), lambda t, x: [4 * np.sin(3 * t) - 9 * (x[0] - np.pi / 2) - 0.5 * x[1]]),
-    "one link on a table": (Plant(arm=OneLink(), parameters=TABLE), lambda t, x: [np.sin(3 * t) - 2 * x[0] - 0.2 * x[1]]),
+    "pendulum": (
+        Plant(arm=OneLink(reference=-np.pi / 2), x0=[-1.0, 0.0]),
+        lambda t, x: [1.5 * np.sin(3 * t) - 0.1 * x[1]],
+    ),
+    "upright": (
+        Plant(arm=OneLink(reference=np.pi / 2), x0=[1.6, 0.0]),
+        lambda t, x: [4 * np.sin(3 * t) - 9 * (x[0] - np.pi / 2) - 0.5 * x[1]],
+    ),
+    "one link on a table": (
+        Plant(arm=OneLink(), parameters=TABLE),
+        lambda t, x: [np.sin(3 * t) - 2 * x[0] - 0.2 * x[1]],
+    ),
     "two links": (
         Plant(arm=TwoLink(), x0=[0.5, 0.0, 0.0, 0.0]),
-        lambda t, x: [12 * np.cos(x[0]) + 9 * np.sin(2 * t) - 9 * x[0] - 3 * x[2], 3 * np.cos(x[0] + x[1]) + 4 * np.sin(3 * t) - 5 * x[1] - x[3]],
+        lambda t, x: [
+            12 * np.cos(x[0]) + 9 * np.sin(2 * t) - 9 * x[0] - 3 * x[2],
+            3 * np.cos(x[0] + x[1]) + 4 * np.sin(3 * t) - 5 * x[1] - x[3],
+        ],
     ),
     "two links on a table": (
         Plant(arm=TwoLink(), parameters=TABLE),
-        lambda t, x: [10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2], 8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3]],
+        lambda t, x: [
+            10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2],
+            8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3],
+        ],
     ),
     "speeds of two links on a table": (
         Plant(arm=TwoLink(measured="velocity"), parameters=TABLE),
-        lambda t, x: [10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2], 8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3]],
+        lambda t, x: [
+            10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2],
+            8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3],
+        ],
     ),
     "motor of an elastic joint on a table": (
         Plant(arm=ElasticJoint(measured="motor"), parameters=TABLE),
         lambda t, x: [8 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
     ),
-    "motor of an elastic joint": (Plant(arm=ElasticJoint(measured="motor")), lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]]),
-    "link of an elastic joint": (Plant(arm=ElasticJoint(measured="link")), lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]]),
+    "motor of an elastic joint": (
+        Plant(arm=ElasticJoint(measured="motor")),
+        lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
+    ),
+    "link of an elastic joint": (
+        Plant(arm=ElasticJoint(measured="link")),
+        lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
+    ),
     "duffing": (
-        Plant(f=["v", "-k*s**3 - c*v + F"], h=["s"], states=["s", "v"], inputs=["F"], parameters={"k": 2.0, "c": 0.5}),
+        Plant(
+            f=["v", "-k*s**3 - c*v + F"],
+            h=["s"],
+            states=["s", "v"],
+            inputs=["F"],
+            parameters={"k": 2.0, "c": 0.5},
+        ),
         lambda t, x: [2 * np.sin(1.5 * t)],
     ),
     "cart and pole": (
-        Plant(f=["v", "F", "w", "9.81*sin(a) - F*cos(a)"], h=["s", "5*a"], states=["s", "v", "a", "w"], inputs=["F"]),
+        Plant(
+            f=["v", "F", "w", "9.81*sin(a) - F*cos(a)"],
+            h=["s", "5*a"],
+            states=["s", "v", "a", "w"],
+            inputs=["F"],
+        ),
         lambda t, x: [30 * x[2] + 9 * x[3] + 1.5 * (x[0] - np.sin(2.5 * t)) + 2 * x[1]],
     ),
-    "a bent integrator": (Plant(f=["F / (1 + s**2)"], h=["s + s**3 / 3"], states=["s"], inputs=["F"]), lambda t, x: [3 * np.cos(2 * t)]),
+    "a bent integrator": (
+        Plant(f=["F / (1 + s**2)"], h=["s + s**3 / 3"], states=["s"], inputs=["F"]),
+        lambda t, x: [3 * np.cos(2 * t)],
+    ),
 }
 
 
@@ -80,14 +118,18 @@ class Trial(NamedTuple):
         return verdicts_along(self.model, self.x, self.u, self.z, self.sensor, STEP, **known)
 
     def observability(self, **known: Any) -> Observability:
-        return observability(self.model, self.x, self.u, self.side, STEP, variance(self.sensor), **known)
+        return observability(
+            self.model, self.x, self.u, self.side, STEP, variance(self.sensor), **known
+        )
 
 
 def outputs(model: System, start: Floats, u: Floats) -> tuple[Floats, Floats]:
     """(x, z) of a sampled plant from a start under inputs u."""
     x, w = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     params = ca.SX(model.params) if model.nonlinear else model.params
-    step = ca.Function("step", [x, w], [model.move(params, x, w), ca.vertcat(x, model.output(params, x))])
+    step = ca.Function(
+        "step", [x, w], [model.move(params, x, w), ca.vertcat(x, model.output(params, x))]
+    )
     both = np.asarray(step.mapaccum(len(u))(start, u.T)[1]).T
     return both[:, : model.n], both[:, model.n :]
 
@@ -104,13 +146,18 @@ def swinging(name: str, duration: float = 6.0, step: float = STEP) -> Trial:
         inputs.append(np.ravel(torque(k * step, now)))
         now = move(now, inputs[-1]).full().ravel()
     x_all, z = outputs(model, start, np.array(inputs))
-    return Trial(model, x_all, np.array(inputs), z, resolve(Sensor(right=0.3, left=0.2), model.p, step))
+    return Trial(
+        model, x_all, np.array(inputs), z, resolve(Sensor(right=0.3, left=0.2), model.p, step)
+    )
 
 
 CENTRE_LOST = {
     "one link on a table": ([True], "the position of joint q1 as a whole alters no motion"),
     "two links on a table": ([True, False], "the position of joint q1 as a whole alters no motion"),
-    "motor of an elastic joint on a table": ([True], "the position of joint motor and the position of joint link as a whole"),
+    "motor of an elastic joint on a table": (
+        [True],
+        "the position of joint motor and the position of joint link as a whole",
+    ),
     "cart and pole": ([True, False], "a change of x[0] as a whole alters no motion"),
     "a bent integrator": ([True], "along this run x[0] can shift with the edges"),
 }
@@ -127,17 +174,24 @@ def test_the_centre_is_lost_where_nothing_depends_on_a_position_and_only_there(n
         assert verdict.std is not None
         assert (verdict.std["centre"] == np.inf) == no
         assert len(verdict.reasons) == no
-        assert not no or (words in verdict.reasons[0] and verdict.reasons[0].startswith("the centre is not identifiable"))
+        assert not no or (
+            words in verdict.reasons[0]
+            and verdict.reasons[0].startswith("the centre is not identifiable")
+        )
     none, some = run.observability().gap
     assert none < 1e-11
     assert some > 1e-3
 
 
 @pytest.mark.parametrize("name", SWINGING)
-def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others_show(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others_show(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Other starts and widths, simulated: along the invisible changes readings stay, along any other they differ as the Gramian has it."""
     monkeypatch.setattr(design, "CAP", 1e9)
-    run = swinging(name, {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}.get(name, 6.0))  # these leave their neighbours fast
+    run = swinging(
+        name, {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}.get(name, 6.0)
+    )  # these leave their neighbours fast
     found, n, p = run.observability(), run.model.n, run.model.p
     rms = np.sqrt(variance(run.sensor))
 
@@ -156,12 +210,18 @@ def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others
         assert differ == pytest.approx(np.linalg.norm(found.root @ direction), rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["upright", "two links", "two links on a table", "a bent integrator"])
+@pytest.mark.parametrize(
+    "name", ["upright", "two links", "two links on a table", "a bent integrator"]
+)
 @pytest.mark.parametrize("thinner", [1, 6])
-def test_long_steps_tell_nearly_the_same(name: str, thinner: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_steps_tell_nearly_the_same(
+    name: str, thinner: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = swinging(name)
     exact = run.observability()
-    work = design._derivatives(run.model, run.model.rate, np.zeros((run.model.m, 0)), ()).n_instructions() * len(run.x)
+    work = design._derivatives(
+        run.model, run.model.rate, np.zeros((run.model.m, 0)), ()
+    ).n_instructions() * len(run.x)
     monkeypatch.setattr(design, "WORK", 1.5 * work / thinner)
     found = run.observability()
     assert found.tolerance > exact.tolerance
@@ -174,10 +234,20 @@ def test_a_run_in_continuous_time() -> None:
     run = simulate(
         convert(
             {
-                "plant": {"f": ["F / (1 + s**2)"], "h": ["s + s**3 / 3"], "states": ["s"], "inputs": ["F"]},
+                "plant": {
+                    "f": ["F / (1 + s**2)"],
+                    "h": ["s + s**3 / 3"],
+                    "states": ["s"],
+                    "inputs": ["F"],
+                },
                 "sensor": {"right": 0.3, "left": 0.2},
                 "reference": {"kind": "sine", "amplitude": 1.5, "frequency": 2.0},
-                "observer": {"method": "certified", "L": [1.0], "gamma": 5.0, "widths0": [0.1, 0.1]},
+                "observer": {
+                    "method": "certified",
+                    "L": [1.0],
+                    "gamma": 5.0,
+                    "widths0": [0.1, 0.1],
+                },
                 "controller": {"method": "state_feedback", "alpha": 5.0},
                 "simulation": {"duration": 6.0, "step": STEP},
             }
@@ -185,13 +255,24 @@ def test_a_run_in_continuous_time() -> None:
         check_step=False,
     )
     model = system(SWINGING["a bent integrator"][0])
-    (found,) = verdicts_along(model, run.x, run.u, run.z, resolve(Sensor(right=0.3, left=0.2), 1, STEP), STEP)
+    (found,) = verdicts_along(
+        model, run.x, run.u, run.z, resolve(Sensor(right=0.3, left=0.2), 1, STEP), STEP
+    )
     assert found[:4] == (False, False, True, False)
 
 
 @settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 2), st.booleans(), st.booleans(), st.booleans())
-def test_linear_plants_are_judged_as_by_their_matrices(seed: int, n: int, p: int, integrator: bool, discrete: bool, biased: bool) -> None:
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 3),
+    st.integers(1, 2),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+)
+def test_linear_plants_are_judged_as_by_their_matrices(
+    seed: int, n: int, p: int, integrator: bool, discrete: bool, biased: bool
+) -> None:
     """Edges are reached or not as chance has it."""
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, n, 1, p)
@@ -206,26 +287,39 @@ def test_linear_plants_are_judged_as_by_their_matrices(seed: int, n: int, p: int
     sensor = resolve(Sensor(right=widths[:, 0], left=widths[:, 1]), p, 0.02)
     model = model if discrete else plant
     bias = unknown_bias(Step(amplitude=1.0), np.eye(1)) if biased else None
-    expected = verdicts(model.linear, recorded(z, sensor, 0.02, model.Ts), None if bias is None else model.linear.B @ bias)
+    expected = verdicts(
+        model.linear,
+        recorded(z, sensor, 0.02, model.Ts),
+        None if bias is None else model.linear.B @ bias,
+    )
     found = verdicts_along(model, x, u, z, sensor, 0.02, bias=bias)
     assert [verdict[:4] for verdict in found] == [verdict[:4] for verdict in expected]
-    assert [bool(verdict.reasons) for verdict in found] == [bool(verdict.reasons) for verdict in expected]
+    assert [bool(verdict.reasons) for verdict in found] == [
+        bool(verdict.reasons) for verdict in expected
+    ]
 
 
 @pytest.mark.parametrize("a", [1.02, 0.98, 1.0])
 def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
     """x+ = a x, always on the right: the information on d_r, x(0) unknown, is n - (sum a^k)^2 / sum a^2k, near n - (1 + a)/|1 - a|."""
     model = sampled(linear([[0.0]], [[1.0]], [[1.0]]), 1.0)
-    model = model._replace(params=model.params._replace(A=np.array([[a]])), linear=model.linear._replace(A=np.array([[a]])))
+    model = model._replace(
+        params=model.params._replace(A=np.array([[a]])),
+        linear=model.linear._replace(A=np.array([[a]])),
+    )
     N = 20000
-    found = observability(model, np.ones((N, 1)), np.zeros((N, 1)), np.ones((N, 1)), 1.0, np.array([0.04]))
+    found = observability(
+        model, np.ones((N, 1)), np.zeros((N, 1)), np.ones((N, 1)), 1.0, np.array([0.04])
+    )
     expected = np.inf if a == 1.0 else 0.2 / np.sqrt(N - (1 + a) / abs(1 - a))
     assert found.std(0)["right"] == pytest.approx(expected, rel=1e-6)
     assert found.std(0)["left"] == np.inf
 
 
 @pytest.mark.parametrize("name", ["cart and pole", "motor of an elastic joint on a table"])
-def test_what_is_known_very_well_need_not_be_known_better(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_known_very_well_need_not_be_known_better(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Over 20 s of balancing x(0) shows e^60-fold, and a link behind a spring shows far better over many blocks than over one."""
     run = swinging(name, 20.0)
     capped = run.observability()
@@ -256,7 +350,13 @@ def test_what_else_is_unknown_costs_the_centre() -> None:
         assert alone.std is not None
         assert found.std is not None
         assert found.std["centre"] == pytest.approx(growth * alone.std["centre"], rel=0.05)
-    soft = Plant(f=["v", "-k*(s - s0) - c*v + F"], h=["s"], states=["s", "v"], inputs=["F"], parameters={"k": 2.0, "c": 0.5, "s0": 0.0})
+    soft = Plant(
+        f=["v", "-k*(s - s0) - c*v + F"],
+        h=["s"],
+        states=["s", "v"],
+        inputs=["F"],
+        parameters={"k": 2.0, "c": 0.5, "s0": 0.0},
+    )
     model = sampled(system(soft), STEP, 1)
     u = 2 * np.sin(1.5 * STEP * np.arange(3000))[:, None]
     x, z = outputs(model, np.zeros(2), u)
@@ -264,7 +364,9 @@ def test_what_else_is_unknown_costs_the_centre() -> None:
     assert run.verdicts()[0][:4] == (True, True, True, True)
     (found,) = run.verdicts(bias=np.eye(1))
     assert (found.width, found.centre) == (True, False)
-    assert found.reasons == ("the centre is not identifiable: constant input bias, centre and bias cannot be told apart",)
+    assert found.reasons == (
+        "the centre is not identifiable: constant input bias, centre and bias cannot be told apart",
+    )
     (found,) = run.verdicts(uncertain=["s0"])
     assert (found.width, found.centre) == (True, False)
     assert "with s0 uncertain" in found.reasons[0]
@@ -274,7 +376,9 @@ def test_what_else_is_unknown_costs_the_centre() -> None:
 
 def test_noise_may_leave_nothing_of_a_width() -> None:
     run = swinging("pendulum")
-    (found,) = run._replace(sensor=resolve(Sensor(right=0.3, left=0.2, noise=100.0, threshold=0.0), 1, STEP)).verdicts()
+    (found,) = run._replace(
+        sensor=resolve(Sensor(right=0.3, left=0.2, noise=100.0, threshold=0.0), 1, STEP)
+    ).verdicts()
     assert found[:4] == (False, False, False, False)
     assert found.reasons[0].startswith("practically not")
 
@@ -288,7 +392,9 @@ def test_an_edge_that_is_not_reached() -> None:
 
 def test_a_jump_sensor_and_a_run_that_diverges() -> None:
     run = swinging("two links on a table")
-    jump = run._replace(sensor=resolve(Sensor(right=0.3, left=0.2, kind="jump"), 2, STEP)).verdicts()
+    jump = run._replace(
+        sensor=resolve(Sensor(right=0.3, left=0.2, kind="jump"), 2, STEP)
+    ).verdicts()
     assert [verdict[:4] for verdict in jump] == [(True,) * 4] * 2
     x = np.vstack([run.x[:2000], np.full((1000, 4), np.nan)])
     z = np.vstack([run.z[:2000], np.full((1000, 2), np.nan)])

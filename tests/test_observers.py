@@ -32,14 +32,18 @@ def zone(p: int, **options: Any) -> Zone:
 
 def read(x: Floats, model: System, where: Zone, side: Floats) -> Floats:
     """What is read of x on given sides, true or not."""
-    return np.asarray(sensor.branch(model.linear.C @ x, side, where.right, where.left, where.slope, where.kind))
+    return np.asarray(
+        sensor.branch(model.linear.C @ x, side, where.right, where.left, where.slope, where.kind)
+    )
 
 
 # --- certified ---
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.booleans(), st.sampled_from([1.0, 2.5]))
-def test_errors_of_certified_are_exactly_linear_on_every_side(seed: int, n: int, p: int, in_samples: bool, slope: float) -> None:
+def test_errors_of_certified_are_exactly_linear_on_every_side(
+    seed: int, n: int, p: int, in_samples: bool, slope: float
+) -> None:
     """x~' = A x~ - L e, d_r~' = gamma e on the right, d_l~' = -gamma e on the left, e = C x~ - S d~; sampled likewise with ^+."""
     rng = np.random.default_rng(seed)
     Ts = 0.05 if in_samples else 1.0
@@ -52,7 +56,12 @@ def test_errors_of_certified_are_exactly_linear_on_every_side(seed: int, n: int,
     A, B, C = model.linear
     keep = 1.0 if in_samples else 0.0
     for _ in range(3):
-        x, x_hat, u, side = rng.normal(size=n) * 3, rng.normal(size=n) * 3, rng.normal(size=1), rng.integers(-1, 2, p).astype(float)
+        x, x_hat, u, side = (
+            rng.normal(size=n) * 3,
+            rng.normal(size=n) * 3,
+            rng.normal(size=1),
+            rng.integers(-1, 2, p).astype(float),
+        )
         right, left = rng.uniform(5, 6, p), rng.uniform(5, 6, p)
         after, estimate = step((x_hat, right, left), u, read(x, model, where, side), side)
         x_error, right_error, left_error = x - x_hat, where.right - right, where.left - left
@@ -62,7 +71,9 @@ def test_errors_of_certified_are_exactly_linear_on_every_side(seed: int, n: int,
         assert after.right == pytest.approx(keep * right - Ts * gamma * e * (side > 0), abs=1e-12)
         assert after.left == pytest.approx(keep * left + Ts * gamma * e * (side < 0), abs=1e-12)
         assert estimate.z == pytest.approx(C @ x_hat)
-        assert estimate.z_inverse[side != 0] == pytest.approx((C @ x + where_offset(side, right_error, left_error))[side != 0])
+        assert estimate.z_inverse[side != 0] == pytest.approx(
+            (C @ x + where_offset(side, right_error, left_error))[side != 0]
+        )
         assert (estimate.z_inverse[side == 0] == 0).all()
 
 
@@ -80,7 +91,13 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
     where = zone(1, right=rng.uniform(0.2, 1.5), left=rng.uniform(0.2, 1.5))
     gamma = float(rng.uniform(0.1, 0.9)) / Ts
     limit = 1.6 if narrow else 100.0
-    observer = Certified(L=None if seed % 2 else rng.normal(size=n), gamma=gamma, widths0=rng.uniform(0, 1.5, 2), width_max=limit, silence=silence)
+    observer = Certified(
+        L=None if seed % 2 else rng.normal(size=n),
+        gamma=gamma,
+        widths0=rng.uniform(0, 1.5, 2),
+        width_max=limit,
+        silence=silence,
+    )
     built = observer.build(model, where)
     proof = certify(model.linear, built.params.L / Ts, built.params.gamma / Ts, Ts)
     assume(proof.certified)
@@ -95,14 +112,21 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
         y = sensor.deadzone(z, where.right, where.left)
         state, _ = step(state, u, y, sensor.side(y))
         x = model.linear.A @ x + model.linear.B @ u
-        assert 0 <= min(state.right[0], state.left[0]) <= max(state.right[0], state.left[0]) <= limit
+        assert (
+            0 <= min(state.right[0], state.left[0]) <= max(state.right[0], state.left[0]) <= limit
+        )
     assert np.diff(values).max() <= 1e-13 * max(values)
     assert values[-1] < values[0]
 
 
 def test_certified_with_true_widths_and_no_adaptation_is_the_oracle() -> None:
     tables: dict[str, Any] = {"sensor": {"right": 1.3, "left": 0.6, "noise": 0.05}}
-    certified = simulate(scene(observer={"method": "certified", "L": L.tolist(), "gamma": 0.0, "widths0": [1.3, 0.6]}, **tables))
+    certified = simulate(
+        scene(
+            observer={"method": "certified", "L": L.tolist(), "gamma": 0.0, "widths0": [1.3, 0.6]},
+            **tables,
+        )
+    )
     oracle = simulate(scene(observer={"method": "oracle", "L": L.tolist()}, **tables))
     for name in ("x", "x_hat", "d_hat", "innovation", "u"):
         assert (getattr(certified, name) == getattr(oracle, name)).all()
@@ -110,8 +134,13 @@ def test_certified_with_true_widths_and_no_adaptation_is_the_oracle() -> None:
 
 
 def test_without_a_dead_zone_certified_is_luenbergers_observer() -> None:
-    tables: dict[str, Any] = {"sensor": {"right": 0.0, "left": 0.0, "slope": 2.0}, "simulation": {"time": "sampled", "step": 0.01, "duration": 3.0}}
-    certified = simulate(scene(observer={"method": "certified", "L": L.tolist(), "gamma": 0.0}, **tables))
+    tables: dict[str, Any] = {
+        "sensor": {"right": 0.0, "left": 0.0, "slope": 2.0},
+        "simulation": {"time": "sampled", "step": 0.01, "duration": 3.0},
+    }
+    certified = simulate(
+        scene(observer={"method": "certified", "L": L.tolist(), "gamma": 0.0}, **tables)
+    )
     luenberger = simulate(scene(observer={"method": "luenberger", "L": L.tolist()}, **tables))
     assert certified.x_hat == pytest.approx(luenberger.x_hat, abs=1e-12)
     assert certified.z_inverse == pytest.approx(certified.z, abs=1e-12)
@@ -120,8 +149,16 @@ def test_without_a_dead_zone_certified_is_luenbergers_observer() -> None:
 def test_silence_innovation_says_which_edge_is_violated() -> None:
     """e = -max(C x^ - d_r^, 0) - min(C x^ + d_l^, 0), wider by the threshold; the violated edge grows."""
     where = zone(1, right=1.0, left=1.0, threshold=0.1)
-    step = on_numbers(Certified(L=L, gamma=4.0, silence=True, widths0=[0.5, 0.4]).build(PAPER_PLANT, where), PAPER_PLANT)
-    for x_hat, e, right, left in ((0.55, 0.0, 0.0, 0.0), (0.8, -0.2, 0.8, 0.0), (-0.45, 0.0, 0.0, 0.0), (-1.5, 1.0, 0.0, 4.0)):
+    step = on_numbers(
+        Certified(L=L, gamma=4.0, silence=True, widths0=[0.5, 0.4]).build(PAPER_PLANT, where),
+        PAPER_PLANT,
+    )
+    for x_hat, e, right, left in (
+        (0.55, 0.0, 0.0, 0.0),
+        (0.8, -0.2, 0.8, 0.0),
+        (-0.45, 0.0, 0.0, 0.0),
+        (-1.5, 1.0, 0.0, 4.0),
+    ):
         after, estimate = step((np.array([x_hat, 0.3]), 0.5, 0.4), 0.0, 0.0, 0.0)
         assert estimate.innovation == pytest.approx([e])
         assert (after.right, after.left) == (pytest.approx([right]), pytest.approx([left]))
@@ -131,10 +168,16 @@ def test_silence_innovation_says_which_edge_is_violated() -> None:
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
 @pytest.mark.parametrize("in_samples", [False, True])
 @pytest.mark.parametrize("silence", [False, True])
-def test_a_missing_sample_leaves_a_pure_prediction(kind: str, in_samples: bool, silence: bool) -> None:
+def test_a_missing_sample_leaves_a_pure_prediction(
+    kind: str, in_samples: bool, silence: bool
+) -> None:
     model = sampled(PAPER_PLANT, 0.1) if in_samples else PAPER_PLANT
     where = zone(1, kind=kind, right=0.1, left=0.1)
-    for options in (Certified(L=L, gamma=4.0, silence=silence, widths0=0.1), Oracle(L=L, silence=silence), Luenberger(L=L)):
+    for options in (
+        Certified(L=L, gamma=4.0, silence=silence, widths0=0.1),
+        Oracle(L=L, silence=silence),
+        Luenberger(L=L),
+    ):
         built = options.build(model, where)
         state = built.init(built.params)._replace(x=np.array([2.0, 1.0]))
         after, estimate = on_numbers(built, model)(state, 3.0, NOTHING, 0.0)
@@ -143,7 +186,9 @@ def test_a_missing_sample_leaves_a_pure_prediction(kind: str, in_samples: bool, 
         assert estimate.innovation == pytest.approx(0.0)
         for name in ("right", "left"):
             if hasattr(after, name):
-                assert getattr(after, name) == pytest.approx(getattr(state, name) if in_samples else 0.0)
+                assert getattr(after, name) == pytest.approx(
+                    getattr(state, name) if in_samples else 0.0
+                )
 
 
 def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
@@ -157,13 +202,25 @@ def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
     assert after.right == pytest.approx([0.0])
     after, _ = step((np.array([0.5, 0.0]), 2.0, 3.0), 0.0, -4.0, -1.0)
     assert after.left == pytest.approx([4 * (2.0 - 3.0)])
-    silent = on_numbers(Certified(L=L, gamma=4.0, widths0=3.0, silence=True).build(PAPER_PLANT, where), PAPER_PLANT)
+    silent = on_numbers(
+        Certified(L=L, gamma=4.0, widths0=3.0, silence=True).build(PAPER_PLANT, where), PAPER_PLANT
+    )
     after, estimate = silent((np.array([2.5, 0.0]), 2.0, 3.0), 0.0, 0.0, 0.0)
-    assert (after.right, after.left, estimate.innovation) == (pytest.approx([4 * 0.5]), pytest.approx([0.0]), pytest.approx([0.0]))
+    assert (after.right, after.left, estimate.innovation) == (
+        pytest.approx([4 * 0.5]),
+        pytest.approx([0.0]),
+        pytest.approx([0.0]),
+    )
 
 
 def test_estimates_are_projected_into_their_bounds() -> None:
-    observer = {"method": "certified", "L": L.tolist(), "gamma": 50.0, "widths0": 0.6, "width_max": 0.7}
+    observer = {
+        "method": "certified",
+        "L": L.tolist(),
+        "gamma": 50.0,
+        "widths0": 0.6,
+        "width_max": 0.7,
+    }
     run = simulate(scene(sensor={"right": 0.1, "left": 0.7}, observer=observer), check_step=False)
     assert run.d_hat.min() == 0.0
     assert run.d_hat.max() == 0.7
@@ -171,7 +228,10 @@ def test_estimates_are_projected_into_their_bounds() -> None:
 
 def test_default_gain_is_certified_in_either_time() -> None:
     for time in ("continuous", "sampled"):
-        run = simulate(scene(observer={"method": "certified"}, simulation={"time": time, "step": 0.01}), check_step=False)
+        run = simulate(
+            scene(observer={"method": "certified"}, simulation={"time": time, "step": 0.01}),
+            check_step=False,
+        )
         assert run.info.certified
         assert run.V is not None
         assert run.largest_rise_of_V is not None
@@ -181,27 +241,41 @@ def test_default_gain_is_certified_in_either_time() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({"L": [1.0, 2.0, 3.0]}, ShapeError, r"observer.L: expected a 2 x 1 matrix \(states x outputs\), found 3 x 1"),
+        (
+            {"L": [1.0, 2.0, 3.0]},
+            ShapeError,
+            r"observer.L: expected a 2 x 1 matrix \(states x outputs\), found 3 x 1",
+        ),
         ({"L": [[1.0, 2.0]]}, ShapeError, "observer.L: expected a 2 x 1 matrix .*, found 1 x 2"),
         ({"L": [1.0, float("inf")]}, InputError, "observer.L: every number must be finite"),
         ({"gamma": -1.0}, InputError, "observer.gamma: must not be negative, found -1"),
         ({"gamma": [1.0, 2.0]}, ShapeError, "observer.gamma: expected 1 number .*, found 2"),
         ({"widths0": [0.5, -0.1]}, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
-        ({"widths0": [0.5, 2.0], "width_max": 1.0}, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
+        (
+            {"widths0": [0.5, 2.0], "width_max": 1.0},
+            InputError,
+            r"observer.widths0: must lie in \[0, width_max\]",
+        ),
         ({"widths0": [0.5, 2.0, 1.0]}, ShapeError, "observer.widths0: expected "),
         ({"width_max": 0.0}, InputError, "observer.width_max: must be positive"),
     ],
 )
-def test_wrong_options_of_certified(options: dict[str, Any], error: type[Exception], words: str) -> None:
+def test_wrong_options_of_certified(
+    options: dict[str, Any], error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         Certified(**options).build(PAPER_PLANT, ZONE)
 
 
 def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> None:
-    with pytest.raises(ShapeError, match=r"observer.L: expected 2 x 2 \(states x outputs\), found 2 numbers"):
+    with pytest.raises(
+        ShapeError, match=r"observer.L: expected 2 x 2 \(states x outputs\), found 2 numbers"
+    ):
         Certified(L=L).build(linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2)), zone(2))
     for build in (Certified, Oracle):
-        with pytest.raises(StructureError, match=r"observer.L: missing; there is a default only for a stable model"):
+        with pytest.raises(
+            StructureError, match=r"observer.L: missing; there is a default only for a stable model"
+        ):
             build().build(linear([[0.0, 1.0], [1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]), ZONE)
 
 
@@ -215,8 +289,14 @@ def test_luenberger_takes_the_reading_for_the_output(Ts: float | None) -> None:
     step = on_numbers(Luenberger(L=L).build(model, where), model)
     after, estimate = step((np.array([0.5, -1.0]),), 3.0, 1.6, 1.0)
     e = 1.6 / 2 - 0.5
-    assert after.x == pytest.approx(model.linear.A @ [0.5, -1.0] + 3 * model.linear.B[:, 0] + (Ts or 1.0) * L * e)
-    assert (estimate.innovation, estimate.right, estimate.left) == (pytest.approx([e]), pytest.approx([0]), pytest.approx([0]))
+    assert after.x == pytest.approx(
+        model.linear.A @ [0.5, -1.0] + 3 * model.linear.B[:, 0] + (Ts or 1.0) * L * e
+    )
+    assert (estimate.innovation, estimate.right, estimate.left) == (
+        pytest.approx([e]),
+        pytest.approx([0]),
+        pytest.approx([0]),
+    )
     assert estimate.z_inverse == pytest.approx([0.8])
 
 
@@ -228,10 +308,14 @@ def test_luenbergers_error_decays_at_its_poles(Ts: float | None) -> None:
     model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
     poles = np.array([-4.0, -10.0]) if Ts is None else np.exp(np.array([-4.0, -10.0]) * Ts)
     gain = np.asarray(control.acker(model.linear.A.T, model.linear.C.T, poles)).reshape(1, 2).T
-    step = on_numbers(Luenberger(poles=[-4.0, -10.0]).build(model, zone(1, right=0.0, left=0.0)), model)
+    step = on_numbers(
+        Luenberger(poles=[-4.0, -10.0]).build(model, zone(1, right=0.0, left=0.0)), model
+    )
     x, x_hat = np.array([1.0, 2.0]), np.array([-0.5, 0.3])
     after, _ = step((x_hat,), 0.0, x[0], np.sign(x[0]))
-    assert model.linear.A @ x - after.x == pytest.approx((model.linear.A - gain @ model.linear.C) @ (x - x_hat), rel=1e-9)
+    assert model.linear.A @ x - after.x == pytest.approx(
+        (model.linear.A - gain @ model.linear.C) @ (x - x_hat), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("options", [{}, {"L": L, "poles": [-1.0, -2.0]}])
@@ -244,13 +328,23 @@ def test_luenberger_needs_one_choice(options: dict[str, Any]) -> None:
 
 
 @given(seeds, st.booleans(), st.sampled_from([-1.0, 1.0]))
-def test_printed_is_the_papers_text_with_its_stand_ins(seed: int, feed: bool, left_sign: float) -> None:
+def test_printed_is_the_papers_text_with_its_stand_ins(
+    seed: int, feed: bool, left_sign: float
+) -> None:
     """(16)-(17), (25) by hand, P of (34) with A - L C from SciPy alone."""
     rng = np.random.default_rng(seed)
     A, B, C = PAPER_PLANT.linear
     gain, sigma, alpha, sharpness = np.array([12.0, 15.0]), 0.7, 10.0, 3.0
     P = solve_continuous_are(A - np.outer(gain, C[0]), B, np.eye(2), np.eye(1) / (2 * alpha))
-    options = Printed(L=gain, sigma=sigma, alpha=alpha, sharpness=sharpness, widths0=[1.0, 1.0], feed_input=feed, left_sign=left_sign)
+    options = Printed(
+        L=gain,
+        sigma=sigma,
+        alpha=alpha,
+        sharpness=sharpness,
+        widths0=[1.0, 1.0],
+        feed_input=feed,
+        left_sign=left_sign,
+    )
     built = options.build(PAPER_PLANT, ZONE)
     x_hat, d, u, y = 3 * rng.normal(size=2), rng.uniform(0.5, 2, 2), rng.normal(), rng.normal()
     after, estimate = on_numbers(built, PAPER_PLANT)((x_hat, d[0], d[1]), u, y, np.sign(y))
@@ -265,7 +359,10 @@ def test_printed_is_the_papers_text_with_its_stand_ins(seed: int, feed: bool, le
 
 
 def test_printed_is_for_one_linear_output_in_continuous_time() -> None:
-    for model in (sampled(PAPER_PLANT, 0.1), linear(np.diag([-1.0, -2.0]), np.ones((2, 1)), np.eye(2))):
+    for model in (
+        sampled(PAPER_PLANT, 0.1),
+        linear(np.diag([-1.0, -2.0]), np.ones((2, 1)), np.eye(2)),
+    ):
         with pytest.raises(InputError, match=r"observer.method: 'printed' is defined for"):
             Printed(L=L).build(model, zone(model.p))
 
@@ -276,5 +373,7 @@ def test_estimates_do_not_depend_on_the_input_of_the_moment() -> None:
         built = options.build(PAPER_PLANT, ZONE)
         step = on_numbers(built, PAPER_PLANT)
         state = built.init(built.params)._replace(x=np.array([0.4, 0.2]))
-        for one, other in zip(step(state, 1.0, 0.5, 1.0)[1], step(state, -7.0, 0.5, 1.0)[1], strict=True):
+        for one, other in zip(
+            step(state, 1.0, 0.5, 1.0)[1], step(state, -7.0, 0.5, 1.0)[1], strict=True
+        ):
             assert one.tolist() == other.tolist()

@@ -33,7 +33,9 @@ def test_replays_a_recorded_run_exactly() -> None:
     for k in range(run.t.size):
         live = online.update(run.y[k], run.u[k])
         np.testing.assert_allclose(live.x, run.x_hat[k], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(np.concatenate([live.right, live.left]), run.d_hat[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            np.concatenate([live.right, live.left]), run.d_hat[k], rtol=0, atol=1e-12
+        )
         np.testing.assert_array_equal(live.side, run.side[k])
     assert (online.samples, online.missing) == (run.t.size, 0)
 

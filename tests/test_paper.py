@@ -91,7 +91,9 @@ def test_as_printed_from_rest_the_sensor_never_speaks(paper: Paper) -> None:
     np.testing.assert_allclose(literal.u, literal.r, atol=1e-9)
 
 
-def test_as_printed_but_started_outside_the_widths_run_off_or_the_loop_diverges(paper: Paper) -> None:
+def test_as_printed_but_started_outside_the_widths_run_off_or_the_loop_diverges(
+    paper: Paper,
+) -> None:
     begun, signed = paper.evidence.printed[BEGUN][0], paper.evidence.printed[SIGNED][0]
     assert begun.diverged_at is None
     assert measures.width_error(begun) > D
@@ -118,7 +120,9 @@ def test_repaired_V_never_rises_beyond_the_stated_integration_error(paper: Paper
 
 def test_rate_agrees_with_the_fall_of_V(five: Run) -> None:
     half = five.t.size // 2
-    assert measures.rate(five) == pytest.approx(np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half]), rel=0.01)
+    assert measures.rate(five) == pytest.approx(
+        np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half]), rel=0.01
+    )
 
 
 def test_repaired_is_the_example_that_ships(five: Run) -> None:
@@ -127,12 +131,20 @@ def test_repaired_is_the_example_that_ships(five: Run) -> None:
 
 
 def test_every_variant_is_run_once(paper: Paper) -> None:
-    assert len({outcome.variant for outcome in paper.variants}) == len(paper.variants) == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
-    assert {(item.plant, item.start) for item in paper.counts} == {(plant, start) for plant in READINGS for start in STARTS}
+    assert (
+        len({outcome.variant for outcome in paper.variants})
+        == len(paper.variants)
+        == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
+    )
+    assert {(item.plant, item.start) for item in paper.counts} == {
+        (plant, start) for plant in READINGS for start in STARTS
+    }
     assert all(item.total == 48 for item in paper.counts)
 
 
-def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(paper: Paper) -> None:
+def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(
+    paper: Paper,
+) -> None:
     for item in paper.counts:
         if item.start == "from rest, d^(0) = d":
             unity = item.plant == "unity DC gain"
@@ -140,9 +152,14 @@ def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_g
             assert unity or (item.move_widths, item.diverge) == (0, 0)
 
 
-def test_variants_with_unknown_widths_move_them_only_where_the_observer_is_fed(paper: Paper) -> None:
+def test_variants_with_unknown_widths_move_them_only_where_the_observer_is_fed(
+    paper: Paper,
+) -> None:
     for outcome in paper.variants:
-        if outcome.variant.start == "from rest, d^(0) = 0" and outcome.variant.plant != "unity DC gain":
+        if (
+            outcome.variant.start == "from rest, d^(0) = 0"
+            and outcome.variant.plant != "unity DC gain"
+        ):
             assert outcome.moves_widths == outcome.variant.feeds_input
 
 
@@ -160,7 +177,9 @@ def test_a_variant_in_the_shared_graph_equals_its_own_loop(paper: Paper, index: 
     run = simulate(_alone(outcome), check_step=False)
     if outcome.diverged_at is None:
         assert outcome.peak == pytest.approx(float(np.abs(run.z).max()), rel=1e-9)
-        assert outcome.steady == pytest.approx(float(np.abs(run.z[run.t > DURATION - 4.0 + STEP / 2]).max()), rel=1e-9)
+        assert outcome.steady == pytest.approx(
+            float(np.abs(run.z[run.t > DURATION - 4.0 + STEP / 2]).max()), rel=1e-9
+        )
     else:
         assert np.abs(run.u[run.t < outcome.diverged_at - STEP / 2]).max() < 1e6
 
@@ -174,7 +193,14 @@ def _alone(outcome: Outcome) -> Scenario:
     return msgspec.structs.replace(
         printed(5.0),
         plant=msgspec.structs.replace(READINGS[v.plant].plant, x0=[x1, 0.0]),
-        observer=Printed(L=L, sigma=v.sigma, alpha=ALPHA, widths0=width, feed_input=v.feeds_input, left_sign=v.left_sign),
+        observer=Printed(
+            L=L,
+            sigma=v.sigma,
+            alpha=ALPHA,
+            widths0=width,
+            feed_input=v.feeds_input,
+            left_sign=v.left_sign,
+        ),
         controller=PD(k_p=v.pd_sign * law.k_p, k_d=v.pd_sign * law.k_d),
         simulation=Simulation(duration=DURATION, step=STEP),
     )
@@ -189,9 +215,16 @@ def test_each_claim_has_one_text_and_one_measurement(paper: Paper) -> None:
 
 @pytest.mark.parametrize(
     ("values", "repaired_value", "verdict"),
-    [((0.5, 1.0), 9.0, "holds"), ((0.5, 1.1), 1.0, "holds after repair"), ((np.inf,), 0.0, "holds after repair"), ((2.0,), np.inf, "does not hold")],
+    [
+        ((0.5, 1.0), 9.0, "holds"),
+        ((0.5, 1.1), 1.0, "holds after repair"),
+        ((np.inf,), 0.0, "holds after repair"),
+        ((2.0,), np.inf, "does not hold"),
+    ],
 )
-def test_verdict_follows_from_numbers_and_limit(values: tuple[float, ...], repaired_value: float, verdict: str) -> None:
+def test_verdict_follows_from_numbers_and_limit(
+    values: tuple[float, ...], repaired_value: float, verdict: str
+) -> None:
     text = TEXTS[0]._replace(limit=1.0)
     claim = Claim(text, {f"case {i}": value for i, value in enumerate(values)}, repaired_value)
     assert claim.verdict == verdict == claim.summary()["verdict"]
@@ -201,26 +234,49 @@ def test_verdict_follows_from_numbers_and_limit(values: tuple[float, ...], repai
 
 def test_the_claims_that_matter_come_out_as_derived(paper: Paper) -> None:
     verdicts = {claim.text.id: claim.verdict for claim in paper.claims}
-    assert {verdicts[name] for name in ("lyapunov", "state-1", "state-2", "reading-tracked", "widths", "tracking", "cancelled", "bounded")} == {
-        "holds after repair"
+    assert {
+        verdicts[name]
+        for name in (
+            "lyapunov",
+            "state-1",
+            "state-2",
+            "reading-tracked",
+            "widths",
+            "tracking",
+            "cancelled",
+            "bounded",
+        )
+    } == {"holds after repair"}
+    assert {verdicts[name] for name in ("implied", "cancelled-in-total", "compared")} == {
+        "does not hold"
     }
-    assert {verdicts[name] for name in ("implied", "cancelled-in-total", "compared")} == {"does not hold"}
 
 
 def test_measures_see_what_they_should(five: Run) -> None:
     n = five.t.size
-    exact = dataclasses.replace(five, x_hat=five.x, z_hat=five.z, d_hat=np.ones((n, 2)), z_inverse=five.y + five.side)
+    exact = dataclasses.replace(
+        five, x_hat=five.x, z_hat=five.z, d_hat=np.ones((n, 2)), z_inverse=five.y + five.side
+    )
     assert measures.reading_error(exact) < 1e-15
     assert measures.width_error(exact) == measures.steep_share(exact) == 0.0
     assert measures.inverse_error(exact) < 1e-15
     assert measures.total_inverse_error(exact) > 0.1  # inside the zone the inverse is blind
-    biased = dataclasses.replace(exact, d_hat=exact.d_hat + np.array([0.25, 0.0]), x_hat=five.x + np.array([0.0, 0.5]))
+    biased = dataclasses.replace(
+        exact, d_hat=exact.d_hat + np.array([0.25, 0.0]), x_hat=five.x + np.array([0.0, 0.5])
+    )
     assert measures.width_error(biased) == 0.25
     assert measures.state_error(biased, 1) == pytest.approx(0.5)
     dying = dataclasses.replace(five, d_hat=1.0 + np.exp(-0.3 * five.t)[:, None] * [1.0, -0.5])
     assert measures.rate(dying) == pytest.approx(0.3, rel=1e-3)
     gone = dataclasses.replace(five, d_hat=five.d_hat * 1e30)
-    assert np.isinf([measures.width_error(gone), measures.largest_width(gone), measures.rise(gone), measures.steep_share(gone)]).all()
+    assert np.isinf(
+        [
+            measures.width_error(gone),
+            measures.largest_width(gone),
+            measures.rise(gone),
+            measures.steep_share(gone),
+        ]
+    ).all()
 
 
 def test_every_equation_is_placed_where_something_is() -> None:
@@ -241,7 +297,9 @@ def test_progress_is_told_of_work_done(told: list[int], paper: Paper) -> None:
 
 def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Path]) -> None:
     names = {path.name for path in written}
-    assert {f"figure_{number}.png" for number in FIGURES} | {f"figure_{number}_2sin.png" for number in FIGURES} <= names
+    assert {f"figure_{number}.png" for number in FIGURES} | {
+        f"figure_{number}_2sin.png" for number in FIGURES
+    } <= names
     assert {"paper.json", "variants.csv", "report.html", "silence.png"} <= names
     assert {path.name for path in written[0].parent.iterdir()} == names
     for path in written:
@@ -255,7 +313,11 @@ def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Pa
 
 
 def test_without_figures_only_numbers_are_written(paper: Paper, tmp_path: Path) -> None:
-    assert {path.name for path in write(paper, tmp_path, figures=False)} == {"paper.json", "variants.csv"} == {path.name for path in tmp_path.iterdir()}
+    assert (
+        {path.name for path in write(paper, tmp_path, figures=False)}
+        == {"paper.json", "variants.csv"}
+        == {path.name for path in tmp_path.iterdir()}
+    )
 
 
 def test_nothing_is_drawn_before_it_is_asked_for() -> None:

@@ -26,7 +26,9 @@ def test_the_papers_plant_is_certified_exactly_where_theory_says(l1: float, l2: 
     slack = 2 * b1 - (np.sqrt(max(b0, 0.0)) - 1) ** 2
     if min(abs(slack), abs(b0)) < 0.05 * (1 + abs(b1) + abs(b0)):
         return
-    assert certify(PAPER_PLANT.linear, np.array([[l1], [l2]]), GAMMA).certified == (slack > 0 and b0 > 0)
+    assert certify(PAPER_PLANT.linear, np.array([[l1], [l2]]), GAMMA).certified == (
+        slack > 0 and b0 > 0
+    )
 
 
 def test_the_papers_gains_miss_it_narrowly() -> None:
@@ -34,8 +36,14 @@ def test_the_papers_gains_miss_it_narrowly() -> None:
     missed = certify(PAPER_PLANT.linear, np.array([[12.0], [15.0]]), GAMMA)
     assert not missed.certified
     w = np.linspace(0.01, 20, 20001)
-    real = 1 + response(PAPER_PLANT.linear._replace(B=np.array([[12.0], [15.0]])), 1j * w)[:, 0, 0].real
-    assert (real.min(), w[np.argmin(real)]) == (pytest.approx(-0.0417, abs=1e-4), pytest.approx(2.49, abs=0.01))
+    real = (
+        1
+        + response(PAPER_PLANT.linear._replace(B=np.array([[12.0], [15.0]])), 1j * w)[:, 0, 0].real
+    )
+    assert (real.min(), w[np.argmin(real)]) == (
+        pytest.approx(-0.0417, abs=1e-4),
+        pytest.approx(2.49, abs=0.01),
+    )
     assert certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), GAMMA).certified
 
 
@@ -58,7 +66,9 @@ def test_agrees_with_the_frequency_condition_on_random_designs(seed: int, n: int
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 2), st.booleans())
-def test_default_gain_is_certified_for_every_stable_plant(seed: int, n: int, p: int, in_samples: bool) -> None:
+def test_default_gain_is_certified_for_every_stable_plant(
+    seed: int, n: int, p: int, in_samples: bool
+) -> None:
     Ts = 0.05 if in_samples else None
     plant = random_plant(np.random.default_rng(seed), n, 1, p).linear
     plant = plant if Ts is None else zoh(plant, Ts)

@@ -44,14 +44,21 @@ def tip_path(path: Path, channels: int = 2) -> Exosystem:
 
 def spatial(joints: int, **bounds: Floats) -> Arm:
     """An arm that only moves: joints about z and y in turn, a link after each of them."""
-    axes, lengths = [np.eye(3)[2 if i in (0, 3, 5) else 1] for i in range(joints)], [0.3, 0.5, 0.4, 0.1, 0.3, 0.2, 0.2]
+    axes, lengths = (
+        [np.eye(3)[2 if i in (0, 3, 5) else 1] for i in range(joints)],
+        [0.3, 0.5, 0.4, 0.1, 0.3, 0.2, 0.2],
+    )
 
     def frames(q: Any) -> list[tuple[Any, Any]]:
         found = [(ca.DM.eye(3), ca.DM.zeros(3, 1))]
         for i in range(joints):
             turn, point = found[-1]
             a, K = axes[i], np.cross(np.eye(3), axes[i] * -1.0)
-            turn = turn @ (ca.DM.eye(3) * ca.cos(q[i]) + ca.sin(q[i]) * ca.DM(K) + (1 - ca.cos(q[i])) * ca.DM(np.outer(a, a)))
+            turn = turn @ (
+                ca.DM.eye(3) * ca.cos(q[i])
+                + ca.sin(q[i]) * ca.DM(K)
+                + (1 - ca.cos(q[i])) * ca.DM(np.outer(a, a))
+            )
             found.append((turn, point + turn @ ca.DM([0.05, 0.0, lengths[i]])))
         return found
 
@@ -71,7 +78,9 @@ def turns(given: Arm, q: Floats) -> Floats:
     return given.turn.map(len(q))(given.values, q.T).full().reshape(3, len(q), 3).swapaxes(0, 1)
 
 
-def joints(given: Arm, path: Exosystem, start: Any, duration: float = 8.0, step: float = 2e-3) -> Exosystem:
+def joints(
+    given: Arm, path: Exosystem, start: Any, duration: float = 8.0, step: float = 2e-3
+) -> Exosystem:
     return kinematics.joint_path(given, given.values, path, duration, step, np.array(start))
 
 
@@ -93,12 +102,16 @@ def size(path: Path) -> int:
 
 def slopes_agree(path: Exosystem, t: Floats, highest: int, tolerance: float = 1e-6) -> None:
     h = 1e-5
-    breaks = np.concatenate([path.corners + k * (path.period or 0.0) for k in range(-1, 5)] + [[-100.0]])
+    breaks = np.concatenate(
+        [path.corners + k * (path.period or 0.0) for k in range(-1, 5)] + [[-100.0]]
+    )
     t = t[np.abs(t[:, None] - breaks).min(axis=1) > 2 * h]
     assert t.size > 200
     for order in range(highest):
         slope = (path.value(t + h, order) - path.value(t - h, order)) / (2 * h)
-        assert path.value(t, order + 1) == pytest.approx(slope, abs=tolerance * (1 + np.abs(slope).max()))
+        assert path.value(t, order + 1) == pytest.approx(
+            slope, abs=tolerance * (1 + np.abs(slope).max())
+        )
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -134,10 +147,14 @@ def test_quintic_goes_through_its_points_from_rest_to_rest() -> None:
     assert found.value(np.array([-5.0, 20.0])) == pytest.approx(np.asarray(VIA.points)[[0, -1]])
     again = exosystem("reference", changed(VIA, repeat=True), 2)
     assert again.period == 4.0
-    assert again.value(np.array([8.7, -0.5])) == pytest.approx(found.value(np.array([0.7, 3.5])), abs=1e-12)
+    assert again.value(np.array([8.7, -0.5])) == pytest.approx(
+        found.value(np.array([0.7, 3.5])), abs=1e-12
+    )
     one = exosystem("reference", Quintic(points=[1.0, 3.0], times=[0.5, 2.5]), 1)
     share = (T.clip(0.5, 2.5) - 0.5) / 2
-    assert one.value(T).ravel() == pytest.approx(1 + 2 * (10 * share**3 - 15 * share**4 + 6 * share**5))
+    assert one.value(T).ravel() == pytest.approx(
+        1 + 2 * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    )
     uneven = exosystem("reference", Quintic(points=[0.0, 2.0, 0.0], times=[0.0, 2.0, 5.0]), 1)
     assert uneven.value(np.linspace(0, 5, 1001)).max() == pytest.approx(2.16, abs=5e-3)
 
@@ -160,34 +177,59 @@ def test_turning_paths_in_closed_form() -> None:
     angle = 2 * np.pi * t / 4.0 + 0.3
     expected = np.array([0.4, 0.1]) + 0.15 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert tip_path(changed(CIRCLE, ramp=0.0)).value(t) == pytest.approx(expected)
-    assert tip_path(CIRCLE).value(t[t > 1.0] + 0.5) == pytest.approx(expected[t > 1.0])  # the ramp costs half of itself
+    assert tip_path(CIRCLE).value(t[t > 1.0] + 0.5) == pytest.approx(
+        expected[t > 1.0]
+    )  # the ramp costs half of itself
     angle = 2 * np.pi * t / 5.0
-    expected = np.array([0.35, 0.2]) + np.stack([0.15 * np.sin(angle), 0.1 * np.sin(2 * angle)], axis=1)
+    expected = np.array([0.35, 0.2]) + np.stack(
+        [0.15 * np.sin(angle), 0.1 * np.sin(2 * angle)], axis=1
+    )
     assert tip_path(changed(EIGHT, ramp=0.0)).value(t) == pytest.approx(expected)
     at_rest = tip_path(CIRCLE)
-    assert at_rest.value(np.array([-1.0, 0.0])) == pytest.approx(np.array([[0.4 + 0.15 * np.cos(0.3), 0.1 + 0.15 * np.sin(0.3)]] * 2))
+    assert at_rest.value(np.array([-1.0, 0.0])) == pytest.approx(
+        np.array([[0.4 + 0.15 * np.cos(0.3), 0.1 + 0.15 * np.sin(0.3)]] * 2)
+    )
     assert (np.abs(at_rest.value(np.array([-1.0, 0.0]), 1)).max(), at_rest.period) == (0, None)
 
 
 @pytest.mark.parametrize(
-    ("normal", "start"), [([0, 0, 1], [1, 0, 0]), ([0, 0, -2], [1, 0, 0]), ([1, 0, 0], [0, 1, 0]), ([0, 3, 0], [-1, 0, 0]), ([1, 0, 1], [0, 1, 0])]
+    ("normal", "start"),
+    [
+        ([0, 0, 1], [1, 0, 0]),
+        ([0, 0, -2], [1, 0, 0]),
+        ([1, 0, 0], [0, 1, 0]),
+        ([0, 3, 0], [-1, 0, 0]),
+        ([1, 0, 1], [0, 1, 0]),
+    ],
 )
 def test_circle_about_a_normal(normal: list[float], start: list[float]) -> None:
     path = tip_path(Circle(centre=[1.0, 2.0, 3.0], radius=0.5, period=1.0, normal=normal), 3)
     r, v = path.value(T) - [1.0, 2.0, 3.0], path.value(T, 1)
-    assert path.value(np.zeros(1))[0] == pytest.approx(np.array([1.0, 2.0, 3.0]) + 0.5 * np.array(start))
+    assert path.value(np.zeros(1))[0] == pytest.approx(
+        np.array([1.0, 2.0, 3.0]) + 0.5 * np.array(start)
+    )
     assert np.linalg.norm(r, axis=1) == pytest.approx(np.full(T.size, 0.5))
     unit = np.array(normal) / np.linalg.norm(normal)
-    assert np.cross(r, v) == pytest.approx(0.5 * np.linalg.norm(v, axis=1)[:, None] * unit, abs=1e-12)
+    assert np.cross(r, v) == pytest.approx(
+        0.5 * np.linalg.norm(v, axis=1)[:, None] * unit, abs=1e-12
+    )
 
 
 def test_joint_space_paths_steer_ordinary_plants() -> None:
-    chains = linear(np.kron(np.eye(2), [[0.0, 1.0], [0.0, 0.0]]), np.kron(np.eye(2), [[0.0], [1.0]]), np.kron(np.eye(2), [[1.0, 0.0]]))
+    chains = linear(
+        np.kron(np.eye(2), [[0.0, 1.0], [0.0, 0.0]]),
+        np.kron(np.eye(2), [[0.0], [1.0]]),
+        np.kron(np.eye(2), [[1.0, 0.0]]),
+    )
     path = exosystem("reference", changed(CIRCLE, space="joint"), 2)
     found = linear_targets(chains, path, [0, 1], T)
     assert found.u_ff == pytest.approx(path.value(T, 2), abs=1e-9)
     assert found.x_ref[:, 1::2] == pytest.approx(path.value(T, 1), abs=1e-9)
-    zeros = linear(np.kron(np.eye(2), [[0.0, 1.0], [-1.0, -2.0]]), np.kron(np.eye(2), [[0.0], [1.0]]), np.kron(np.eye(2), [[2.0, 1.0]]))
+    zeros = linear(
+        np.kron(np.eye(2), [[0.0, 1.0], [-1.0, -2.0]]),
+        np.kron(np.eye(2), [[0.0], [1.0]]),
+        np.kron(np.eye(2), [[2.0, 1.0]]),
+    )
     steady = T[T > 1.0]
     found, slope = (linear_targets(zeros, path, [0, 1], steady, order) for order in (0, 1))
     A, B, C = zeros.linear
@@ -198,17 +240,57 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
 @pytest.mark.parametrize(
     ("path", "channels", "error", "words"),
     [
-        (changed(VIA, times=[0.0, 1.0, 3.0]), 2, ShapeError, "reference.times: expected one time per point .*found 3 times and 4 points"),
-        (Quintic(points=[[1.0, 2.0]], times=[0.0]), 2, ShapeError, "reference.times: .*two points or more"),
+        (
+            changed(VIA, times=[0.0, 1.0, 3.0]),
+            2,
+            ShapeError,
+            "reference.times: expected one time per point .*found 3 times and 4 points",
+        ),
+        (
+            Quintic(points=[[1.0, 2.0]], times=[0.0]),
+            2,
+            ShapeError,
+            "reference.times: .*two points or more",
+        ),
         (changed(VIA, times=[0.0, 1.0, 1.0, 4.0]), 2, InputError, "reference.times: must increase"),
         (VIA, 3, ShapeError, "reference.points: expected a matrix with 3 columns .*found 4 x 2"),
-        (changed(VIA, times=[1.0, 2.0, 3.0, 4.0], repeat=True), 2, InputError, "reference.repeat: the first time must be 0"),
-        (Quintic(points=[0.0, 1.0], times=[0.0, 1.0], repeat=True), 1, InputError, "reference.repeat: .*last point the first one again"),
-        (CIRCLE, 1, ShapeError, "reference: a path in a plane needs two or three coordinates, there is 1"),
+        (
+            changed(VIA, times=[1.0, 2.0, 3.0, 4.0], repeat=True),
+            2,
+            InputError,
+            "reference.repeat: the first time must be 0",
+        ),
+        (
+            Quintic(points=[0.0, 1.0], times=[0.0, 1.0], repeat=True),
+            1,
+            InputError,
+            "reference.repeat: .*last point the first one again",
+        ),
+        (
+            CIRCLE,
+            1,
+            ShapeError,
+            "reference: a path in a plane needs two or three coordinates, there is 1",
+        ),
         (EIGHT, 4, ShapeError, "there are 4"),
-        (CIRCLE, 3, ShapeError, "reference.centre: expected 3 numbers .*one per coordinate.*, found 2"),
-        (changed(CIRCLE, normal=[0.0, 0.0, 1.0]), 2, InputError, "reference.normal: has no meaning in two coordinates"),
-        (changed(CIRCLE, centre=0.0, normal=[0.0, 0.0, 0.0]), 3, InputError, "reference.normal: must not be zero"),
+        (
+            CIRCLE,
+            3,
+            ShapeError,
+            "reference.centre: expected 3 numbers .*one per coordinate.*, found 2",
+        ),
+        (
+            changed(CIRCLE, normal=[0.0, 0.0, 1.0]),
+            2,
+            InputError,
+            "reference.normal: has no meaning in two coordinates",
+        ),
+        (
+            changed(CIRCLE, centre=0.0, normal=[0.0, 0.0, 0.0]),
+            3,
+            InputError,
+            "reference.normal: must not be zero",
+        ),
         (changed(CIRCLE, radius=0.0), 2, InputError, "reference.radius: must be greater than 0"),
         (changed(CIRCLE, period=-1.0), 2, InputError, "reference.period: must be greater than 0"),
         (changed(CIRCLE, ramp=-1.0), 2, InputError, "reference.ramp: must be at least 0"),
@@ -223,13 +305,25 @@ def test_wrong_paths(path: Path, channels: int, error: type[Exception], words: s
 def test_task_space_needs_an_arm() -> None:
     with pytest.raises(InputError, match=r"reference.space: task.*plant.arm.*use space = 'joint'"):
         exosystem("reference", CIRCLE, 2)
-    words = {"kind": "figure_eight", "centre": [0, 0], "width": 1, "height": 0.5, "period": 2, "space": "joint"}
+    words = {
+        "kind": "figure_eight",
+        "centre": [0, 0],
+        "width": 1,
+        "height": 0.5,
+        "period": 2,
+        "space": "joint",
+    }
     read = msgspec.convert(words, Signal, dec_hook=decode)
-    assert exosystem("reference", read, 2).value(np.array([1.5]))[0] == pytest.approx([0.5 * np.sin(1.25 * np.pi), 0.25 * np.sin(2.5 * np.pi)])
+    assert exosystem("reference", read, 2).value(np.array([1.5]))[0] == pytest.approx(
+        [0.5 * np.sin(1.25 * np.pi), 0.25 * np.sin(2.5 * np.pi)]
+    )
 
 
 @pytest.mark.parametrize("start", ELBOWS)
-@pytest.mark.parametrize("path", [CIRCLE, EIGHT, Quintic(points=[[0.5, 0.0], [0.3, 0.4], [0.1, 0.5]], times=[0.0, 2.0, 5.0])])
+@pytest.mark.parametrize(
+    "path",
+    [CIRCLE, EIGHT, Quintic(points=[[0.5, 0.0], [0.3, 0.4], [0.1, 0.5]], times=[0.0, 2.0, 5.0])],
+)
 def test_two_link_follows_with_either_elbow(path: Path, start: list[float]) -> None:
     task = tip_path(path)
     found = joints(TWO_LINK, task, start)
@@ -244,7 +338,9 @@ def test_two_link_follows_with_either_elbow(path: Path, start: list[float]) -> N
 def test_start_on_the_other_side_of_the_base() -> None:
     """The straight line to the path crosses the hole that the arm cannot reach."""
     found = joints(TWO_LINK, tip_path(CIRCLE), [np.pi + 0.3, 1.3])
-    assert tips(TWO_LINK, found.value(T[T > 0][:300])) == pytest.approx(tip_path(CIRCLE).value(T[T > 0][:300]), abs=1e-12)
+    assert tips(TWO_LINK, found.value(T[T > 0][:300])) == pytest.approx(
+        tip_path(CIRCLE).value(T[T > 0][:300]), abs=1e-12
+    )
 
 
 def test_joint_path_against_the_textbook() -> None:
@@ -258,23 +354,37 @@ def test_joint_path_against_the_textbook() -> None:
 
 def test_a_coarse_grid_gives_the_same_path() -> None:
     t = T[(T > 0) & (T < 8)]
-    coarse, fine = (joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=step) for step in (0.05, 1e-3))
+    coarse, fine = (
+        joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=step) for step in (0.05, 1e-3)
+    )
     for order in range(3):
         assert coarse.value(t, order) == pytest.approx(fine.value(t, order), abs=1e-11)
 
 
-@pytest.mark.parametrize("path", [changed(EIGHT, period=2.5), Circle(centre=[0.0, 0.0], radius=0.5, period=1.005, ramp=0.0)])
+@pytest.mark.parametrize(
+    "path",
+    [changed(EIGHT, period=2.5), Circle(centre=[0.0, 0.0], radius=0.5, period=1.005, ramp=0.0)],
+)
 def test_a_grid_too_coarse_for_the_path(path: Path) -> None:
     """From one step to the next the elbow would flip, or a turn about the base go the short way."""
-    with pytest.raises(TrackingError, match=r"singular configuration .*, or it is too fast for steps as long as simulation.step; move it or slow"):
+    with pytest.raises(
+        TrackingError,
+        match=r"singular configuration .*, or it is too fast for steps as long as simulation.step; move it or slow",
+    ):
         joints(TWO_LINK, tip_path(path), ELBOWS[0], step=1.0)
 
 
 def test_period_of_a_joint_path() -> None:
     assert joints(TWO_LINK, tip_path(changed(CIRCLE, ramp=0.0)), ELBOWS[0]).period == 4.0
-    around = joints(TWO_LINK, tip_path(Circle(centre=[0.0, 0.0], radius=0.5, period=4.0, ramp=0.0)), ELBOWS[0])
-    assert around.period is None  # after a turn about its base the arm is where it was, its first joint a turn further
-    assert around.value(np.array([4.0])) - around.value(np.zeros(1)) == pytest.approx(np.array([[2 * np.pi, 0.0]]))
+    around = joints(
+        TWO_LINK, tip_path(Circle(centre=[0.0, 0.0], radius=0.5, period=4.0, ramp=0.0)), ELBOWS[0]
+    )
+    assert (
+        around.period is None
+    )  # after a turn about its base the arm is where it was, its first joint a turn further
+    assert around.value(np.array([4.0])) - around.value(np.zeros(1)) == pytest.approx(
+        np.array([[2 * np.pi, 0.0]])
+    )
     with pytest.raises(TrackingError, match=r"known up to t = 8\.\d+ s, not at 9 s"):
         around.value(np.array([1.0, 9.0]))
 
@@ -312,7 +422,9 @@ def test_ur5_follows_without_turning() -> None:
         t = np.random.default_rng(5).uniform(0, 8, 300)
         q = found.value(t)
         assert tips(given, q) == pytest.approx(task.value(t), abs=1e-12)
-        assert turns(given, q) == pytest.approx(np.broadcast_to(turns(given, start[None]), (300, 3, 3)), abs=1e-12)
+        assert turns(given, q) == pytest.approx(
+            np.broadcast_to(turns(given, start[None]), (300, 3, 3)), abs=1e-12
+        )
         slopes_agree(found, t, 2)
         kinematics.require_torque(driven(given, given.chain.torque), found, t)
         with pytest.raises(TrackingError, match=r"needs a torque of .* from shoulder_lift_joint"):
@@ -321,8 +433,21 @@ def test_ur5_follows_without_turning() -> None:
 
 def driven(given: Arm, limit: Floats) -> System:
     """An arm as a plant whose motors have so much torque."""
-    linear = Matrices(np.zeros((2 * given.size,) * 2), np.zeros((2 * given.size, given.size)), np.eye(given.size, 2 * given.size))
-    return System(given.values, lambda p, x, u: x, lambda p, x: x[: given.size], linear, nonlinear=True, arm=given, flat=flat(given), limit=limit)
+    linear = Matrices(
+        np.zeros((2 * given.size,) * 2),
+        np.zeros((2 * given.size, given.size)),
+        np.eye(given.size, 2 * given.size),
+    )
+    return System(
+        given.values,
+        lambda p, x, u: x,
+        lambda p, x: x[: given.size],
+        linear,
+        nonlinear=True,
+        arm=given,
+        flat=flat(given),
+        limit=limit,
+    )
 
 
 def number(pattern: str, error: pytest.ExceptionInfo[TrackingError]) -> list[float]:
@@ -334,12 +459,23 @@ def number(pattern: str, error: pytest.ExceptionInfo[TrackingError]) -> list[flo
 
 
 @pytest.mark.parametrize("start", ELBOWS)
-@pytest.mark.parametrize(("centre", "beyond"), [([0.6, 0.1], np.hypot(0.6, 0.1) + 0.15 - 0.7), ([1.5, 0.0], 0.95), ([0.1, 0.0], 0.1 - (0.15 - 0.1))])
-def test_unreachable_points_are_said_with_their_distance(centre: list[float], beyond: float, start: list[float]) -> None:
+@pytest.mark.parametrize(
+    ("centre", "beyond"),
+    [
+        ([0.6, 0.1], np.hypot(0.6, 0.1) + 0.15 - 0.7),
+        ([1.5, 0.0], 0.95),
+        ([0.1, 0.0], 0.1 - (0.15 - 0.1)),
+    ],
+)
+def test_unreachable_points_are_said_with_their_distance(
+    centre: list[float], beyond: float, start: list[float]
+) -> None:
     """The two-link arm reaches from 0.1 m to 0.7 m from its base."""
     with pytest.raises(TrackingError, match=r"^reference: the tip cannot get to") as error:
         joints(TWO_LINK, tip_path(changed(CIRCLE, centre=centre)), start)
-    x, y, t, distance, leaves = number(r"\(#, #\) m at t = # s, it comes no nearer than # m; .* at about t = # s", error)
+    x, y, t, distance, leaves = number(
+        r"\(#, #\) m at t = # s, it comes no nearer than # m; .* at about t = # s", error
+    )
     assert distance == pytest.approx(beyond, rel=0.05)  # among the instants looked at
     assert distance == pytest.approx(max(np.hypot(x, y) - 0.7, 0.1 - np.hypot(x, y)), abs=1e-3)
     path = tip_path(changed(CIRCLE, centre=centre))
@@ -349,15 +485,34 @@ def test_unreachable_points_are_said_with_their_distance(centre: list[float], be
 
 
 def test_singular_configurations() -> None:
-    with pytest.raises(TrackingError, match=r"singular where the path starts from, q = 0.3, 0: .*plant.x0"):
+    with pytest.raises(
+        TrackingError, match=r"singular where the path starts from, q = 0.3, 0: .*plant.x0"
+    ):
         joints(TWO_LINK, tip_path(CIRCLE), [0.3, 0.0])
     touch = Quintic(points=[[0.3, 0.0], [0.7, 0.0], [0.3, 0.2]], times=[0.0, 2.0, 4.0])
     with pytest.raises(TrackingError, match=r"singular configuration at about t = (1.9|2)"):
-        joints(TWO_LINK, tip_path(changed(touch, points=[[0.3, 0.0], [0.7, 0.0], [0.3, 0.0]])), ELBOWS[0])
+        joints(
+            TWO_LINK,
+            tip_path(changed(touch, points=[[0.3, 0.0], [0.7, 0.0], [0.3, 0.0]])),
+            ELBOWS[0],
+        )
     given, start = spatial(6), np.array([0.2, 0.5, 0.9, 0.3, -0.8, 0.7])
     away = given.tip(given.values, start).full().ravel() * [-1, -1, 1]
-    with pytest.raises(TrackingError, match=r"cannot follow beyond .* keeps the tip's orientation|singular configuration"):
-        joints(given, tip_path(Quintic(points=[given.tip(given.values, start).full().ravel(), away], times=[0.0, 5.0]), 3), start, step=1e-2)
+    with pytest.raises(
+        TrackingError,
+        match=r"cannot follow beyond .* keeps the tip's orientation|singular configuration",
+    ):
+        joints(
+            given,
+            tip_path(
+                Quintic(
+                    points=[given.tip(given.values, start).full().ravel(), away], times=[0.0, 5.0]
+                ),
+                3,
+            ),
+            start,
+            step=1e-2,
+        )
 
 
 def test_limits_of_the_joints() -> None:
@@ -378,7 +533,15 @@ def test_limits_of_the_joints() -> None:
         (t,) = number(words, error)
         extreme = q[:, 1] if "position" in words else np.abs(v[:, 0])
         assert extreme[round(t / 2e-3)] == pytest.approx(extreme.max(), abs=1e-5)
-    joints(arm(TWO_LINK.chain._replace(limits=np.array([[-1.0, 1.4], [-0.2, 2.5]]), speed=np.abs(v).max(axis=0) + 0.01)), tip_path(CIRCLE), ELBOWS[0])
+    joints(
+        arm(
+            TWO_LINK.chain._replace(
+                limits=np.array([[-1.0, 1.4], [-0.2, 2.5]]), speed=np.abs(v).max(axis=0) + 0.01
+            )
+        ),
+        tip_path(CIRCLE),
+        ELBOWS[0],
+    )
 
 
 def test_torque_limits() -> None:
@@ -386,17 +549,33 @@ def test_torque_limits() -> None:
     t = np.arange(4001) * 2e-3
     q, v, a = (path.value(t, order) for order in range(3))
     torques = np.stack(
-        [(TWO_LINK.mass(TWO_LINK.values, *now[:1]) @ now[2] + TWO_LINK.bias(TWO_LINK.values, *now[:2])).full().ravel() for now in zip(q, v, a, strict=True)]
+        [
+            (
+                TWO_LINK.mass(TWO_LINK.values, *now[:1]) @ now[2]
+                + TWO_LINK.bias(TWO_LINK.values, *now[:2])
+            )
+            .full()
+            .ravel()
+            for now in zip(q, v, a, strict=True)
+        ]
     )
     most = np.abs(torques).max(axis=0)
     kinematics.require_torque(driven(TWO_LINK, most * 1.001), path, t)
     with pytest.raises(TrackingError, match=r"^reference: the path needs a torque") as error:
         kinematics.require_torque(driven(TWO_LINK, np.array([np.inf, most[1] / 2])), path, t)
-    value, when, bound = number(r"torque of # from q2 at t = # s, which allows -[\d.]+ to # \[N m", error)
-    assert (abs(value), bound) == (pytest.approx(most[1], rel=1e-3), pytest.approx(most[1] / 2, rel=1e-3))
+    value, when, bound = number(
+        r"torque of # from q2 at t = # s, which allows -[\d.]+ to # \[N m", error
+    )
+    assert (abs(value), bound) == (
+        pytest.approx(most[1], rel=1e-3),
+        pytest.approx(most[1] / 2, rel=1e-3),
+    )
     assert torques[np.abs(t - when).argmin(), 1] == pytest.approx(value, rel=1e-3)
 
 
 def test_too_few_joints() -> None:
-    with pytest.raises(TrackingError, match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; give the joints' path"):
+    with pytest.raises(
+        TrackingError,
+        match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; give the joints' path",
+    ):
         joints(arm(planar.one_link()), tip_path(CIRCLE), [0.3])

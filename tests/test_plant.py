@@ -41,10 +41,14 @@ def move(plant: System, x: Any, u: Any) -> Floats:
 
 
 @given(st.floats(0, 3), st.floats(0.1, 30), st.floats(0.1, 30))
-def test_second_order_has_the_response_of_its_formula(zeta: float, omega: float, gain: float) -> None:
+def test_second_order_has_the_response_of_its_formula(
+    zeta: float, omega: float, gain: float
+) -> None:
     found = matrices(Plant(second_order=SecondOrder(zeta=zeta, omega_n=omega, gain=gain)))
     for s in 1j * np.array(FREQUENCIES) + 0.01:
-        assert response(found, s)[0, 0] == pytest.approx(gain / (s**2 + 2 * zeta * omega * s + omega**2))
+        assert response(found, s)[0, 0] == pytest.approx(
+            gain / (s**2 + 2 * zeta * omega * s + omega**2)
+        )
 
 
 def test_the_papers_plant_in_every_form() -> None:
@@ -64,7 +68,10 @@ def test_companion_has_its_polynomial_and_reads_the_first_state(seed: int, n: in
     a = np.random.default_rng(seed).normal(size=n)
     A, B, C = matrices(Plant(companion=a))
     assert np.poly(A) == pytest.approx([1.0, *a[::-1]], abs=1e-9)
-    assert (B.ravel().tolist(), C.ravel().tolist()) == ([0.0] * (n - 1) + [1.0], [1.0] + [0.0] * (n - 1))
+    assert (B.ravel().tolist(), C.ravel().tolist()) == (
+        [0.0] * (n - 1) + [1.0],
+        [1.0] + [0.0] * (n - 1),
+    )
 
 
 def test_chain_of_integrators_integrates() -> None:
@@ -116,20 +123,37 @@ def test_formulas_equal_matrices_in_the_loop() -> None:
     formulas = {"f": ["v", "-x - 2 * v + u"], "h": ["x"], "states": ["x", "v"], "x0": [0.5, 0.0]}
     given_by_formulas, given_by_matrices = simulate(scene(plant=formulas)), simulate(scene())
     for name in ("x", "x_hat", "d_hat", "u", "r"):
-        assert getattr(given_by_formulas, name) == pytest.approx(getattr(given_by_matrices, name), abs=1e-9)
+        assert getattr(given_by_formulas, name) == pytest.approx(
+            getattr(given_by_matrices, name), abs=1e-9
+        )
 
 
 def test_callables_equal_formulas_also_in_the_loop() -> None:
     g, l, b = (PENDULUM["parameters"][name] for name in "glb")
-    callables = Plant(f=lambda x, u: ca.vertcat(x[1], -g / l * ca.sin(x[0]) - b * x[1] + u), h=lambda x: x[0], states=["angle", "rate"], x0=[0.3, 0.1])
+    callables = Plant(
+        f=lambda x, u: ca.vertcat(x[1], -g / l * ca.sin(x[0]) - b * x[1] + u),
+        h=lambda x: x[0],
+        states=["angle", "rate"],
+        x0=[0.3, 0.1],
+    )
     formulas = Plant(**PENDULUM, x0=[0.3, 0.1])
     for one, other in zip(system(callables).linear, system(formulas).linear, strict=True):
         assert one == pytest.approx(other)
-    tables: dict[str, Any] = {"observer": {"method": "certified", "L": [2.0, 3.0]}, "simulation": {"duration": 0.3, "step": 0.01}}
+    tables: dict[str, Any] = {
+        "observer": {"method": "certified", "L": [2.0, 3.0]},
+        "simulation": {"duration": 0.3, "step": 0.01},
+    }
     reference = {"kind": "sine", "amplitude": 1.5, "frequency": 0.5}
-    by_formulas = simulate(scene(plant=PENDULUM | {"x0": [0.3, 0.1]}, reference=reference, **tables))
+    by_formulas = simulate(
+        scene(plant=PENDULUM | {"x0": [0.3, 0.1]}, reference=reference, **tables)
+    )
     scenario = scene(plant=PENDULUM, reference=reference, **tables)
-    by_callables = simulate(type(scenario)(**{name: getattr(scenario, name) for name in scenario.__struct_fields__} | {"plant": callables}))
+    by_callables = simulate(
+        type(scenario)(
+            **{name: getattr(scenario, name) for name in scenario.__struct_fields__}
+            | {"plant": callables}
+        )
+    )
     assert by_callables.x == pytest.approx(by_formulas.x, abs=1e-12)
 
 
@@ -142,9 +166,18 @@ def test_linearisation_is_that_of_the_pendulum() -> None:
 
 def test_sampled_nonlinear_plant_has_order_four_in_its_substeps() -> None:
     plant, Ts, start, u = system(Plant(**PENDULUM)), 0.5, np.array([2.0, -1.0]), 3.0
-    exact = solve_ivp(lambda t, x: [x[1], -9.81 / 0.5 * np.sin(x[0]) - 0.8 * x[1] + u], (0, Ts), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    exact = solve_ivp(
+        lambda t, x: [x[1], -9.81 / 0.5 * np.sin(x[0]) - 0.8 * x[1] + u],
+        (0, Ts),
+        start,
+        "DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+    ).y[:, -1]
     counts = np.array([8, 16, 32, 64])
-    errors = [np.abs(move(sampled(plant, Ts, int(count)), start, u) - exact).max() for count in counts]
+    errors = [
+        np.abs(move(sampled(plant, Ts, int(count)), start, u) - exact).max() for count in counts
+    ]
     assert slopes(1.0 / counts, errors) == pytest.approx(4.0, abs=0.3)
 
 
@@ -158,7 +191,9 @@ def test_sampled_linear_plant_is_the_exact_hold() -> None:
 def test_initial_state() -> None:
     assert initial_state(Plant(integrators=2), 2).tolist() == [0, 0]
     assert initial_state(Plant(integrators=2, x0=[[1.0], [2.0]]), 2).tolist() == [1, 2]
-    with pytest.raises(ShapeError, match=r"plant.x0: expected 2 numbers \(one per state\), found 3"):
+    with pytest.raises(
+        ShapeError, match=r"plant.x0: expected 2 numbers \(one per state\), found 3"
+    ):
         initial_state(Plant(integrators=2, x0=[1, 2, 3]), 2)
 
 
@@ -169,40 +204,108 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
     ("options", "error", "words"),
     [
         ({}, InputError, "plant: give exactly one form .*, found none"),
-        ({"A": A2, "integrators": 2}, InputError, "plant: give exactly one form .*, found A and integrators"),
+        (
+            {"A": A2, "integrators": 2},
+            InputError,
+            "plant: give exactly one form .*, found A and integrators",
+        ),
         ({"A": A2, "B": [[0.0], [1.0]]}, InputError, "plant.C: missing"),
-        ({"A": [[0.0, 1.0]], "B": [[1.0]], "C": [[1.0]]}, ShapeError, "plant.A: expected a 1 x 1 matrix .*square.*, found 1 x 2"),
-        ({"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]}, ShapeError, r"plant.B: expected a matrix with 2 rows \(as many rows as A, 2\), found 1 x 1"),
-        ({"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]}, ShapeError, "plant.B: expected a matrix with 2 rows .*, found a list of 2 numbers"),
-        ({"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]}, ShapeError, "plant.C: expected a matrix with 2 columns .*, found 1 x 3"),
-        ({"A": [[0.0, 1.0], [1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: .*rows of different lengths"),
-        ({"A": [[0.0, np.nan], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}, InputError, "plant.A: every number must be finite"),
+        (
+            {"A": [[0.0, 1.0]], "B": [[1.0]], "C": [[1.0]]},
+            ShapeError,
+            "plant.A: expected a 1 x 1 matrix .*square.*, found 1 x 2",
+        ),
+        (
+            {"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]},
+            ShapeError,
+            r"plant.B: expected a matrix with 2 rows \(as many rows as A, 2\), found 1 x 1",
+        ),
+        (
+            {"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]},
+            ShapeError,
+            "plant.B: expected a matrix with 2 rows .*, found a list of 2 numbers",
+        ),
+        (
+            {"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]},
+            ShapeError,
+            "plant.C: expected a matrix with 2 columns .*, found 1 x 3",
+        ),
+        (
+            {"A": [[0.0, 1.0], [1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+            InputError,
+            "plant.A: .*rows of different lengths",
+        ),
+        (
+            {"A": [[0.0, np.nan], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+            InputError,
+            "plant.A: every number must be finite",
+        ),
         ({"integrators": 0}, InputError, "plant.integrators: expected 1 to 50, found 0"),
-        ({"integrators": 2, "C": [[1.0, 0.0]]}, InputError, "plant.C: has no meaning for a plant given by integrators"),
+        (
+            {"integrators": 2, "C": [[1.0, 0.0]]},
+            InputError,
+            "plant.C: has no meaning for a plant given by integrators",
+        ),
         ({"integrators": 2, "x_eq": np.zeros(2)}, InputError, "plant.x_eq: has no meaning"),
-        ({"integrators": 2, "parameters": {"g": 9.81}}, InputError, "plant.parameters: has no meaning"),
+        (
+            {"integrators": 2, "parameters": {"g": 9.81}},
+            InputError,
+            "plant.parameters: has no meaning",
+        ),
         ({"companion": []}, InputError, "plant.companion: expected at least one number"),
-        ({"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)}, InputError, "plant.second_order.omega_n: must be greater than 0, found -1"),
-        ({"second_order": SecondOrder(zeta=0.5, omega_n=1e200)}, InputError, "plant.second_order.omega_n: every number must be below 1e.50"),
-        ({"transfer_function": TransferFunction(numerator=[1, 2, 3], denominator=[1, 2, 3])}, InputError, "strictly proper"),
-        ({"transfer_function": TransferFunction(numerator=[0.0], denominator=[1, 2, 3])}, InputError, "non-zero numerator"),
+        (
+            {"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)},
+            InputError,
+            "plant.second_order.omega_n: must be greater than 0, found -1",
+        ),
+        (
+            {"second_order": SecondOrder(zeta=0.5, omega_n=1e200)},
+            InputError,
+            "plant.second_order.omega_n: every number must be below 1e.50",
+        ),
+        (
+            {"transfer_function": TransferFunction(numerator=[1, 2, 3], denominator=[1, 2, 3])},
+            InputError,
+            "strictly proper",
+        ),
+        (
+            {"transfer_function": TransferFunction(numerator=[0.0], denominator=[1, 2, 3])},
+            InputError,
+            "non-zero numerator",
+        ),
         (
             {"transfer_function": TransferFunction(numerator=[1.0], denominator=[1e-320, 2, 3])},
             InputError,
             "plant.transfer_function: its numbers are too far apart",
         ),
-        ({"transfer_function": TransferFunction(numerator=[[1], [2, 3]], denominator=[1, 2, 3])}, InputError, "plant.transfer_function.numerator"),
-        (PENDULUM | {"f": ["rate"]}, ShapeError, r"plant.f: expected 2 formulas \(one per state\), found 1"),
+        (
+            {"transfer_function": TransferFunction(numerator=[[1], [2, 3]], denominator=[1, 2, 3])},
+            InputError,
+            "plant.transfer_function.numerator",
+        ),
+        (
+            PENDULUM | {"f": ["rate"]},
+            ShapeError,
+            r"plant.f: expected 2 formulas \(one per state\), found 1",
+        ),
         (PENDULUM | {"h": None}, InputError, "plant: formulas need lists f and h"),
         (PENDULUM | {"h": []}, InputError, "h must not be empty"),
         (PENDULUM | {"h": ["agle"]}, InputError, "did you mean 'angle'"),
-        (PENDULUM | {"h": ["angle", 1.0]}, InputError, "plant: every entry of f and h must be a formula in quotes"),
+        (
+            PENDULUM | {"h": ["angle", 1.0]},
+            InputError,
+            "plant: every entry of f and h must be a formula in quotes",
+        ),
         (PENDULUM | {"inputs": ["rate"]}, InputError, "a name is used twice"),
         (PENDULUM | {"h": ["1 / angle"]}, InputError, "cannot be linearised at x_eq, u_eq"),
         (PENDULUM | {"x_eq": [1.0]}, ShapeError, "plant.x_eq: expected 2 numbers"),
         (PENDULUM | {"h": lambda x: x[0]}, InputError, "both be formulas or both be callables"),
         ({"f": lambda x, u: x, "h": lambda x: x[0]}, InputError, "needs x0 or states"),
-        ({"f": lambda x, u: x[0], "h": lambda x: x[0], "x0": [0.0, 0.0]}, ShapeError, "plant.f: expected 2 derivatives"),
+        (
+            {"f": lambda x, u: x[0], "h": lambda x: x[0], "x0": [0.0, 0.0]},
+            ShapeError,
+            "plant.f: expected 2 derivatives",
+        ),
     ],
 )
 def test_wrong_plants(options: dict[str, Any], error: type[Exception], words: str) -> None:

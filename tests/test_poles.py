@@ -23,7 +23,9 @@ def poles_of(A: Any) -> Any:
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 2))
-def test_closed_loop_and_observer_have_the_poles_asked_for(seed: int, n: int, channels: int) -> None:
+def test_closed_loop_and_observer_have_the_poles_asked_for(
+    seed: int, n: int, channels: int
+) -> None:
     rng = np.random.default_rng(seed)
     linear = random_plant(rng, n, channels, channels, stable=False).linear
     poles = np.array(-rng.uniform(0.5, 3, n), complex)
@@ -31,8 +33,12 @@ def test_closed_loop_and_observer_have_the_poles_asked_for(seed: int, n: int, ch
         poles[1] = -1 + 2j
         poles[0] = poles[1].conj()
     A, B, C = linear
-    assert poles_of(A - B @ state_gain(linear, poles, None)) == pytest.approx(np.sort_complex(poles), abs=1e-4)
-    assert poles_of(A - observer_gain(linear, poles, None) @ C) == pytest.approx(np.sort_complex(poles), abs=1e-4)
+    assert poles_of(A - B @ state_gain(linear, poles, None)) == pytest.approx(
+        np.sort_complex(poles), abs=1e-4
+    )
+    assert poles_of(A - observer_gain(linear, poles, None) @ C) == pytest.approx(
+        np.sort_complex(poles), abs=1e-4
+    )
 
 
 def test_the_papers_gains() -> None:
@@ -49,8 +55,12 @@ def test_agrees_with_python_control() -> None:
     A, B, C = random_plant(np.random.default_rng(5), 4, 2, 2).linear
     poles = [-1.0, -2.0, -3.0, -4.0]
     single = Matrices(A, B[:, :1], C[:1])
-    assert state_gain(single, poles, None) == pytest.approx(np.asarray(control.place(A, B[:, :1], poles)), rel=1e-6)
-    assert observer_gain(single, poles, None) == pytest.approx(np.asarray(control.place(A.T, C[:1].T, poles)).T, rel=1e-6)
+    assert state_gain(single, poles, None) == pytest.approx(
+        np.asarray(control.place(A, B[:, :1], poles)), rel=1e-6
+    )
+    assert observer_gain(single, poles, None) == pytest.approx(
+        np.asarray(control.place(A.T, C[:1].T, poles)).T, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.3])
@@ -58,14 +68,22 @@ def test_sampled_poles_are_the_exponentials(Ts: float) -> None:
     sampled = zoh(PAPER_PLANT.linear, Ts)
     A, B, C = sampled
     expected = np.sort_complex(np.exp(np.array([-4 - 3j, -4 + 3j]) * Ts))
-    assert poles_of(A - B @ state_gain(sampled, [[-4, 3], [-4, -3]], Ts)) == pytest.approx(expected, abs=1e-9)
-    assert poles_of(A - observer_gain(sampled, [[-4, 3], [-4, -3]], Ts) @ C) == pytest.approx(expected, abs=1e-9)
+    assert poles_of(A - B @ state_gain(sampled, [[-4, 3], [-4, -3]], Ts)) == pytest.approx(
+        expected, abs=1e-9
+    )
+    assert poles_of(A - observer_gain(sampled, [[-4, 3], [-4, -3]], Ts) @ C) == pytest.approx(
+        expected, abs=1e-9
+    )
 
 
 def test_sampled_gains_tend_to_the_continuous_ones() -> None:
     Ts = 1e-5
-    assert state_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) == pytest.approx(np.array([[39.0, 12.0]]), rel=1e-3)
-    assert observer_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) / Ts == pytest.approx(np.array([[12.0], [15.0]]), rel=1e-3)
+    assert state_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) == pytest.approx(
+        np.array([[39.0, 12.0]]), rel=1e-3
+    )
+    assert observer_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) / Ts == pytest.approx(
+        np.array([[12.0], [15.0]]), rel=1e-3
+    )
 
 
 def test_poles_are_read_from_numbers_and_pairs() -> None:

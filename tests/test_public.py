@@ -12,7 +12,12 @@ import pytest
 import undeadzone
 
 STUB = ast.parse(Path(undeadzone.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-NAMES = [alias.asname or alias.name for node in STUB.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+NAMES = [
+    alias.asname or alias.name
+    for node in STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+]
 HEAVY = ("numpy", "scipy", "casadi", "numba", "matplotlib", "clarabel", "msgspec", "rich", "cmaes")
 
 
@@ -34,9 +39,17 @@ def test_what_dir_shows_is_the_stub() -> None:
     [
         ("import undeadzone", HEAVY),
         ("import undeadzone.cli", HEAVY),
-        ("import undeadzone; undeadzone.Scenario, undeadzone.simulate, undeadzone.Online", ("scipy", "numba", "matplotlib", "clarabel", "rich", "cmaes")),
+        (
+            "import undeadzone; undeadzone.Scenario, undeadzone.simulate, undeadzone.Online",
+            ("scipy", "numba", "matplotlib", "clarabel", "rich", "cmaes"),
+        ),
     ],
 )
 def test_imports_load_nothing_that_they_do_not_need(code: str, absent: tuple[str, ...]) -> None:
-    done = subprocess.run([sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert not set(done.stdout.split()) & set(absent)

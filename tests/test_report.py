@@ -39,7 +39,9 @@ class Auditor(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
+        self.addresses += [
+            value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")
+        ]
         if tag not in VOID:
             self.open.append(tag)
 
@@ -57,11 +59,18 @@ def run() -> Run:
 
 @pytest.fixture(scope="module")
 def two_outputs() -> Run:
-    plant = {"A": [[-1.0, 0.2], [0.0, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+    plant = {
+        "A": [[-1.0, 0.2], [0.0, -2.0]],
+        "B": [[1.0, 0.0], [0.0, 1.0]],
+        "C": [[1.0, 0.0], [0.0, 1.0]],
+    }
     observer = {"method": "certified", "gamma": 5.0}
     reference = {"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 1.0}
     controller = {"method": "state_feedback", "poles": [-3.0, -4.0]}
-    return simulate(scene(plant=plant, observer=observer, reference=reference, controller=controller), check_step=False)
+    return simulate(
+        scene(plant=plant, observer=observer, reference=reference, controller=controller),
+        check_step=False,
+    )
 
 
 def check_page(text: str) -> Auditor:
@@ -88,14 +97,26 @@ def test_a_page_without_figures(two_outputs: Run) -> None:
 
 def test_everything_that_is_not_html_is_escaped() -> None:
     found = check_page(
-        page(NASTY, section(NASTY, paragraph(NASTY), table([NASTY], [[NASTY], [1.0], [None], [True]])), picture(png(sheet([["a"]], "t")[0]), NASTY))
+        page(
+            NASTY,
+            section(NASTY, paragraph(NASTY), table([NASTY], [[NASTY], [1.0], [None], [True]])),
+            picture(png(sheet([["a"]], "t")[0]), NASTY),
+        )
     )
     assert found.text.count(NASTY) == 7
     assert "script" not in found.tags
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(Html("<b>"), "<b>"), (None, "&ndash;"), (True, "yes"), (0.1234567, "0.12346"), (12345678, "12345678"), ("a<b", "a&lt;b")]
+    ("value", "text"),
+    [
+        (Html("<b>"), "<b>"),
+        (None, "&ndash;"),
+        (True, "yes"),
+        (0.1234567, "0.12346"),
+        (12345678, "12345678"),
+        ("a<b", "a&lt;b"),
+    ],
 )
 def test_values_as_html(value: object, text: str) -> None:
     assert html(value) == text

@@ -44,19 +44,28 @@ def test_the_papers_equation_destabilises() -> None:
 def test_no_stabilising_solution_is_said() -> None:
     with pytest.raises(StructureError, match=r"\(34\) has no stabilising solution"):
         paper_riccati(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]]), 1.0, np.eye(2))
-    with pytest.raises(StructureError, match="discrete Riccati equation has no stabilising solution"):
-        feedback(Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2)), 1.0, np.eye(2), 0.1)
+    with pytest.raises(
+        StructureError, match="discrete Riccati equation has no stabilising solution"
+    ):
+        feedback(
+            Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2)), 1.0, np.eye(2), 0.1
+        )
 
 
 def test_sampled_gain_tends_to_the_continuous_one_in_first_order() -> None:
     exact = feedback(PAPER_PLANT.linear, 10.0, np.eye(2), None)
     steps = [0.02, 0.01, 0.005]
-    errors = [np.abs(feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts) - exact).max() for Ts in steps]
+    errors = [
+        np.abs(feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts) - exact).max()
+        for Ts in steps
+    ]
     assert slopes(steps, errors) == pytest.approx(1.0, abs=0.1)
 
 
 def test_half_the_sampled_optimal_gain_may_not_stabilise() -> None:
-    with pytest.raises(StructureError, match=r"controller.alpha: .* does not stabilise .spectral radius"):
+    with pytest.raises(
+        StructureError, match=r"controller.alpha: .* does not stabilise .spectral radius"
+    ):
         feedback(Matrices(4.0 * np.eye(1), np.eye(1), np.eye(1)), 1000.0, np.eye(1), 1.0)
 
 
@@ -85,7 +94,11 @@ def test_weight_of_a_number_is_a_multiple_of_the_identity() -> None:
     ("Q", "error", "words"),
     [
         ([[1.0, 2.0], [0.0, 1.0]], InputError, "controller.Q: must be symmetric"),
-        ([[1.0, 0.0], [0.0, -1.0]], InputError, "controller.Q: must be positive definite, its least eigenvalue is -1"),
+        (
+            [[1.0, 0.0], [0.0, -1.0]],
+            InputError,
+            "controller.Q: must be positive definite, its least eigenvalue is -1",
+        ),
         (0.0, InputError, "positive definite"),
         ([[1.0]], ShapeError, "controller.Q: expected a 2 x 2 matrix"),
         (float("inf"), InputError, "controller.Q: every number must be finite"),

@@ -23,7 +23,17 @@ from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.approximators import Basis, gaussians, jumps, monomials
-from undeadzone.observers import AdaptiveInverse, Estimate, FuzzyResidual, InverseNetwork, Observer, RBFResidual, Reading, RobustGradient, TaylorResidual
+from undeadzone.observers import (
+    AdaptiveInverse,
+    Estimate,
+    FuzzyResidual,
+    InverseNetwork,
+    Observer,
+    RBFResidual,
+    Reading,
+    RobustGradient,
+    TaylorResidual,
+)
 from undeadzone.observers.parts.gain import fast_gain, injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
@@ -98,7 +108,9 @@ def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool)
     reach, v = rng.uniform(0.5, 5, k), rng.normal(size=k) * 2
     found = values(gaussians("key", reach, 4, 0.7, normalised), v)
     at = np.clip(v / reach, -1, 1) if normalised else v / reach
-    centres = np.stack(np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij"), axis=-1).reshape(-1, k)
+    centres = np.stack(np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij"), axis=-1).reshape(
+        -1, k
+    )
     expected = np.exp(-(((at - centres) / (2 / 3 * 0.7)) ** 2).sum(axis=1) / 2)
     assert found == pytest.approx(expected / expected.sum() if normalised else expected)
 
@@ -106,8 +118,12 @@ def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool)
 def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
     basis = monomials("key", np.array([2.0, 4.0]), 3)
     assert basis.size == math.comb(5, 3)
-    assert sorted(values(basis, np.array([1.0, 1.0]))) == pytest.approx(sorted(0.5**i * 0.25**j for i in range(4) for j in range(4 - i)))
-    assert values(basis, np.array([3.0, -9.0])) == pytest.approx(values(basis, np.array([2.0, -4.0])))
+    assert sorted(values(basis, np.array([1.0, 1.0]))) == pytest.approx(
+        sorted(0.5**i * 0.25**j for i in range(4) for j in range(4 - i))
+    )
+    assert values(basis, np.array([3.0, -9.0])) == pytest.approx(
+        values(basis, np.array([2.0, -4.0]))
+    )
 
 
 def test_jump_functions_jump_on_their_side_only() -> None:
@@ -121,8 +137,14 @@ def test_jump_functions_jump_on_their_side_only() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: gaussians("key", np.ones(1), 1, 0.7, True), "key: a grid needs at least 2 centres per axis, found 1"),
-        (lambda: gaussians("key", np.ones(4), 5, 0.7, True), "key: the basis would have 625 functions, at most 200"),
+        (
+            lambda: gaussians("key", np.ones(1), 1, 0.7, True),
+            "key: a grid needs at least 2 centres per axis, found 1",
+        ),
+        (
+            lambda: gaussians("key", np.ones(4), 5, 0.7, True),
+            "key: the basis would have 625 functions, at most 200",
+        ),
         (lambda: monomials("key", np.ones(1), 0), "key: the degree must be at least 1, found 0"),
         (lambda: jumps("key", 0), "key: expected at least 1 function, found 0"),
     ],
@@ -136,7 +158,9 @@ def test_wrong_bases(make: Callable[[], Basis], words: str) -> None:
 
 
 @given(seeds, st.integers(1, 3), st.integers(1, 2), st.booleans(), st.booleans())
-def test_a_speed_moves_every_pole_left_of_half_of_it(seed: int, n: int, p: int, stable: bool, in_samples: bool) -> None:
+def test_a_speed_moves_every_pole_left_of_half_of_it(
+    seed: int, n: int, p: int, stable: bool, in_samples: bool
+) -> None:
     flow = random_plant(np.random.default_rng(seed), n, 1, p, stable)
     model = sampled(flow, 0.01) if in_samples else flow
     speed = 10 * fastest_pole(model)
@@ -157,10 +181,17 @@ def test_slow_poles_are_mirrored() -> None:
 
 def test_one_of_L_poles_speed() -> None:
     L = np.array([1.0, 2.0])
-    assert injection(sampled(PAPER_PLANT, 0.1), L, None, None, 1.0).ravel() == pytest.approx(L * 0.1)
+    assert injection(sampled(PAPER_PLANT, 0.1), L, None, None, 1.0).ravel() == pytest.approx(
+        L * 0.1
+    )
     assert injection(PAPER_PLANT, None, [-4.0, -10.0], None, 1.0).ravel() == pytest.approx([12, 15])
-    assert (injection(PAPER_PLANT, None, None, 7.0, 1.0) == injection(PAPER_PLANT, None, None, None, 7.0)).all()
-    with pytest.raises(InputError, match=r"observer: give one of L, poles, speed; found L and speed"):
+    assert (
+        injection(PAPER_PLANT, None, None, 7.0, 1.0)
+        == injection(PAPER_PLANT, None, None, None, 7.0)
+    ).all()
+    with pytest.raises(
+        InputError, match=r"observer: give one of L, poles, speed; found L and speed"
+    ):
         injection(PAPER_PLANT, L, None, 3.0, 1.0)
     with pytest.raises(InputError, match=r"observer.speed: must be greater than 0"):
         injection(PAPER_PLANT, None, None, 0.0, 1.0)
@@ -169,7 +200,9 @@ def test_one_of_L_poles_speed() -> None:
 # --- The adaptive inverse in Tao and Kokotovic's own form: x^ = xi + Phi d^, eta - zeta d^
 
 
-def literal_filters(model: System, L: Floats, gated: bool, readings: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats, Floats]:
+def literal_filters(
+    model: System, L: Floats, gated: bool, readings: list[tuple[Floats, Floats, Floats]]
+) -> tuple[Floats, Floats, Floats]:
     """(xi, eta, zeta) along readings (u, y, side): signals that hold no estimate of d."""
     A, B, C = model.linear
     n, p = model.n, model.p
@@ -186,7 +219,9 @@ def literal_filters(model: System, L: Floats, gated: bool, readings: list[tuple[
     return tuple(np.array(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
 
 
-def recorded(rng: np.random.Generator, model: System, where: Zone, steps: int) -> list[tuple[Floats, Floats, Floats]]:
+def recorded(
+    rng: np.random.Generator, model: System, where: Zone, steps: int
+) -> list[tuple[Floats, Floats, Floats]]:
     """Readings of a plant that leaves the zone on both sides."""
     x, readings = rng.normal(size=model.n), []
     for k in range(steps):
@@ -200,7 +235,9 @@ def recorded(rng: np.random.Generator, model: System, where: Zone, steps: int) -
 
 @settings(max_examples=30)
 @given(seeds, st.integers(1, 3), st.integers(1, 2), st.booleans())
-def test_adaptive_inverse_is_the_augmented_error_gradient(seed: int, n: int, p: int, gated: bool) -> None:
+def test_adaptive_inverse_is_the_augmented_error_gradient(
+    seed: int, n: int, p: int, gated: bool
+) -> None:
     """Filtered signals without d^, then d+ = d + g zeta'eps / (1 + (1 + g) zeta'zeta), eps = eta - zeta d, x^ = xi + Phi d."""
     rng = np.random.default_rng(seed)
     Ts, gain = 0.1, 7.0
@@ -208,20 +245,35 @@ def test_adaptive_inverse_is_the_augmented_error_gradient(seed: int, n: int, p: 
     where = zone(p, right=0.3, left=0.2)
     L = fast_gain(model.linear, 5.0, Ts)
     readings = recorded(rng, model, where, 30)
-    numbers = Numbers(AdaptiveInverse(L=L / Ts, gain=gain, silent="hold" if gated else "zero", widths0=0.1, width_max=0.5).build(model, where), model)
+    numbers = Numbers(
+        AdaptiveInverse(
+            L=L / Ts, gain=gain, silent="hold" if gated else "zero", widths0=0.1, width_max=0.5
+        ).build(model, where),
+        model,
+    )
     d = np.full(2 * p, 0.1)
-    for reading, (xi, eta, zeta) in zip(readings, zip(*literal_filters(model, L, gated, readings), strict=True), strict=True):
+    for reading, (xi, eta, zeta) in zip(
+        readings, zip(*literal_filters(model, L, gated, readings), strict=True), strict=True
+    ):
         eps = eta - zeta @ d
         estimate = numbers(*reading)
         assert estimate.innovation == pytest.approx(eps, abs=1e-9)
-        d = np.clip(d + gain * Ts * zeta.T @ (eps / (1 + (1 + gain * Ts) * (zeta**2).sum(axis=1))), 0, 0.5)
+        d = np.clip(
+            d + gain * Ts * zeta.T @ (eps / (1 + (1 + gain * Ts) * (zeta**2).sum(axis=1))), 0, 0.5
+        )
         assert numbers.part("W") == pytest.approx(d, abs=1e-9)
-        assert numbers.part("x") - numbers.part("sensitivity") @ d == pytest.approx(_next(model, L, gated, xi, reading), abs=1e-9)
+        assert numbers.part("x") - numbers.part("sensitivity") @ d == pytest.approx(
+            _next(model, L, gated, xi, reading), abs=1e-9
+        )
 
 
-def _next(model: System, L: Floats, gated: bool, xi: Floats, reading: tuple[Floats, Floats, Floats]) -> Floats:
+def _next(
+    model: System, L: Floats, gated: bool, xi: Floats, reading: tuple[Floats, Floats, Floats]
+) -> Floats:
     (A, B, C), (u, y, side) = model.linear, reading
-    return np.asarray(A @ xi + B @ u + L @ (np.where(side == 0, 0.0, 1.0) * (y - C @ xi) if gated else y - C @ xi))
+    return np.asarray(
+        A @ xi + B @ u + L @ (np.where(side == 0, 0.0, 1.0) * (y - C @ xi) if gated else y - C @ xi)
+    )
 
 
 @settings(max_examples=30)
@@ -233,7 +285,12 @@ def test_least_squares_is_the_batch_solution(seed: int, n: int, p: int) -> None:
     model, where = sampled(random_plant(rng, n, 1, p), Ts), zone(p, right=0.3, left=0.2)
     L = fast_gain(model.linear, 5.0, Ts)
     readings = recorded(rng, model, where, 40)
-    numbers = Numbers(AdaptiveInverse(L=L / Ts, law="least_squares", gain=gain, forgetting=0.0, widths0=50.0).build(model, where), model)
+    numbers = Numbers(
+        AdaptiveInverse(
+            L=L / Ts, law="least_squares", gain=gain, forgetting=0.0, widths0=50.0
+        ).build(model, where),
+        model,
+    )
     for reading in readings:
         numbers(*reading)
     _, eta, zeta = literal_filters(model, L, True, readings)
@@ -248,7 +305,9 @@ def test_least_squares_is_the_batch_solution(seed: int, n: int, p: int) -> None:
 
 def test_forgetting_leads_back_to_the_first_spread_and_not_beyond() -> None:
     model = sampled(PAPER_PLANT, 0.01)
-    numbers = Numbers(AdaptiveInverse(law="least_squares", gain=40.0, forgetting=5.0).build(model, zone()), model)
+    numbers = Numbers(
+        AdaptiveInverse(law="least_squares", gain=40.0, forgetting=5.0).build(model, zone()), model
+    )
     for k in range(800):
         numbers(0.0, 1.0 + np.sin(0.2 * k) if k < 300 else 1.0, 1.0)
         assert np.linalg.eigvalsh(numbers.part("spread")).min() > 0
@@ -259,7 +318,10 @@ def test_forgetting_leads_back_to_the_first_spread_and_not_beyond() -> None:
 def test_one_jump_function_is_the_adaptive_inverse() -> None:
     common: dict[str, Any] = {"poles": [-5.0, -6.0], "gain": 9.0}
     for model in (PAPER_PLANT, sampled(PAPER_PLANT, 0.02)):
-        inverse, network = (Numbers(o.build(model, zone()), model) for o in (AdaptiveInverse(**common), InverseNetwork(scale=1.0, functions=1, **common)))
+        inverse, network = (
+            Numbers(o.build(model, zone()), model)
+            for o in (AdaptiveInverse(**common), InverseNetwork(scale=1.0, functions=1, **common))
+        )
         for one in (inverse, network):
             one.state = np.random.default_rng(1).uniform(0.5, 1, one.state.size)
         for y in (0.7, 0.0, -2.0):
@@ -270,8 +332,21 @@ def test_one_jump_function_is_the_adaptive_inverse() -> None:
 
 
 def test_true_widths_that_do_not_move_are_the_oracle() -> None:
-    tables: dict[str, Any] = {"sensor": {"right": 1.3, "left": 0.6, "noise": 0.05}, "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0}}
-    inverse = simulate(scene(observer={"method": "adaptive_inverse", "L": [12.0, 15.0], "gain": 1e-12, "widths0": [1.3, 0.6]}, **tables))
+    tables: dict[str, Any] = {
+        "sensor": {"right": 1.3, "left": 0.6, "noise": 0.05},
+        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
+    }
+    inverse = simulate(
+        scene(
+            observer={
+                "method": "adaptive_inverse",
+                "L": [12.0, 15.0],
+                "gain": 1e-12,
+                "widths0": [1.3, 0.6],
+            },
+            **tables,
+        )
+    )
     oracle = simulate(scene(observer={"method": "oracle", "L": [12.0, 15.0]}, **tables))
     assert inverse.x_hat == pytest.approx(oracle.x_hat, abs=1e-9)
 
@@ -280,7 +355,11 @@ def test_true_widths_that_do_not_move_are_the_oracle() -> None:
 
 
 @pytest.mark.parametrize("name", RIVALS)
-@pytest.mark.parametrize("model", [PAPER_PLANT, sampled(PAPER_PLANT, 0.01), TWO, sampled(TWO, 0.01)], ids=["flow", "sampled", "two", "two sampled"])
+@pytest.mark.parametrize(
+    "model",
+    [PAPER_PLANT, sampled(PAPER_PLANT, 0.01), TWO, sampled(TWO, 0.01)],
+    ids=["flow", "sampled", "two", "two sampled"],
+)
 def test_a_missing_sample_is_a_pure_prediction(name: str, model: System) -> None:
     where = zone(model.p)
     numbers = Numbers(RIVALS[name].build(model, where), model)
@@ -299,7 +378,10 @@ def test_estimates_do_not_depend_on_the_input_of_the_moment(name: str) -> None:
     for model in (PAPER_PLANT, sampled(PAPER_PLANT, 0.01)):
         one, other = (Numbers(RIVALS[name].build(model, zone()), model) for _ in range(2))
         one.state = other.state = np.linspace(0.1, 1, one.state.size)
-        assert np.concatenate(one(1.0, 0.5, 1.0)).tolist() == np.concatenate(other(-7.0, 0.5, 1.0)).tolist()
+        assert (
+            np.concatenate(one(1.0, 0.5, 1.0)).tolist()
+            == np.concatenate(other(-7.0, 0.5, 1.0)).tolist()
+        )
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -314,7 +396,9 @@ def test_sampled_steps_tend_to_the_derivative(name: str) -> None:
         flow.state, numbers.state = start, start
         flow(2.0, 0.8, 1.0)
         numbers(2.0, 0.8, 1.0)
-        gaps.append(np.abs((numbers.state - start) / Ts - flow.state).max() / np.abs(flow.state).max())
+        gaps.append(
+            np.abs((numbers.state - start) / Ts - flow.state).max() / np.abs(flow.state).max()
+        )
     assert gaps[1] < 0.2 * gaps[0] < 0.2
 
 
@@ -324,9 +408,16 @@ def test_a_jump_sensor_is_refused(name: str) -> None:
         RIVALS[name].build(PAPER_PLANT, zone(kind="jump"))
 
 
-@pytest.mark.parametrize("name", ["adaptive_inverse", "robust_gradient", "fuzzy_residual", "inverse_network"])
+@pytest.mark.parametrize(
+    "name", ["adaptive_inverse", "robust_gradient", "fuzzy_residual", "inverse_network"]
+)
 def test_a_continuous_run_is_integrated_well(name: str) -> None:
-    run = simulate(scene(observer={"method": name} | ({"reach": 6.0} if "fuzzy" in name else {"scale": 1.0} if "network" in name else {})))
+    run = simulate(
+        scene(
+            observer={"method": name}
+            | ({"reach": 6.0} if "fuzzy" in name else {"scale": 1.0} if "network" in name else {})
+        )
+    )
     assert run.info.integration_error is not None
     assert run.info.integration_error < 1e-3
 
@@ -334,13 +425,37 @@ def test_a_continuous_run_is_integrated_well(name: str) -> None:
 def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
     observer = {"method": "inverse_network", "scale": 1.0}
     short = {"time": "sampled", "step": 0.01, "duration": 3.0}
-    loop, state, exogenous = prepare(resolve_scenario(scene(observer=observer, controller={"method": "rbf_feedback", "reach": [6.0, 40.0]}, simulation=short)))
+    loop, state, exogenous = prepare(
+        resolve_scenario(
+            scene(
+                observer=observer,
+                controller={"method": "rbf_feedback", "reach": [6.0, 40.0]},
+                simulation=short,
+            )
+        )
+    )
     generator = ca.CodeGenerator("step")
     generator.add(loop.step)
     generator.generate(f"{tmp_path}/")
-    subprocess.run(["gcc", "-O1", "-ffp-contract=off", "-fPIC", "-shared", tmp_path / "step.c", "-o", tmp_path / "step.so", "-lm"], check=True)
+    subprocess.run(
+        [
+            "gcc",
+            "-O1",
+            "-ffp-contract=off",
+            "-fPIC",
+            "-shared",
+            tmp_path / "step.c",
+            "-o",
+            tmp_path / "step.so",
+            "-lm",
+        ],
+        check=True,
+    )
     given = (state, exogenous, tree.pack(loop.params))
-    found, expected = interpret.run(ca.external("step", str(tmp_path / "step.so")), *given)[0], interpret.run(loop.step, *given)[0]
+    found, expected = (
+        interpret.run(ca.external("step", str(tmp_path / "step.so")), *given)[0],
+        interpret.run(loop.step, *given)[0],
+    )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
@@ -348,10 +463,27 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
 # --- What they do on the paper's example (design/arena.md): sampled at 200 Hz, 20 s, d = 1
 
 
-def arena(observer: dict[str, Any], controller: dict[str, Any] | None = None, **changes: Any) -> Run:
-    tables: dict[str, Any] = {"plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0]}} | changes
-    tables["simulation"] = {"time": "sampled", "step": 5e-3, "duration": 20.0} | changes.get("simulation", {})
-    return simulate(scene(observer=observer, controller=controller or {"method": "state_feedback", "poles": [-10.0, -10.0]}, **tables))
+def arena(
+    observer: dict[str, Any], controller: dict[str, Any] | None = None, **changes: Any
+) -> Run:
+    tables: dict[str, Any] = {
+        "plant": {
+            "A": [[0.0, 1.0], [-1.0, -2.0]],
+            "B": [[0.0], [1.0]],
+            "C": [[1.0, 0.0]],
+            "x0": [1.0, 0.0],
+        }
+    } | changes
+    tables["simulation"] = {"time": "sampled", "step": 5e-3, "duration": 20.0} | changes.get(
+        "simulation", {}
+    )
+    return simulate(
+        scene(
+            observer=observer,
+            controller=controller or {"method": "state_feedback", "poles": [-10.0, -10.0]},
+            **tables,
+        )
+    )
 
 
 BLIND = {"method": "luenberger", "poles": [-20.0, -20.0]}
@@ -394,7 +526,10 @@ def test_the_gated_inverse_is_right_where_the_literal_one_is_not() -> None:
 def test_fast_poles_hide_the_residual(name: str) -> None:
     """As published (the error itself drives the weights) it learns at slow poles and goes wrong at fast ones; filtered, it does not."""
     published = RESIDUALS[name] | {"filtered": False, "gain": 12.0}
-    slow, fast = arena(published | {"poles": [-6.0, -6.0]}), arena(published | {"poles": [-20.0, -20.0]})
+    slow, fast = (
+        arena(published | {"poles": [-6.0, -6.0]}),
+        arena(published | {"poles": [-20.0, -20.0]}),
+    )
     assert slow.rms_estimation < 0.15
     assert slow.widths == pytest.approx(np.ones((1, 2)), abs=0.25)
     assert fast.rms_estimation > 0.7
@@ -407,7 +542,10 @@ def test_the_adaptive_inverse_is_near_the_oracle_where_only_the_width_is_unknown
     wrong = {"model": {"A": [[0.0, 1.0], [-0.9, -1.8]], "B": [[0.0], [1.05]]}}
     for changes in ({}, {"sensor": {"noise": 0.02}}, bias, wrong):
         oracle = arena({"method": "oracle", "L": [58.0, 840.0]}, **changes)
-        assert arena({"method": "adaptive_inverse"}, **changes).rms_tracking < 1.5 * oracle.rms_tracking + 0.02
+        assert (
+            arena({"method": "adaptive_inverse"}, **changes).rms_tracking
+            < 1.5 * oracle.rms_tracking + 0.02
+        )
     asymmetric = arena({"method": "adaptive_inverse"}, sensor={"right": 1.4, "left": 0.5})
     assert asymmetric.widths.sum() == pytest.approx(1.9, abs=0.05)
     assert asymmetric.rms_tracking > 0.1  # the centre is learnt slowly: fast poles hide it
@@ -419,12 +557,29 @@ def test_a_robust_gradient_learns_from_guesses_of_zero() -> None:
     assert run.widths == pytest.approx(np.ones((1, 2)), abs=0.1)
 
 
-@pytest.mark.parametrize("options", [{"method": "adaptive_inverse"}, {"method": "inverse_network", "scale": 1.0}, {"method": "rbf_residual", "reach": 3.0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"method": "adaptive_inverse"},
+        {"method": "inverse_network", "scale": 1.0},
+        {"method": "rbf_residual", "reach": 3.0},
+    ],
+)
 def test_two_outputs_and_third_order(options: dict[str, Any]) -> None:
     two: dict[str, Any] = {
-        "plant": {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": np.eye(2).tolist(), "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]},
+        "plant": {
+            "A": [[-1.0, 0.5], [-0.5, -2.0]],
+            "B": np.eye(2).tolist(),
+            "C": [[1.0, 0.0], [0.2, 1.0]],
+            "x0": [0.5, -0.5],
+        },
         "sensor": {"right": [0.5, 0.3], "left": [0.4, 0.6]},
-        "reference": {"kind": "sine", "amplitude": [2.0, 2.5], "frequency": 0.5, "phase": [0.0, 1.0]},
+        "reference": {
+            "kind": "sine",
+            "amplitude": [2.0, 2.5],
+            "frequency": 0.5,
+            "phase": [0.0, 1.0],
+        },
         "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
     }
     run = arena(options, **two)
@@ -440,7 +595,12 @@ def test_two_outputs_and_third_order(options: dict[str, Any]) -> None:
 
 def test_a_nonlinear_plant_and_a_step_too_coarse_for_its_gain() -> None:
     pendulum: dict[str, Any] = {
-        "plant": {"states": ["a", "v"], "f": ["v", "-9.81 * sin(a) - 1.5 * v + u"], "h": ["a"], "x0": [0.3, 0.0]},
+        "plant": {
+            "states": ["a", "v"],
+            "f": ["v", "-9.81 * sin(a) - 1.5 * v + u"],
+            "h": ["a"],
+            "x0": [0.3, 0.0],
+        },
         "sensor": {"right": 0.3, "left": 0.3},
         "reference": {"kind": "sine", "amplitude": 1.2, "frequency": 0.5},
         "controller": {"method": "state_feedback", "poles": [-6.0, -6.0]},
@@ -449,7 +609,10 @@ def test_a_nonlinear_plant_and_a_step_too_coarse_for_its_gain() -> None:
     run = arena({"method": "adaptive_inverse"}, **pendulum)
     assert run.rms_estimation < 0.03
     assert run.widths == pytest.approx(np.full((1, 2), 0.3), abs=0.03)
-    with pytest.raises(StepError, match=r"simulation.step: 0.005 s is too coarse: the observer's adaptation has a mode at 939"):
+    with pytest.raises(
+        StepError,
+        match=r"simulation.step: 0.005 s is too coarse: the observer's adaptation has a mode at 939",
+    ):
         arena({"method": "adaptive_inverse"}, **pendulum | {"simulation": {"time": "continuous"}})
 
 
@@ -481,33 +644,56 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     model = linear([[0.0, 1.0], [-3.0, -2.0]], [[0.0], [2.0]], [[1.0, 0.0]])
     model = model if Ts is None else sampled(model, Ts)
     reach, c, speed, gain, leak = np.array([2.0, 4.0]), 3.0, 10.0, 5.0, 0.1
-    controller = TaylorFeedback(reach=reach, degree=2, speed=speed, bandwidth=c, gain=gain, leak=leak).build(model)
+    controller = TaylorFeedback(
+        reach=reach, degree=2, speed=speed, bandwidth=c, gain=gain, leak=leak
+    ).build(model)
     basis = monomials("key", reach, 2)
     x, W, z = np.array([0.7, -1.0]), np.linspace(-1, 1, 6), 0.4
     r, x_ref, u_ff = 0.5, np.array([0.5, 0.2]), 1.5
     p, params = tree.symbols(controller.params, "p")
     s, state = tree.symbols(controller.init(controller.params), "s")
     none = np.zeros(1)
-    after, u = controller.step(params, state, Estimate(x, none, none, none, ca.SX(z), none), Target(np.array([r]), ca.SX(x_ref), ca.SX(u_ff)))
-    found, force = (v.full().ravel() for v in ca.Function("law", [p, s], [tree.stack(after), u])(tree.pack(controller.params), np.concatenate([x, W])))
+    after, u = controller.step(
+        params,
+        state,
+        Estimate(x, none, none, none, ca.SX(z), none),
+        Target(np.array([r]), ca.SX(x_ref), ca.SX(u_ff)),
+    )
+    found, force = (
+        v.full().ravel()
+        for v in ca.Function("law", [p, s], [tree.stack(after), u])(
+            tree.pack(controller.params), np.concatenate([x, W])
+        )
+    )
     e, E, phi = z - x[0], x - x_ref, values(basis, x)
     wanted = -3 * x_ref[0] - 2 * x_ref[1] + 2 * u_ff - speed**2 * e - c**2 * E[0] - 2 * c * E[1]
     assert force == pytest.approx([(wanted - W @ phi) / 2])
     learnt = gain * phi * (c * E[0] + E[1]) - leak * W
     if Ts is None:
-        assert found == pytest.approx(np.concatenate([[x[1] + 2 * speed * e, wanted + speed**2 * e], learnt]))
+        assert found == pytest.approx(
+            np.concatenate([[x[1] + 2 * speed * e, wanted + speed**2 * e], learnt])
+        )
     else:
         pole = np.exp(-speed * Ts)
         injected = np.array([2 * (1 - pole), (1 - pole) ** 2 / Ts]) * e
         assert found == pytest.approx(
-            np.concatenate([x[:1] + Ts * x[1] + Ts**2 / 2 * wanted + injected[:1], x[1:] + Ts * wanted + injected[1:], W + Ts * learnt])
+            np.concatenate(
+                [
+                    x[:1] + Ts * x[1] + Ts**2 / 2 * wanted + injected[:1],
+                    x[1:] + Ts * wanted + injected[1:],
+                    W + Ts * learnt,
+                ]
+            )
         )
 
 
 @pytest.mark.parametrize("name", FEEDBACK)
 def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) -> None:
     """The model knows b only; what is learnt lowers the tracking error."""
-    changes: dict[str, Any] = {"sensor": {"right": 0.0, "left": 0.0}, "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.3}}
+    changes: dict[str, Any] = {
+        "sensor": {"right": 0.0, "left": 0.0},
+        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.3},
+    }
     law = {"method": name, "reach": [6.0, 12.0]}
     learnt, ignorant = (arena(BLIND, law | gain, **changes) for gain in ({}, {"gain": 1e-9}))
     assert learnt.rms_tracking < 0.6 * ignorant.rms_tracking
@@ -517,12 +703,22 @@ def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) 
 @pytest.mark.parametrize(
     ("model", "error", "words"),
     [
-        (TWO, InputError, "controller.method: this method is for a linear model of one input and one output, found 2 and 2"),
-        (linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[-1.0, 1.0]]), StructureError, "controller.method: the plant has zeros 1"),
+        (
+            TWO,
+            InputError,
+            "controller.method: this method is for a linear model of one input and one output, found 2 and 2",
+        ),
+        (
+            linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[-1.0, 1.0]]),
+            StructureError,
+            "controller.method: the plant has zeros 1",
+        ),
         (linear([[-1.0]], [[1.0]], [[1.0]]), ShapeError, "controller.reach: expected 1 number"),
     ],
 )
-def test_output_feedback_says_where_it_does_not_apply(name: str, model: System, error: type[Exception], words: str) -> None:
+def test_output_feedback_says_where_it_does_not_apply(
+    name: str, model: System, error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         FEEDBACK[name].build(model)
 
@@ -530,12 +726,28 @@ def test_output_feedback_says_where_it_does_not_apply(name: str, model: System, 
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        (AdaptiveInverse(widths0=2.0, width_max=1.0), InputError, r"observer.widths0: must lie in \[0, width_max\]"),
+        (
+            AdaptiveInverse(widths0=2.0, width_max=1.0),
+            InputError,
+            r"observer.widths0: must lie in \[0, width_max\]",
+        ),
         (AdaptiveInverse(gain=0.0), InputError, "observer.gain: must be greater than 0"),
-        (AdaptiveInverse(law="least_squares", forgetting=1e5), StepError, "simulation.step: 0.01 s is too coarse for observer.forgetting"),
+        (
+            AdaptiveInverse(law="least_squares", forgetting=1e5),
+            StepError,
+            "simulation.step: 0.01 s is too coarse for observer.forgetting",
+        ),
         (FuzzyResidual(reach=0.0), InputError, "observer.reach: must be positive"),
-        (FuzzyResidual(reach=[1.0, 2.0]), ShapeError, "observer.reach: expected 1 number .one per output."),
-        (RBFResidual(reach=1.0, overlap=0.0), InputError, "observer.overlap: must be greater than 0"),
+        (
+            FuzzyResidual(reach=[1.0, 2.0]),
+            ShapeError,
+            "observer.reach: expected 1 number .one per output.",
+        ),
+        (
+            RBFResidual(reach=1.0, overlap=0.0),
+            InputError,
+            "observer.overlap: must be greater than 0",
+        ),
         (TaylorResidual(reach=1.0, leak=-1.0), InputError, "observer.leak: must be at least 0"),
         (InverseNetwork(scale=-1.0), InputError, "observer.scale: must be positive"),
         (RobustGradient(width=0.0), InputError, "observer.width: must be greater than 0"),
@@ -548,6 +760,8 @@ def test_wrong_options(options: Any, error: type[Exception], words: str) -> None
 
 def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:
     blocked = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 1.0]])
-    with pytest.raises(StructureError, match=r"observer.rho: inputs cannot move every output in steady state"):
+    with pytest.raises(
+        StructureError, match=r"observer.rho: inputs cannot move every output in steady state"
+    ):
         RobustGradient().build(blocked, zone())
     RobustGradient(rho=0.0).build(blocked, zone())

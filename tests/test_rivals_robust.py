@@ -24,7 +24,15 @@ from undeadzone.linear.matrices import companion
 from undeadzone.linear.poles import state_gain
 from undeadzone.linear.structure import output_chains
 from undeadzone.numerics.runge_kutta import rk4
-from undeadzone.observers import Estimate, HighGain, Interval, Observer, Reading, SuperTwisting, WalcottZak
+from undeadzone.observers import (
+    Estimate,
+    HighGain,
+    Interval,
+    Observer,
+    Reading,
+    SuperTwisting,
+    WalcottZak,
+)
 from undeadzone.observers.full_state import FullState
 from undeadzone.observers.parts.modal_form import modes, turned
 from undeadzone.plants.build import system
@@ -46,7 +54,9 @@ def zone(p: int = 1, **options: Any) -> Zone:
     return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, 1e-3)
 
 
-def stepper(observer: Observer, model: System) -> tuple[Floats, Callable[..., tuple[Floats, Estimate]]]:
+def stepper(
+    observer: Observer, model: System
+) -> tuple[Floats, Callable[..., tuple[Floats, Estimate]]]:
     """(the packed state at first, step on numbers: (state, u, y, side) -> (next state or derivative, estimate))."""
     like = observer.init(observer.params)
     p, params = tree.symbols(observer.params, "p")
@@ -68,14 +78,27 @@ def stepper(observer: Observer, model: System) -> tuple[Floats, Callable[..., tu
 
 def outside(estimate: Estimate, x: Floats, right: Floats, left: Floats) -> float:
     """How far the truth lies beyond the nearest end of its interval (negative: inside), the worst of all."""
-    truth, middle = (np.concatenate(parts) for parts in ((x, right, left), (estimate.x, estimate.right, estimate.left)))
+    truth, middle = (
+        np.concatenate(parts)
+        for parts in ((x, right, left), (estimate.x, estimate.right, estimate.left))
+    )
     half = np.sqrt(3) * np.concatenate([estimate.x_std, estimate.right_std, estimate.left_std])
     return float((np.abs(truth - middle) - half).max())
 
 
 @settings(max_examples=25)
-@given(seeds, st.integers(1, 4), st.integers(1, 2), st.booleans(), st.booleans(), st.sampled_from([0.0, 0.05]), st.sampled_from([0.0, 0.3]))
-def test_interval_holds_the_truth_of_any_plant(seed: int, n: int, p: int, stable: bool, jump: bool, noise: float, disturbance: float) -> None:
+@given(
+    seeds,
+    st.integers(1, 4),
+    st.integers(1, 2),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([0.0, 0.05]),
+    st.sampled_from([0.0, 0.3]),
+)
+def test_interval_holds_the_truth_of_any_plant(
+    seed: int, n: int, p: int, stable: bool, jump: bool, noise: float, disturbance: float
+) -> None:
     """Unknown widths, bounded noise before and after the zone, the worst disturbance, missing samples; unstable plants in closed loop."""
     rng = np.random.default_rng(seed)
     p, Ts, m = min(n, p), 0.02, 1.7
@@ -84,14 +107,20 @@ def test_interval_holds_the_truth_of_any_plant(seed: int, n: int, p: int, stable
     K = np.zeros((1, n)) if stable else state_gain(model.linear, -np.linspace(1, 2, n), Ts)
     right, left, x = rng.uniform(0.3, 2, p), rng.uniform(0.3, 2, p), rng.uniform(-3, 3, n)
     kind = "jump" if jump else "deadzone"
-    where = zone(p, right=right, left=left, kind=kind, slope=m, noise=noise / 6, noise_before=noise / 12)
+    where = zone(
+        p, right=right, left=left, kind=kind, slope=m, noise=noise / 6, noise_before=noise / 12
+    )
     given_L = {} if seed % 2 else {"poles": -np.linspace(2, 4, n)}
-    built = Interval(right=[0.3, 2.0], disturbance=disturbance, x_max=3.0, **given_L).build(model, where)
+    built = Interval(right=[0.3, 2.0], disturbance=disturbance, x_max=3.0, **given_L).build(
+        model, where
+    )
     state, step = stepper(built, model)
     amplitude = 8 / max(np.abs(response(flow.linear, [3j])).max(), 1e-3)
     worst, size = -np.inf, 1.0
     for k in range(150):
-        read = (jump_sensor if jump else deadzone)(model.linear.C @ x + rng.uniform(-noise, noise, p) / 2, right, left, m)
+        read = (jump_sensor if jump else deadzone)(
+            model.linear.C @ x + rng.uniform(-noise, noise, p) / 2, right, left, m
+        )
         y = read + rng.uniform(-noise, noise, p) if rng.uniform() < 0.9 else np.full(p, np.nan)
         u = amplitude * np.sin(3 * k * Ts) - K @ x
         state, estimate = step(state, u, y, side(y, where.threshold))
@@ -112,7 +141,9 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
     scenario = scene(**tables)
     loop, state, exogenous = prepare(resolve_scenario(scenario))
     instants = 3 if time == "continuous" else 1
-    after = tree.names(loop.instant).index("after[0]") + np.arange(instants) * tree.size(loop.instant)  # standard normal draws
+    after = tree.names(loop.instant).index("after[0]") + np.arange(instants) * tree.size(
+        loop.instant
+    )  # standard normal draws
     exogenous[:, after] = np.random.default_rng(0).uniform(-6, 6, (len(exogenous), 1))
     return run_loop(loop, state, exogenous), scenario
 
@@ -121,7 +152,9 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
 def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
     found, _ = bounded(time)
     halves = [np.sqrt(3) * std for std in (found.x_std, found.right_std, found.left_std)]
-    for truth, middle, half in zip((found.x, 1.4, 0.6), (found.x_hat, found.right, found.left), halves, strict=True):
+    for truth, middle, half in zip(
+        (found.x, 1.4, 0.6), (found.x_hat, found.right, found.left), halves, strict=True
+    ):
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)
     assert max(halves[1][-1], halves[2][-1]) < 0.6
@@ -130,7 +163,13 @@ def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_interval_without_disturbance_finds_the_widths(time: str) -> None:
-    run = simulate(scene(observer={"method": "interval", "right": [0.3, 2.0]}, sensor={"right": 1.4, "left": 0.6}, simulation={"time": time, "duration": 12.0}))
+    run = simulate(
+        scene(
+            observer={"method": "interval", "right": [0.3, 2.0]},
+            sensor={"right": 1.4, "left": 0.6},
+            simulation={"time": time, "duration": 12.0},
+        )
+    )
     assert run.widths == pytest.approx(np.array([[1.4, 0.6]]), abs=0.01)
     assert run.d_std is not None
     assert run.d_std[-1].max() * np.sqrt(3) < 0.03
@@ -154,7 +193,9 @@ def test_interval_is_as_wide_as_the_worst_disturbance_makes_it() -> None:
     """Of first order and unread, the bound is met: |x - x^| = w (1 - e^(-a t)) / a."""
     a, Ts, bound = 0.7, 0.1, 0.3
     model = sampled(linear([[-a]], [[1.0]], [[1.0]]), Ts)
-    state, step = stepper(Interval(right=[0.3, 2.0], x_max=0.0, disturbance=bound).build(model, zone()), model)
+    state, step = stepper(
+        Interval(right=[0.3, 2.0], x_max=0.0, disturbance=bound).build(model, zone()), model
+    )
     x = np.zeros(1)
     for k in range(50):
         state, estimate = step(state, 1.0, np.nan, 0.0)
@@ -173,13 +214,19 @@ def test_interval_of_an_oscillator_decays_as_it_does(Ts: float | None) -> None:
     h = 0.01 if Ts is None else Ts
     first = step(state, 0.0, np.nan, 0.0)[1].x_std
     for _ in range(round(10 / h)):
-        state = step(state, 0.0, np.nan, 0.0)[0] if Ts is not None else rk4(lambda s, c: step(s, 0.0, np.nan, 0.0)[0], state, h)
+        state = (
+            step(state, 0.0, np.nan, 0.0)[0]
+            if Ts is not None
+            else rk4(lambda s, c: step(s, 0.0, np.nan, 0.0)[0], state, h)
+        )
     last = step(state, 0.0, np.nan, 0.0)[1].x_std
     assert (np.abs(np.log(last / first) + 0.2 * 10) < 0.8).all()
 
 
 @given(seeds, st.integers(1, 6), st.booleans(), st.booleans())
-def test_boxes_shrink_as_fast_as_the_poles_allow(seed: int, n: int, in_samples: bool, defective: bool) -> None:
+def test_boxes_shrink_as_fast_as_the_poles_allow(
+    seed: int, n: int, in_samples: bool, defective: bool
+) -> None:
     """|Phi' S Phi| has the spectral radius (abscissa) of F: the bounds decay as the error does, oscillating and multiple poles included."""
     rng = np.random.default_rng(seed)
     F = rng.normal(size=(n, n))
@@ -187,11 +234,20 @@ def test_boxes_shrink_as_fast_as_the_poles_allow(seed: int, n: int, in_samples: 
         change = rng.normal(size=(n, n)) + 3 * np.eye(n)
         F = np.linalg.solve(change, (np.eye(n) * rng.choice([-0.5, 0.5]) + np.eye(n, k=1)) @ change)
     found = modes(F, 10.0 ** rng.uniform(-1, 1, n), 0.1 if in_samples else None)
-    assert np.linalg.norm(found.T @ found.S @ found.inverse - F) < 1e-8 * max(1.0, float(np.linalg.norm(F))) * np.linalg.cond(found.T)
+    assert np.linalg.norm(found.T @ found.S @ found.inverse - F) < 1e-8 * max(
+        1.0, float(np.linalg.norm(F))
+    ) * np.linalg.cond(found.T)
     angle = rng.uniform(0, 6, len(found.pairs))
-    now, ahead = (ca.DM(turned(found.pairs, n, ca.SX(a))).full() for a in (angle, angle + (found.turn if in_samples else 0.0)))
+    now, ahead = (
+        ca.DM(turned(found.pairs, n, ca.SX(a))).full()
+        for a in (angle, angle + (found.turn if in_samples else 0.0))
+    )
     seen = ahead.T @ found.S @ now
-    poles = np.linalg.eigvals(np.abs(seen) if in_samples else np.diag(np.diag(found.S)) + np.abs(np.triu(seen, 1)) * _beside(found.pairs, n))
+    poles = np.linalg.eigvals(
+        np.abs(seen)
+        if in_samples
+        else np.diag(np.diag(found.S)) + np.abs(np.triu(seen, 1)) * _beside(found.pairs, n)
+    )
     expected = np.linalg.eigvals(F)
     tolerance = 0.05 if defective else 1e-6  # multiple poles are known to the n-th root of rounding
     assert (np.abs(poles).max() if in_samples else poles.real.max()) == pytest.approx(
@@ -209,14 +265,35 @@ def _beside(pairs: list[int], n: int) -> Floats:
 
 def test_interval_on_generated_C(tmp_path: Path) -> None:
     loop, state, exogenous = prepare(
-        resolve_scenario(scene(observer={"method": "interval", "right": [0.3, 2.0], "disturbance": 0.1}, simulation={"duration": 1.0, "time": "sampled"}))
+        resolve_scenario(
+            scene(
+                observer={"method": "interval", "right": [0.3, 2.0], "disturbance": 0.1},
+                simulation={"duration": 1.0, "time": "sampled"},
+            )
+        )
     )
     generator = ca.CodeGenerator("step")
     generator.add(loop.step)
     generator.generate(f"{tmp_path}/")
-    subprocess.run(["gcc", "-O1", "-ffp-contract=off", "-fPIC", "-shared", tmp_path / "step.c", "-o", tmp_path / "step.so", "-lm"], check=True)
+    subprocess.run(
+        [
+            "gcc",
+            "-O1",
+            "-ffp-contract=off",
+            "-fPIC",
+            "-shared",
+            tmp_path / "step.c",
+            "-o",
+            tmp_path / "step.so",
+            "-lm",
+        ],
+        check=True,
+    )
     params = tree.pack(loop.params)
-    found, expected = (interpret.run(f, state, exogenous, params)[0] for f in (ca.external("step", str(tmp_path / "step.so")), loop.step))
+    found, expected = (
+        interpret.run(f, state, exogenous, params)[0]
+        for f in (ca.external("step", str(tmp_path / "step.so")), loop.step)
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -225,14 +302,18 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("a", [[1.0, 2.0], [6.0, 11.0, 6.0]])
 @pytest.mark.parametrize("disturbance", [0.0, 1.0])
-def test_super_twisting_converges_in_finite_time_with_the_order_of_its_theory(a: list[float], disturbance: float) -> None:
+def test_super_twisting_converges_in_finite_time_with_the_order_of_its_theory(
+    a: list[float], disturbance: float
+) -> None:
     """Without a dead zone the k-th derivative is known to Ts^(r-k) after a finite time, whatever the input does (Levant 2003)."""
     flow, n = system(Plant(companion=a)), len(a)
     errors = []
     steps = [4e-3, 2e-3, 1e-3]
     for Ts in steps:
         model = sampled(flow, Ts)
-        state, step = stepper(SuperTwisting(lipschitz=20.0).build(model, zone(right=0.0, left=0.0)), model)
+        state, step = stepper(
+            SuperTwisting(lipschitz=20.0).build(model, zone(right=0.0, left=0.0)), model
+        )
         x, worst = np.ones(n), np.zeros(n)
         for k in range(round(3 / Ts)):
             u, y = np.sin(2 * k * Ts), model.linear.C @ x
@@ -251,7 +332,12 @@ def test_super_twisting_of_two_outputs_and_its_linear_part() -> None:
     flow = random_plant(rng, 4, 1, 2)
     model = sampled(flow, 1e-3)
     for options in ({}, {"speed": 3.0}):
-        state, step = stepper(SuperTwisting(lipschitz=[400.0, 400.0], **options).build(model, zone(2, right=0.0, left=0.0)), model)
+        state, step = stepper(
+            SuperTwisting(lipschitz=[400.0, 400.0], **options).build(
+                model, zone(2, right=0.0, left=0.0)
+            ),
+            model,
+        )
         x = rng.normal(size=4)
         for k in range(4000):
             u, y = np.sin(2e-3 * k), model.linear.C @ x
@@ -285,7 +371,9 @@ def test_walcott_zak_injection_saturates() -> None:
     state, step = stepper(built, PAPER_PLANT)
     for e in (0.1, -0.4, 0.7, -20.0):
         derivative, estimate = step(state, 0.0, e, np.sign(e))
-        expected = built.params.L[:, 0] * e + 3.0 * built.params.law.G[:, 0] * np.clip(e / 0.5, -1, 1)
+        expected = built.params.L[:, 0] * e + 3.0 * built.params.law.G[:, 0] * np.clip(
+            e / 0.5, -1, 1
+        )
         assert derivative[:2] == pytest.approx(expected)
         assert estimate.innovation == pytest.approx([e])
 
@@ -293,12 +381,19 @@ def test_walcott_zak_injection_saturates() -> None:
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_where_rivals_coincide_with_luenberger(time: str) -> None:
     """rho = 0; and high gain with the same L."""
-    tables: dict[str, Any] = {"sensor": {"right": 1.3, "left": 0.6, "slope": 2.0, "noise": 0.02}, "simulation": {"time": time, "duration": 1.0}}
+    tables: dict[str, Any] = {
+        "sensor": {"right": 1.3, "left": 0.6, "slope": 2.0, "noise": 0.02},
+        "simulation": {"time": time, "duration": 1.0},
+    }
     luenberger = simulate(scene(observer={"method": "luenberger", "poles": POLES}, **tables))
-    sliding = simulate(scene(observer={"method": "walcott_zak", "poles": POLES, "rho": 0.0}, **tables))
+    sliding = simulate(
+        scene(observer={"method": "walcott_zak", "poles": POLES, "rho": 0.0}, **tables)
+    )
     assert sliding.x_hat == pytest.approx(luenberger.x_hat, abs=1e-10)
     fast = simulate(scene(observer={"method": "high_gain", "epsilon": 0.05}, **tables))
-    same = simulate(scene(observer={"method": "luenberger", "L": [2 / 0.05, 1 / 0.05**2]}, **tables))
+    same = simulate(
+        scene(observer={"method": "luenberger", "L": [2 / 0.05, 1 / 0.05**2]}, **tables)
+    )
     assert fast.x_hat == pytest.approx(same.x_hat, abs=1e-10)
 
 
@@ -306,7 +401,9 @@ def test_where_rivals_coincide_with_luenberger(time: str) -> None:
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.sampled_from([1e-3, 1.0, 1e3]))
-def test_high_gain_puts_all_poles_at_one_place_in_any_units(seed: int, n: int, p: int, unit_of_time: float) -> None:
+def test_high_gain_puts_all_poles_at_one_place_in_any_units(
+    seed: int, n: int, p: int, unit_of_time: float
+) -> None:
     """In coordinates epsilon^k z_i^(k), epsilon (A - L C) tends to chains whose first columns are binomials: poles at -1."""
     rng = np.random.default_rng(seed)
     p = min(n, p)
@@ -322,13 +419,19 @@ def test_high_gain_puts_all_poles_at_one_place_in_any_units(seed: int, n: int, p
         scale[chain] = epsilon ** np.arange(len(chain))
         expected[chain, chain[0]] = [math.comb(len(chain), k) for k in range(1, len(chain) + 1)]
     T = scale[:, None] * O
-    assert epsilon * T @ L @ plant.linear.C @ np.linalg.inv(T) == pytest.approx(expected, rel=1e-5, abs=1e-5)
+    assert epsilon * T @ L @ plant.linear.C @ np.linalg.inv(T) == pytest.approx(
+        expected, rel=1e-5, abs=1e-5
+    )
 
 
 def test_high_gain_poles_of_the_papers_plant() -> None:
     L = HighGain(epsilon=1e-4).build(PAPER_PLANT, zone()).params.L
-    assert np.poly(PAPER_PLANT.linear.A - L @ PAPER_PLANT.linear.C) == pytest.approx(np.poly([-1e4, -1e4]), rel=1e-3)
-    assert HighGain().build(sampled(PAPER_PLANT, 0.1), zone()).params.L[0] == pytest.approx(2 / 0.4 * 0.1)  # no faster than four samples
+    assert np.poly(PAPER_PLANT.linear.A - L @ PAPER_PLANT.linear.C) == pytest.approx(
+        np.poly([-1e4, -1e4]), rel=1e-3
+    )
+    assert HighGain().build(sampled(PAPER_PLANT, 0.1), zone()).params.L[0] == pytest.approx(
+        2 / 0.4 * 0.1
+    )  # no faster than four samples
 
 
 # --- What a dead zone makes of them
@@ -365,21 +468,43 @@ def test_told_the_widths_they_are_right(observer: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "observer",
     [
-        {"method": "walcott_zak", "poles": [-8.4, -8.5], "rho": 7.7, "boundary": 0.36, "gamma": 22.0, "width_max": 3.0},
+        {
+            "method": "walcott_zak",
+            "poles": [-8.4, -8.5],
+            "rho": 7.7,
+            "boundary": 0.36,
+            "gamma": 22.0,
+            "width_max": 3.0,
+        },
         {"method": "high_gain", "epsilon": 0.145, "gamma": 22.0, "width_max": 3.0},
     ],
     ids=lambda observer: observer["method"],
 )
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_with_slow_poles_widths_are_learnt(observer: dict[str, Any], time: str) -> None:
-    run = simulate(scene(observer=observer, **LOOP | {"simulation": {"duration": 12.0, "step": 2e-3, "time": time}}))
+    run = simulate(
+        scene(
+            observer=observer,
+            **LOOP | {"simulation": {"duration": 12.0, "step": 2e-3, "time": time}},
+        )
+    )
     assert run.widths == pytest.approx(np.ones((1, 2)), abs=0.03)
     assert run.rms_tracking < 0.03
 
 
 def test_finite_time_convergence_hides_the_widths() -> None:
     """Super-twisting takes e to 0 whatever d is: nothing is left to learn from."""
-    run = simulate(scene(observer={"method": "super_twisting", "lipschitz": 200.0, "gamma": 10.0, "width_max": 3.0}, **LOOP))
+    run = simulate(
+        scene(
+            observer={
+                "method": "super_twisting",
+                "lipschitz": 200.0,
+                "gamma": 10.0,
+                "width_max": 3.0,
+            },
+            **LOOP,
+        )
+    )
     assert run.widths.max() < 0.2
 
 
@@ -389,7 +514,12 @@ def test_finite_time_convergence_hides_the_widths() -> None:
 def law(options: SlidingMode, model: System, x: Any, x_ref: Any, u_ff: Any) -> Floats:
     built = options.build(model)
     none = ca.SX.zeros(model.p)
-    _, u = built.step(built.params, None, Estimate(ca.SX(x), none, none, none, none, none), Target(ca.SX(0.0), ca.SX(x_ref), ca.SX(u_ff)))
+    _, u = built.step(
+        built.params,
+        None,
+        Estimate(ca.SX(x), none, none, none, none, none),
+        Target(ca.SX(0.0), ca.SX(x_ref), ca.SX(u_ff)),
+    )
     return np.asarray(ca.evalf(ca.SX(u)).full().ravel())
 
 
@@ -402,7 +532,9 @@ def test_sliding_mode_is_slotine_and_lis_law() -> None:
     for z, v in ((0.3, 0.2), (0.26, 0.1), (-4.0, 3.0)):
         S = v - dr + l * (z - r)
         expected = (ddr + a1 * v + a0 * z - l * (v - dr) - k * S - ks * np.clip(S / ph, -1, 1)) / b
-        assert law(options, plant, [z, v], [r, dr], [(ddr + a1 * dr + a0 * r) / b]) == pytest.approx([expected])
+        assert law(
+            options, plant, [z, v], [r, dr], [(ddr + a1 * dr + a0 * r) / b]
+        ) == pytest.approx([expected])
 
 
 @pytest.mark.parametrize("Ts", [None, 0.01])
@@ -422,11 +554,22 @@ def test_on_the_plane_errors_have_the_poles(n: int, m: int, Ts: float | None) ->
 @pytest.mark.parametrize("n", [2, 3])
 def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
     """s reaches its layer and rests at d / (rate + gain / boundary) under a constant d; above the gain it leaves the layer."""
-    model, d, rate = sampled(random_plant(np.random.default_rng(n), n, stable=False), 1e-3), 2.0, 5.0
+    model, d, rate = (
+        sampled(random_plant(np.random.default_rng(n), n, stable=False), 1e-3),
+        2.0,
+        5.0,
+    )
     for gain, boundary, rest in ((4.0, 0.02, d / (rate + 200)), (1.0, 0.02, (d - 1.0) / rate)):
-        built = SlidingMode(gain=gain, poles=-np.linspace(4, 5, n - 1), rate=rate, boundary=boundary).build(model)
+        built = SlidingMode(
+            gain=gain, poles=-np.linspace(4, 5, n - 1), rate=rate, boundary=boundary
+        ).build(model)
         x, none = ca.SX.sym("x", n), ca.SX.zeros(1)
-        _, u = built.step(built.params, None, Estimate(x, none, none, none, none, none), Target(none, ca.SX.zeros(n), none))
+        _, u = built.step(
+            built.params,
+            None,
+            Estimate(x, none, none, none, none, none),
+            Target(none, ca.SX.zeros(n), none),
+        )
         control, now = ca.Function("control", [x], [u]), np.ones(n)
         for _ in range(4000):
             now = model.linear.A @ now + model.linear.B[:, 0] * (float(control(now)) + d)
@@ -457,7 +600,10 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
     built = FullState().build(PAPER_PLANT, zone(right=1.3, left=0.6))
     x = ca.SX([2.0, -1.0])
     _, estimate = built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0), x))
-    assert [float(ca.evalf(ca.SX(part[0]))) for part in (estimate.x, estimate.z, estimate.right, estimate.left, estimate.z_inverse)] == [2, 2, 1.3, 0.6, 2]
+    assert [
+        float(ca.evalf(ca.SX(part[0])))
+        for part in (estimate.x, estimate.z, estimate.right, estimate.left, estimate.z_inverse)
+    ] == [2, 2, 1.3, 0.6, 2]
     with pytest.raises(InputError, match="'full_state' is told the true state"):
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
@@ -469,16 +615,46 @@ PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"],
 @pytest.mark.parametrize(
     ("options", "model", "error", "words"),
     [
-        (WalcottZak(L=[1.0, 2.0], poles=POLES), PAPER_PLANT, InputError, "give one of L, poles, speed; found L and poles"),
-        (WalcottZak(L=[-5.0, 0.0]), PAPER_PLANT, StructureError, "observer.L: A - L C is not stable"),
+        (
+            WalcottZak(L=[1.0, 2.0], poles=POLES),
+            PAPER_PLANT,
+            InputError,
+            "give one of L, poles, speed; found L and poles",
+        ),
+        (
+            WalcottZak(L=[-5.0, 0.0]),
+            PAPER_PLANT,
+            StructureError,
+            "observer.L: A - L C is not stable",
+        ),
         (WalcottZak(boundary=0.0), PAPER_PLANT, InputError, "observer.boundary: must be positive"),
         (WalcottZak(rho=[1.0, 2.0]), PAPER_PLANT, ShapeError, "observer.rho: expected 1 number"),
-        (WalcottZak(rho=50.0, boundary=0.1), SAMPLED, StepError, "simulation.step: 0.01 s is too coarse for rho / boundary"),
+        (
+            WalcottZak(rho=50.0, boundary=0.1),
+            SAMPLED,
+            StepError,
+            "simulation.step: 0.01 s is too coarse for rho / boundary",
+        ),
         (WalcottZak(gamma=-1.0), PAPER_PLANT, InputError, "observer.gamma: must not be negative"),
-        (HighGain(epsilon=0.0), PAPER_PLANT, InputError, "observer.epsilon: must be greater than 0"),
+        (
+            HighGain(epsilon=0.0),
+            PAPER_PLANT,
+            InputError,
+            "observer.epsilon: must be greater than 0",
+        ),
         (HighGain(epsilon=0.004), SAMPLED, StepError, "too coarse for observer.epsilon = 0.004 s"),
-        (HighGain(widths0=2.0, width_max=1.0), PAPER_PLANT, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
-        (SuperTwisting(lipschitz=0.0), PAPER_PLANT, InputError, "observer.lipschitz: must be positive"),
+        (
+            HighGain(widths0=2.0, width_max=1.0),
+            PAPER_PLANT,
+            InputError,
+            r"observer.widths0: must lie in \[0, width_max\]",
+        ),
+        (
+            SuperTwisting(lipschitz=0.0),
+            PAPER_PLANT,
+            InputError,
+            "observer.lipschitz: must be positive",
+        ),
         (
             SuperTwisting(),
             system(Plant(companion=np.poly(-np.ones(9))[:0:-1])),
@@ -486,10 +662,30 @@ PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"],
             "gains for up to 8 derivatives of one output, this plant needs 9",
         ),
         (Interval(right=[0.0, 1.0]), PENDULUM, InputError, "'interval' bounds linear plants only"),
-        (Interval(right=[1.0, 1.0]), PAPER_PLANT, InputError, r"observer.right: a range \[lo, hi\] must have 0 <= lo < hi"),
-        (Interval(right=[0.0, 1.0], disturbance=-1.0), PAPER_PLANT, InputError, "observer.disturbance: must not be negative"),
-        (Interval(right=[0.0, 1.0], x_max=[1.0, 1.0, 1.0]), PAPER_PLANT, ShapeError, "observer.x_max: expected 2 numbers"),
-        (Interval(right=[0.0, 1.0], contraction=-1.0), PAPER_PLANT, InputError, "observer.contraction: must be at least 0"),
+        (
+            Interval(right=[1.0, 1.0]),
+            PAPER_PLANT,
+            InputError,
+            r"observer.right: a range \[lo, hi\] must have 0 <= lo < hi",
+        ),
+        (
+            Interval(right=[0.0, 1.0], disturbance=-1.0),
+            PAPER_PLANT,
+            InputError,
+            "observer.disturbance: must not be negative",
+        ),
+        (
+            Interval(right=[0.0, 1.0], x_max=[1.0, 1.0, 1.0]),
+            PAPER_PLANT,
+            ShapeError,
+            "observer.x_max: expected 2 numbers",
+        ),
+        (
+            Interval(right=[0.0, 1.0], contraction=-1.0),
+            PAPER_PLANT,
+            InputError,
+            "observer.contraction: must be at least 0",
+        ),
     ],
 )
 def test_wrong_observers(options: Any, model: System, error: type[Exception], words: str) -> None:
@@ -497,15 +693,22 @@ def test_wrong_observers(options: Any, model: System, error: type[Exception], wo
         options.build(model, zone(model.p))
 
 
-@pytest.mark.parametrize("options", [WalcottZak(gamma=1.0), HighGain(gamma=1.0), SuperTwisting(gamma=1.0)])
+@pytest.mark.parametrize(
+    "options", [WalcottZak(gamma=1.0), HighGain(gamma=1.0), SuperTwisting(gamma=1.0)]
+)
 def test_widths_of_a_jump_sensor_cannot_be_adapted(options: Any) -> None:
-    with pytest.raises(InputError, match=r"observer\.gamma: readings of a jump sensor only bound its widths"):
+    with pytest.raises(
+        InputError, match=r"observer\.gamma: readings of a jump sensor only bound its widths"
+    ):
         options.build(PAPER_PLANT, zone(kind="jump"))
     msgspec.structs.replace(options, gamma=0.0).build(PAPER_PLANT, zone(kind="jump"))
 
 
 def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
-    tables: dict[str, Any] = {"plant": {"companion": [-1.0, 0.5]}, "simulation": {"duration": 1.0, "time": "sampled"}}
+    tables: dict[str, Any] = {
+        "plant": {"companion": [-1.0, 0.5]},
+        "simulation": {"duration": 1.0, "time": "sampled"},
+    }
     with pytest.raises(StructureError, match=r"observer\.L: the model is unstable"):
         simulate(scene(observer={"method": "super_twisting"}, **tables))
     simulate(scene(observer={"method": "super_twisting", "speed": 4.0}, **tables))
@@ -521,13 +724,35 @@ def test_outputs_that_tell_the_same_are_refused() -> None:
     ("options", "model", "error", "words"),
     [
         (SlidingMode(gain=0.0), PAPER_PLANT, InputError, "controller.gain: must be positive"),
-        (SlidingMode(gain=1.0, boundary=-1.0), PAPER_PLANT, InputError, "controller.boundary: must be positive"),
-        (SlidingMode(gain=1.0, poles=[-1.0, -2.0]), PAPER_PLANT, ShapeError, "controller.poles: expected 1 pole"),
-        (SlidingMode(gain=10.0, boundary=0.05), SAMPLED, StepError, "too coarse: gain / boundary = 200 1/s"),
-        (SlidingMode(gain=1.0), linear(-np.eye(2), np.ones((2, 2)), [[1, 0]]), StructureError, "B has rank 1, not 2"),
+        (
+            SlidingMode(gain=1.0, boundary=-1.0),
+            PAPER_PLANT,
+            InputError,
+            "controller.boundary: must be positive",
+        ),
+        (
+            SlidingMode(gain=1.0, poles=[-1.0, -2.0]),
+            PAPER_PLANT,
+            ShapeError,
+            "controller.poles: expected 1 pole",
+        ),
+        (
+            SlidingMode(gain=10.0, boundary=0.05),
+            SAMPLED,
+            StepError,
+            "too coarse: gain / boundary = 200 1/s",
+        ),
+        (
+            SlidingMode(gain=1.0),
+            linear(-np.eye(2), np.ones((2, 2)), [[1, 0]]),
+            StructureError,
+            "B has rank 1, not 2",
+        ),
     ],
 )
-def test_wrong_sliding_mode_controllers(options: SlidingMode, model: System, error: type[Exception], words: str) -> None:
+def test_wrong_sliding_mode_controllers(
+    options: SlidingMode, model: System, error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         options.build(model)
 

@@ -18,7 +18,15 @@ from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.numerics import unscented
 from undeadzone.numerics.gaussian import symmetric, triangle
-from undeadzone.observers import EKF, UKF, Kalman, MovingHorizon, NumericObserver, ParticleFilter, Reading
+from undeadzone.observers import (
+    EKF,
+    UKF,
+    Kalman,
+    MovingHorizon,
+    NumericObserver,
+    ParticleFilter,
+    Reading,
+)
 from undeadzone.observers.particle import systematic
 from undeadzone.observers.parts.augmented_state import agitation, quarter_period
 from undeadzone.plants.build import system
@@ -36,7 +44,13 @@ seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sampled(PAPER_PLANT, TS)
 ALL = [EKF, UKF, ParticleFilter, MovingHorizon]
-PENDULUM = {"states": ["angle", "rate"], "inputs": ["u"], "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"], "h": ["angle"], "x0": [0.5, 0.0]}
+PENDULUM = {
+    "states": ["angle", "rate"],
+    "inputs": ["u"],
+    "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
+    "h": ["angle"],
+    "x0": [0.5, 0.0],
+}
 SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
 
 
@@ -49,7 +63,9 @@ def full(column: Floats, size: int) -> Floats:
     return np.asarray(ca.DM(ca.triu2symm(ca.DM(ca.Sparsity.upper(size), column))).full())
 
 
-def follow(observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0) -> list[Any]:
+def follow(
+    observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0
+) -> list[Any]:
     """The estimates along readings and inputs."""
     state, found = observer.start(seed), []
     for y, u, side in zip(ys, us, sides, strict=True):
@@ -67,8 +83,17 @@ def follow(observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, see
 def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int, p: int) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, slope=2.0)
-    told: dict[str, Any] = {"right": [0.5, 2.0], "noise": 0.1, "x_std": 2.0, "disturbance": 0.7, "drift": 0.1}
-    ours, theirs = EKF(**told, mode="measured").build(model, where), Kalman(**told).build(model, where)
+    told: dict[str, Any] = {
+        "right": [0.5, 2.0],
+        "noise": 0.1,
+        "x_std": 2.0,
+        "disturbance": 0.7,
+        "drift": 0.1,
+    }
+    ours, theirs = (
+        EKF(**told, mode="measured").build(model, where),
+        Kalman(**told).build(model, where),
+    )
     one, other = on_numbers(ours, model), on_numbers(theirs, model)
     s, t = ours.init(ours.params), theirs.init(theirs.params)
     for _ in range(10):
@@ -78,14 +103,27 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
             assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("options", [EKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0], alpha=0.6, kappa=2.0)])
+@pytest.mark.parametrize(
+    "options",
+    [EKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0], alpha=0.6, kappa=2.0)],
+)
 @given(seed=seeds)
 @settings(max_examples=5)
-def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_stay_on_a_side(options: EKF | UKF, seed: int) -> None:
+def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_stay_on_a_side(
+    options: EKF | UKF, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, 2, 1, 2), 0.01), zone(2)
-    told: dict[str, Any] = {"right": [0.5, 2.0], "noise": 0.1, "x_std": 0.3, "disturbance": 0.7, "drift": 0.1}
-    rival = type(options)(**{name: getattr(options, name) for name in options.__struct_fields__} | told).build(model, where)
+    told: dict[str, Any] = {
+        "right": [0.5, 2.0],
+        "noise": 0.1,
+        "x_std": 0.3,
+        "disturbance": 0.7,
+        "drift": 0.1,
+    }
+    rival = type(options)(
+        **{name: getattr(options, name) for name in options.__struct_fields__} | told
+    ).build(model, where)
     kalman = Kalman(**told).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
@@ -106,14 +144,20 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
 # --- UKF
 
 
-@pytest.mark.parametrize("plant", [PAPER_PLANT, system(Plant(**PENDULUM))], ids=["linear", "pendulum"])
+@pytest.mark.parametrize(
+    "plant", [PAPER_PLANT, system(Plant(**PENDULUM))], ids=["linear", "pendulum"]
+)
 def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
     kalman = pytest.importorskip("filterpy.kalman")
     rng, model = np.random.default_rng(3), sampled(plant, TS)
-    observer = UKF(right=[0.5, 2.0], noise=0.1, x_std=0.5, disturbance=0.0, drift=0.1, alpha=0.7, kappa=1.0).build(model, zone())
+    observer = UKF(
+        right=[0.5, 2.0], noise=0.1, x_std=0.5, disturbance=0.0, drift=0.1, alpha=0.7, kappa=1.0
+    ).build(model, zone())
     step, state = on_numbers(observer, model), observer.init(observer.params)
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
-    move = ca.Function("move", [x, u], [model.move(ca.SX(model.params) if model.nonlinear else model.params, x, u)])
+    move = ca.Function(
+        "move", [x, u], [model.move(ca.SX(model.params) if model.nonlinear else model.params, x, u)]
+    )
     theirs = kalman.UnscentedKalmanFilter(
         4, 1, TS, lambda v: np.array([sensor.deadzone(v[0], v[2], v[3])]), lambda v, dt, u: np.concatenate([move(v[:2], u).full()[:, 0], v[2:]]),
         kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0),
@@ -126,7 +170,9 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
         y = sensor.deadzone(truth[:1], 1.3, 0.6) + 0.05 * rng.normal(size=1)
         state, estimate = step(state, [force], y, sensor.side(y))
         theirs.update(y)
-        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(theirs.x, rel=1e-7, abs=1e-8)
+        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(
+            theirs.x, rel=1e-7, abs=1e-8
+        )
         assert estimate.x_std == pytest.approx(np.sqrt(np.diag(theirs.P))[:2], rel=1e-6)
         assert estimate.innovation_std == pytest.approx(np.sqrt(theirs.S[0]), rel=1e-6)
         theirs.predict(u=force)
@@ -151,7 +197,13 @@ def test_the_factor_stands_covariances_without_full_rank(seed: int, size: int, r
 def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     """Widths known, always the same side: mean and standard deviations over 12 seeds against the exact ones."""
     rng = np.random.default_rng(0)
-    told: dict[str, Any] = {"right": [1.0, 1.0 + 1e-6], "noise": 0.5, "x_std": 6.0, "disturbance": 4.0, "drift": 0.0}
+    told: dict[str, Any] = {
+        "right": [1.0, 1.0 + 1e-6],
+        "noise": 0.5,
+        "x_std": 6.0,
+        "disturbance": 4.0,
+        "drift": 0.0,
+    }
     count, runs = 25, 12
     ys, us = 7.0 + 0.5 * rng.normal(size=count), 10.0 + rng.normal(size=count)
     kalman = Kalman(**told).build(MODEL, zone())
@@ -164,11 +216,16 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
         values = np.stack([getattr(found, name) for found in final])
         monte_carlo = values.std(axis=0, ddof=1) / np.sqrt(runs)
         assert (monte_carlo < 0.05 * exact.x_std.max()).all()
-        assert (np.abs(values.mean(axis=0) - getattr(exact, name)) < 5 * monte_carlo + 0.01 * exact.x_std.max()).all(), name
+        assert (
+            np.abs(values.mean(axis=0) - getattr(exact, name))
+            < 5 * monte_carlo + 0.01 * exact.x_std.max()
+        ).all(), name
 
 
 @given(seeds, st.integers(2, 200), st.floats(0, 0.999))
-def test_systematic_resampling_copies_each_particle_as_often_as_it_weighs(seed: int, count: int, offset: float) -> None:
+def test_systematic_resampling_copies_each_particle_as_often_as_it_weighs(
+    seed: int, count: int, offset: float
+) -> None:
     weights = np.random.default_rng(seed).dirichlet(np.full(count, 0.3))
     copies = np.bincount(systematic(weights, offset), minlength=count)
     assert copies.sum() == count
@@ -190,14 +247,29 @@ def test_particles_follow_from_the_seed_alone_and_states_are_values() -> None:
 
 def test_particles_survive_a_reading_that_none_of_them_expects() -> None:
     observer = ParticleFilter(right=[0.5, 2.0], particles=50).build(MODEL, zone())
-    far = follow(observer, np.array([1e9, np.nan, 1e200, 1.0]), np.zeros(4), np.array([1.0, 0.0, 1.0, 1.0]))
+    far = follow(
+        observer, np.array([1e9, np.nan, 1e200, 1.0]), np.zeros(4), np.array([1.0, 0.0, 1.0, 1.0])
+    )
     assert all(np.isfinite(np.concatenate(found)).all() for found in far)
 
 
 def test_particles_find_the_edges_of_a_jump_sensor() -> None:
     """Its active readings bound the widths, its silent ones too: what a slope cannot show, samples of the belief can."""
-    changes: dict[str, Any] = {"sensor": {"kind": "jump", "right": 1.2, "left": 0.7, "noise": 0.02}, "simulation": SAMPLED}
-    run = simulate(scene(observer={"method": "particle_filter", "right": [0.3, 2.0], "swing": 0.1, "drift": 0.02}, **changes))
+    changes: dict[str, Any] = {
+        "sensor": {"kind": "jump", "right": 1.2, "left": 0.7, "noise": 0.02},
+        "simulation": SAMPLED,
+    }
+    run = simulate(
+        scene(
+            observer={
+                "method": "particle_filter",
+                "right": [0.3, 2.0],
+                "swing": 0.1,
+                "drift": 0.02,
+            },
+            **changes,
+        )
+    )
     assert (np.abs(run.d_hat[-1] - [1.2, 0.7]) < 0.25).all()
 
 
@@ -226,16 +298,32 @@ class History:
 
 @given(seeds, st.integers(1, 3), st.integers(1, 3))
 @settings(max_examples=12)
-def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_the_past(seed: int, n: int, stride: int) -> None:
+def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_the_past(
+    seed: int, n: int, stride: int
+) -> None:
     """A window of 4 intervals over 9: what has left it is in its arrival cost."""
     rng = np.random.default_rng(seed)
     model = sampled(random_plant(rng, n), TS)
-    options = MovingHorizon(right=[20.0, 40.0], noise=0.3, x_std=30.0, disturbance=80.0, drift=0.0, horizon=4 * stride * TS, period=stride * TS)
+    options = MovingHorizon(
+        right=[20.0, 40.0],
+        noise=0.3,
+        x_std=30.0,
+        disturbance=80.0,
+        drift=0.0,
+        horizon=4 * stride * TS,
+        period=stride * TS,
+    )
     count = 9 * stride + 1
     ys, us = rng.choice([-1, 1]) * rng.uniform(1, 5, count), rng.normal(size=count)
     found = follow(options.build(model, zone()), ys, us, np.sign(ys))[-1]
     history = History(model, us[:-1], stride)
-    std = np.concatenate([np.full(n, 30.0), np.full(2, 20 / np.sqrt(12)), np.full(history.size - n - 2, 80 / np.sqrt(stride))])
+    std = np.concatenate(
+        [
+            np.full(n, 30.0),
+            np.full(2, 20 / np.sqrt(12)),
+            np.full(history.size - n - 2, 80 / np.sqrt(stride)),
+        ]
+    )
     mean = np.concatenate([np.zeros(n), [30.0, 30.0], np.zeros(history.size - n - 2)])
     rows, rest = [np.diag(1 / std)], [mean / std]
     for y, at, b in zip(ys[::stride], history.maps, history.rest, strict=True):
@@ -245,9 +333,15 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
     v = np.linalg.lstsq(np.vstack(rows), np.concatenate(rest), rcond=None)[0]
     expected = history.maps[-1] @ v + history.rest[-1]
     assume((expected[n:] > 20).all() and (expected[n:] < 40).all())
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(expected, rel=1e-5, abs=1e-5)
-    covariance = history.maps[-1] @ np.linalg.inv(np.vstack(rows).T @ np.vstack(rows)) @ history.maps[-1].T
-    assert np.concatenate([found.x_std, found.right_std, found.left_std]) == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+        expected, rel=1e-5, abs=1e-5
+    )
+    covariance = (
+        history.maps[-1] @ np.linalg.inv(np.vstack(rows).T @ np.vstack(rows)) @ history.maps[-1].T
+    )
+    assert np.concatenate([found.x_std, found.right_std, found.left_std]) == pytest.approx(
+        np.sqrt(np.diag(covariance)), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("solver", [name for name in ("daqp", "osqp") if ca.has_conic(name)])
@@ -255,12 +349,23 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
 def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, solver: Any) -> None:
     """Readings, silence that the prior contradicts, ranges: the same convex function by L-BFGS-B, violations as squares of max(0, .)."""
     rng, count = np.random.default_rng(seed), 8
-    told: dict[str, Any] = {"right": [0.5, 1.2], "noise": 0.2, "x_std": 3.0, "disturbance": 5.0, "drift": 0.0}
+    told: dict[str, Any] = {
+        "right": [0.5, 1.2],
+        "noise": 0.2,
+        "x_std": 3.0,
+        "disturbance": 5.0,
+        "drift": 0.0,
+    }
     options = MovingHorizon(**told, horizon=count * TS, period=TS, slack=0.1, solver=solver)
-    ys, us = np.where(np.arange(count) % 3 == 0, 2.0 + rng.normal(size=count), 0.0), 30 * rng.normal(size=count)
+    ys, us = (
+        np.where(np.arange(count) % 3 == 0, 2.0 + rng.normal(size=count), 0.0),
+        30 * rng.normal(size=count),
+    )
     found = follow(options.build(MODEL, zone()), ys, us, np.sign(ys))[-1]
     history, C = History(MODEL, us[:-1], 1), MODEL.linear.C[0]
-    std = np.concatenate([[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)])
+    std = np.concatenate(
+        [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
+    )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
     gate = float(options.build(MODEL, zone()).params.gate[0])
     bends: list[float] = []
@@ -279,11 +384,20 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         return total, slope
 
     bounds = [(None, None)] * 2 + [(0.5, 1.2)] * 2 + [(None, None)] * (history.size - 4)
-    best = minimize(cost, mean, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 5000, "maxfun": 20000})
+    best = minimize(
+        cost,
+        mean,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 5000, "maxfun": 20000},
+    )
     cost(best.x)
     assert max(bends) > 0.01  # silence matters here
     tolerance = 2e-3 if solver == "osqp" else 2e-4
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(history.maps[-1] @ best.x + history.rest[-1], abs=tolerance)
+    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+        history.maps[-1] @ best.x + history.rest[-1], abs=tolerance
+    )
 
 
 def _terms(C: Floats, y: float, gate: float) -> list[tuple[Floats, float, float]]:
@@ -303,12 +417,22 @@ def test_a_programme_that_cannot_be_solved_leaves_the_prediction() -> None:
 # --- What they do wrong
 
 
-@pytest.mark.parametrize(("method", "reach"), [(EKF, "right edge only"), (EKF, "grazing"), (UKF, "right edge only")])
-def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read(method: Any, reach: str) -> None:
+@pytest.mark.parametrize(
+    ("method", "reach"), [(EKF, "right edge only"), (EKF, "grazing"), (UKF, "right edge only")]
+)
+def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read(
+    method: Any, reach: str
+) -> None:
     """Told the truth about every problem: few 95 % intervals hold it; Kalman's on the measured side do."""
 
     def told(given: coverage.Problems, k: int) -> Any:
-        return method(right=coverage.RANGE, noise=given.noise[k], x_std=given.x_std, disturbance=given.disturbance[k], drift=0.0)
+        return method(
+            right=coverage.RANGE,
+            noise=given.noise[k],
+            x_std=given.x_std,
+            disturbance=given.disturbance[k],
+            drift=0.0,
+        )
 
     problems = coverage.problems(reach, coverage.World(), 2, 60, 7)
     theirs, ours = coverage.observe(told, problems), coverage.observe(coverage.kalman, problems)
@@ -340,7 +464,9 @@ def test_the_pseudo_measurement_pulls_a_contradicted_estimate_to_the_edge() -> N
 
 
 @pytest.mark.parametrize("method", [EKF, UKF])
-def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_input(method: Any) -> None:
+def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_input(
+    method: Any,
+) -> None:
     observer = method(right=[0.5, 2.0], disturbance=0.5).build(MODEL, zone())
     step, state = on_numbers(observer, MODEL), observer.init(observer.params)
     state, _ = step(state, [1.0], [2.0], [1.0])
@@ -365,7 +491,11 @@ def test_a_missing_sample_leaves_the_python_observers_to_the_model(method: Any) 
 
 def test_the_live_loop_is_the_loop() -> None:
     """Kalman's filter as a graph, and the same step called from Python: the same run."""
-    scenario = scene(observer={"method": "kalman", "right": [0.5, 2.0]}, sensor={"noise": 0.02}, simulation=SAMPLED)
+    scenario = scene(
+        observer={"method": "kalman", "right": [0.5, 2.0]},
+        sensor={"noise": 0.02},
+        simulation=SAMPLED,
+    )
     expected, problem = simulate(scenario), resolve_scenario(scenario)
     graph = problem.observer
     step = on_numbers(graph, problem.model)
@@ -373,30 +503,56 @@ def test_the_live_loop_is_the_loop() -> None:
     def correct(s: Any, reading: Reading) -> Any:
         return (s, reading), step(s, np.zeros(1), reading.y, reading.side)[1]
 
-    wrapped = NumericObserver(None, lambda seed: graph.init(graph.params), correct, lambda s, u: step(s[0], u, s[1].y, s[1].side)[0])
+    wrapped = NumericObserver(
+        None,
+        lambda seed: graph.init(graph.params),
+        correct,
+        lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
+    )
     ticks: list[int] = []
     found = live.run(problem, wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
     for name in ("x", "z", "y", "u", "x_hat", "z_hat", "innovation", "x_std", "width_std"):
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9), name
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9), (
+            name
+        )
 
 
-CHAIN = {"A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]], "B": [[0.0], [0.0], [4.0]], "C": [[1.0, 0.0, 0.0]], "x0": [0.5, 0.0, 0.0]}
-TWO = {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.2, 1.0]], "x0": [0.5, -0.5]}
+CHAIN = {
+    "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]],
+    "B": [[0.0], [0.0], [4.0]],
+    "C": [[1.0, 0.0, 0.0]],
+    "x0": [0.5, 0.0, 0.0],
+}
+TWO = {
+    "A": [[-1.0, 0.5], [-0.5, -2.0]],
+    "B": [[1.0, 0.0], [0.0, 1.0]],
+    "C": [[1.0, 0.0], [0.2, 1.0]],
+    "x0": [0.5, -0.5],
+}
 PLANTS: dict[str, tuple[Any, Any]] = {
     "third order": (CHAIN, {"method": "state_feedback", "poles": [-6.0, -6.0, -6.0]}),
     "two outputs": (TWO, {"method": "state_feedback", "alpha": 5.0}),
     "pendulum": (PENDULUM, {"method": "state_feedback", "poles": [-5.0, -5.0]}),
-    "integrators": ({"integrators": 2, "x0": [0.5, 0.0]}, {"method": "state_feedback", "poles": [-5.0, -5.0]}),
+    "integrators": (
+        {"integrators": 2, "x0": [0.5, 0.0]},
+        {"method": "state_feedback", "poles": [-5.0, -5.0]},
+    ),
 }
 
 
 @pytest.mark.parametrize("method", ALL, ids=lambda method: method.__struct_config__.tag)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviations(plant: str, method: Any) -> None:
+def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviations(
+    plant: str, method: Any
+) -> None:
     tables, controller = PLANTS[plant]
     amplitude = [3.0, 3.0] if plant == "two outputs" else 3.0
-    changes = {"plant": tables, "controller": controller, "reference": {"kind": "sine", "amplitude": amplitude, "frequency": 0.5}}
+    changes = {
+        "plant": tables,
+        "controller": controller,
+        "reference": {"kind": "sine", "amplitude": amplitude, "frequency": 0.5},
+    }
     run = simulate(
         scene(
             observer={"method": method.__struct_config__.tag, "right": [0.3, 1.5]},
@@ -424,11 +580,19 @@ def test_the_default_disturbance_moves_z_as_far_as_it_says() -> None:
 
 
 def test_python_observers_say_where_they_cannot_run() -> None:
-    scenario = scene(observer={"method": "particle_filter", "right": [0.5, 2.0], "particles": 20}, simulation=SAMPLED)
+    scenario = scene(
+        observer={"method": "particle_filter", "right": [0.5, 2.0], "particles": 20},
+        simulation=SAMPLED,
+    )
     with pytest.raises(InputError, match=r"observer\.method.*single simulations only"):
         simulate(scenario, engine="lanes")
     with pytest.raises(InputError, match=r"observer\.method.*single simulations only"):
-        Online(MovingHorizon(right=[0.5, 2.0]), Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]]), Sensor(right=1.0, left=1.0), 0.01)
+        Online(
+            MovingHorizon(right=[0.5, 2.0]),
+            Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]]),
+            Sensor(right=1.0, left=1.0),
+            0.01,
+        )
 
 
 # --- Wrong input
@@ -451,13 +615,35 @@ def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
         (lambda: UKF(right=[0.5, 2.0], kappa=-4.0), zone(), InputError, "observer.alpha"),
         (lambda: UKF(right=[0.5, 2.0], alpha=1e-3), zone(), InputError, "raise alpha or beta"),
         (lambda: EKF(right=[0.5, 2.0], swing=-1.0), zone(), InputError, "observer.swing"),
-        (lambda: EKF(right=[0.5, 2.0], disturbance=[1.0, 2.0]), zone(), ShapeError, "observer.disturbance"),
-        (lambda: ParticleFilter(right=[0.5, 2.0], particles=1), zone(), InputError, "observer.particles"),
+        (
+            lambda: EKF(right=[0.5, 2.0], disturbance=[1.0, 2.0]),
+            zone(),
+            ShapeError,
+            "observer.disturbance",
+        ),
+        (
+            lambda: ParticleFilter(right=[0.5, 2.0], particles=1),
+            zone(),
+            InputError,
+            "observer.particles",
+        ),
         (lambda: MovingHorizon(right=[0.5, 2.0], slack=0.0), zone(), InputError, "observer.slack"),
-        (lambda: MovingHorizon(right=[0.5, 2.0], horizon=1e3, period=0.05), zone(), InputError, "observer.period"),
-        (lambda: MovingHorizon(right=[0.5, 2.0], horizon=-1.0), zone(), InputError, "observer.horizon"),
+        (
+            lambda: MovingHorizon(right=[0.5, 2.0], horizon=1e3, period=0.05),
+            zone(),
+            InputError,
+            "observer.period",
+        ),
+        (
+            lambda: MovingHorizon(right=[0.5, 2.0], horizon=-1.0),
+            zone(),
+            InputError,
+            "observer.horizon",
+        ),
     ],
 )
-def test_wrong_options_are_named(options: Callable[[], Any], where: Zone, error: type[Exception], words: str) -> None:
+def test_wrong_options_are_named(
+    options: Callable[[], Any], where: Zone, error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         options().build(MODEL, where)

@@ -38,17 +38,32 @@ from undeadzone.simulation.simulate import simulate
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RIGHT, LEFT = np.array([0.05, 0.08]), np.array([0.03, 0.06])
 START = [-1.7, 1.4, 0.0, 0.0]
-FILTER: dict[str, Any] = {"method": "extended", "right": [0.0, 0.15], "start": START, "x_std": 0.01, "disturbance": 0.1}
+FILTER: dict[str, Any] = {
+    "method": "extended",
+    "right": [0.0, 0.15],
+    "start": START,
+    "x_std": 0.01,
+    "disturbance": 0.1,
+}
 SAMPLED: dict[str, Any] = {"time": "sampled", "step": 1e-3, "substeps": 1}
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 
-def two_link(duration: float = 0.4, arm: Any = None, plant: Any = None, sensor: Any = None, **changes: Any) -> Scenario:
+def two_link(
+    duration: float = 0.4, arm: Any = None, plant: Any = None, sensor: Any = None, **changes: Any
+) -> Scenario:
     """A two-link arm behind dead zones in both joints, on a figure eight of its tip."""
     base: dict[str, Any] = {
-        "plant": {"arm": {"kind": "two_link", "reference": [-1.65, 1.2]} | (arm or {}), "x0": START} | (plant or {}),
+        "plant": {"arm": {"kind": "two_link", "reference": [-1.65, 1.2]} | (arm or {}), "x0": START}
+        | (plant or {}),
         "sensor": {"right": RIGHT.tolist(), "left": LEFT.tolist(), "noise": 0.001} | (sensor or {}),
-        "reference": {"kind": "figure_eight", "centre": [0.2351, -0.4853], "width": 0.3, "height": 0.2, "period": 4.0},
+        "reference": {
+            "kind": "figure_eight",
+            "centre": [0.2351, -0.4853],
+            "width": 0.3,
+            "height": 0.2,
+            "period": 4.0,
+        },
         "observer": FILTER,
         "controller": {"method": "computed_torque", "bandwidth": 12.0},
         "simulation": SAMPLED | {"duration": duration},
@@ -76,7 +91,10 @@ def both() -> tuple[Run, Run]:
     named = [two_link(observer=FILTER | more) for more in ({}, {"blind": True})]
     names = _told_apart(named[0].observer, named[1].observer)
     runs = [simulate(one) for one in named]
-    first, second = (dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name)) for run, name in zip(runs, names, strict=True))
+    first, second = (
+        dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name))
+        for run, name in zip(runs, names, strict=True)
+    )
     return first, second
 
 
@@ -84,32 +102,74 @@ def both() -> tuple[Run, Run]:
 
 
 def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
-    problem = resolve_scenario(two_link(plant={"parameters": {"payload": 0.5, "f1": 0.4}}, model={"parameters": {"payload": 0.2}}))
-    plant, model = (dict(zip(one.names, one.params, strict=True)) for one in (problem.plant, problem.model))
+    problem = resolve_scenario(
+        two_link(
+            plant={"parameters": {"payload": 0.5, "f1": 0.4}},
+            model={"parameters": {"payload": 0.2}},
+        )
+    )
+    plant, model = (
+        dict(zip(one.names, one.params, strict=True)) for one in (problem.plant, problem.model)
+    )
     assert (plant["payload"], plant["f1"], plant["m1"]) == (0.5, 0.4, 3.0)
     assert model == plant | {"payload": 0.2}
     x, u = np.array([0.3, -0.8, 1.0, -0.5]), np.array([2.0, 1.0])
-    loaded, plain = (system(Plant(arm=TwoLink(), parameters={"payload": value})) for value in (0.5, 0.0))
+    loaded, plain = (
+        system(Plant(arm=TwoLink(), parameters={"payload": value})) for value in (0.5, 0.0)
+    )
     assert loaded.arm is not None
-    needed = [torque(one.arm, one.params, x[:2], x[2:], np.array(one.move(one.params, x, u)).ravel()[2:]) for one in (loaded, plain) if one.arm is not None]
+    needed = [
+        torque(one.arm, one.params, x[:2], x[2:], np.array(one.move(one.params, x, u)).ravel()[2:])
+        for one in (loaded, plain)
+        if one.arm is not None
+    ]
     np.testing.assert_allclose(np.array(needed).reshape(2, 2), [u, u], rtol=1e-12)
-    assert np.abs(np.array(loaded.move(loaded.params, x, u) - plain.move(plain.params, x, u))).max() > 0.1
+    assert (
+        np.abs(np.array(loaded.move(loaded.params, x, u) - plain.move(plain.params, x, u))).max()
+        > 0.1
+    )
 
 
 @pytest.mark.parametrize(
     ("error", "words", "plant"),
     [
-        (InputError, "plant.parameters.paylaod: unknown; did you mean 'payload'", {"parameters": {"paylaod": 1.0}}),
-        (InputError, "plant.parameters.payload: must not be negative", {"parameters": {"payload": -1.0}}),
+        (
+            InputError,
+            "plant.parameters.paylaod: unknown; did you mean 'payload'",
+            {"parameters": {"paylaod": 1.0}},
+        ),
+        (
+            InputError,
+            "plant.parameters.payload: must not be negative",
+            {"parameters": {"payload": -1.0}},
+        ),
         (InputError, "plant.parameters.m1: must be greater than 0", {"parameters": {"m1": -1.0}}),
-        (ShapeError, "plant.arm.torque_max: expected 2 numbers", {"arm": {"kind": "two_link", "torque_max": [1.0, 2.0, 3.0]}}),
-        (InputError, "plant.arm.limits: a range", {"arm": {"kind": "two_link", "limits": [[1.0, -1.0], [0.0, 1.0]]}}),
-        (InputError, "plant.arm.stops: they stand where", {"arm": {"kind": "two_link", "stops": [100.0, 1.0]}}),
+        (
+            ShapeError,
+            "plant.arm.torque_max: expected 2 numbers",
+            {"arm": {"kind": "two_link", "torque_max": [1.0, 2.0, 3.0]}},
+        ),
+        (
+            InputError,
+            "plant.arm.limits: a range",
+            {"arm": {"kind": "two_link", "limits": [[1.0, -1.0], [0.0, 1.0]]}},
+        ),
+        (
+            InputError,
+            "plant.arm.stops: they stand where",
+            {"arm": {"kind": "two_link", "stops": [100.0, 1.0]}},
+        ),
         (ShapeError, "plant.x0: expected 4 numbers", {"x0": [0.0, 1.0]}),
-        (InputError, "unknown choice 'torque'; expected one of position, velocity", {"arm": {"kind": "two_link", "measured": "torque"}}),
+        (
+            InputError,
+            "unknown choice 'torque'; expected one of position, velocity",
+            {"arm": {"kind": "two_link", "measured": "torque"}},
+        ),
     ],
 )
-def test_mistakes_about_the_plant_are_named(error: type[Exception], words: str, plant: dict[str, Any]) -> None:
+def test_mistakes_about_the_plant_are_named(
+    error: type[Exception], words: str, plant: dict[str, Any]
+) -> None:
     with pytest.raises(error, match=re.escape(words)):
         resolve_scenario(two_link(plant=plant))
 
@@ -123,12 +183,17 @@ def test_a_negative_mass_of_a_urdf_s_body_is_refused() -> None:
 @pytest.mark.parametrize(
     ("words", "changes"),
     [
-        ("cannot get to", {"reference": {"kind": "circle", "centre": [0.9, -0.4], "radius": 0.1, "period": 4.0}}),
+        (
+            "cannot get to",
+            {"reference": {"kind": "circle", "centre": [0.9, -0.4], "radius": 0.1, "period": 4.0}},
+        ),
         ("needs a torque of", {"arm": {"torque_max": [1.0, 25.0]}}),
         ("needs a position of", {"arm": {"limits": [[-1.75, -1.6], [0.0, 2.0]]}}),
     ],
 )
-def test_a_path_that_the_arm_cannot_follow_is_refused_before_the_run(words: str, changes: dict[str, Any]) -> None:
+def test_a_path_that_the_arm_cannot_follow_is_refused_before_the_run(
+    words: str, changes: dict[str, Any]
+) -> None:
     with pytest.raises(TrackingError, match=words):
         resolve_scenario(two_link(2.0, **changes))
 
@@ -137,10 +202,17 @@ def test_a_path_that_the_arm_cannot_follow_is_refused_before_the_run(words: str,
 
 
 def test_steep_friction_asks_for_shorter_steps() -> None:
-    with pytest.raises(StepError, match=r"mode at 4092 1/s .* use simulation.substeps = (\d+)") as error:
+    with pytest.raises(
+        StepError, match=r"mode at 4092 1/s .* use simulation.substeps = (\d+)"
+    ) as error:
         simulate(two_link(plant={"parameters": {"f2": 10.0}}))
     enough = int(re.findall(r"substeps = (\d+)", str(error.value))[0])
-    run = simulate(two_link(plant={"parameters": {"f2": 10.0}}, simulation=SAMPLED | {"duration": 0.4, "substeps": enough}))
+    run = simulate(
+        two_link(
+            plant={"parameters": {"f2": 10.0}},
+            simulation=SAMPLED | {"duration": 0.4, "substeps": enough},
+        )
+    )
     assert run.diverged_at is None
     assert run.rms_tip is not None
     assert run.rms_tip < 1e-3
@@ -149,13 +221,31 @@ def test_steep_friction_asks_for_shorter_steps() -> None:
 def test_torques_saturate_for_plant_and_observer_alike() -> None:
     """An exact filter whose start is known sees no innovation while the motors saturate: it is told of the torque that they give."""
     limit = np.array([12.0, 3.2])
-    observer = FILTER | {"start": [-2.2, 1.9, 0.0, 0.0], "x_std": 1e-6, "disturbance": 0.0, "noise": 0.001}
+    observer = FILTER | {
+        "start": [-2.2, 1.9, 0.0, 0.0],
+        "x_std": 1e-6,
+        "disturbance": 0.0,
+        "noise": 0.001,
+    }
     sensor = {"right": 0.0, "left": 0.0, "noise": 0.0}
-    run = simulate(two_link(plant={"x0": observer["start"]}, arm={"torque_max": limit.tolist()}, observer=observer | {"right": [0.0, 1e-6]}, sensor=sensor))
+    run = simulate(
+        two_link(
+            plant={"x0": observer["start"]},
+            arm={"torque_max": limit.tolist()},
+            observer=observer | {"right": [0.0, 1e-6]},
+            sensor=sensor,
+        )
+    )
     assert (np.abs(run.u) <= limit).all()
     assert (np.abs(run.u) == limit).mean(axis=0).min() > 0.01
     assert np.abs(run.x - run.x_hat).max() < 1e-5
-    free = simulate(two_link(plant={"x0": observer["start"]}, observer=observer | {"right": [0.0, 1e-6]}, sensor=sensor))
+    free = simulate(
+        two_link(
+            plant={"x0": observer["start"]},
+            observer=observer | {"right": [0.0, 1e-6]},
+            sensor=sensor,
+        )
+    )
     assert (np.abs(free.u).max(axis=0) > limit).all()
 
 
@@ -167,7 +257,9 @@ def test_stops_hold_a_falling_arm_and_take_its_energy() -> None:
     assert run.x[-1, 0] == pytest.approx(-1.0, abs=0.01)
     arm = system(Plant(arm=OneLink()))
     p = dict(zip(arm.names, arm.params, strict=True))
-    energy = (p["m"] * p["c"] ** 2 + p["I"]) / 2 * run.x[:, 1] ** 2 + p["m"] * p["g"] * p["c"] * np.sin(run.x[:, 0])
+    energy = (p["m"] * p["c"] ** 2 + p["I"]) / 2 * run.x[:, 1] ** 2 + p["m"] * p["g"] * p[
+        "c"
+    ] * np.sin(run.x[:, 0])
     touched = int(np.argmax(run.x[:, 0] < -1.0))
     assert np.ptp(energy[:touched]) < 1e-6 * np.ptp(energy)
     assert energy[-1] < energy[0] - 1.0
@@ -188,23 +280,37 @@ def test_quantised_readings_are_multiples_whose_side_and_noise_count_the_quantum
     assert run.info.threshold == pytest.approx([quantum / 2] * 2)
     assert np.array_equal(run.side, side(run.y, np.array(run.info.threshold)))
     assert np.array_equal(run.side, np.sign(np.round(steps)))
-    coarse, fine = (resolve_scenario(two_link(sensor={"quantum": q, "noise": 0.01})).observer.params.R for q in (0.1, 0.0))
+    coarse, fine = (
+        resolve_scenario(two_link(sensor={"quantum": q, "noise": 0.01})).observer.params.R
+        for q in (0.1, 0.0)
+    )
     np.testing.assert_allclose(coarse - fine, 0.1**2 / 12, rtol=1e-9)
 
 
 def test_rounding_is_to_the_nearest_and_none_without_a_quantum() -> None:
-    np.testing.assert_allclose(quantised(np.array([0.24, 0.26, -0.26, 0.3]), np.array([0.5, 0.5, 0.5, 0.0])), [0.0, 0.5, -0.5, 0.3])
+    np.testing.assert_allclose(
+        quantised(np.array([0.24, 0.26, -0.26, 0.3]), np.array([0.5, 0.5, 0.5, 0.0])),
+        [0.0, 0.5, -0.5, 0.3],
+    )
 
 
 def test_readings_are_rounded_in_sampled_time_only() -> None:
     continuous = {"time": "continuous", "duration": 0.1, "step": 1e-3}
     with pytest.raises(InputError, match=r"sensor\.quantum: .* set simulation\.time"):
-        resolve_scenario(two_link(sensor={"quantum": 0.01}, observer={"method": "certified"}, simulation=continuous))
+        resolve_scenario(
+            two_link(
+                sensor={"quantum": 0.01}, observer={"method": "certified"}, simulation=continuous
+            )
+        )
 
 
 def test_an_arm_whose_speed_is_measured() -> None:
     plant = {"arm": {"kind": "two_link", "measured": "velocity"}}
-    run = simulate(two_link(plant=plant, sensor={"kind": "jump", "noise": 0.0}, observer={"method": "full_state"}))
+    run = simulate(
+        two_link(
+            plant=plant, sensor={"kind": "jump", "noise": 0.0}, observer={"method": "full_state"}
+        )
+    )
     np.testing.assert_array_equal(run.z, run.x[:, 2:])
     inside = (run.z <= RIGHT) & (run.z >= -LEFT)
     assert inside.any()
@@ -225,12 +331,16 @@ def test_the_tip_that_should_be_is_the_path(both: tuple[Run, Run]) -> None:
     angle = 2 * np.pi * run.t[-1] / 4.0
     ramped = run.tip_r - np.array(path.centre)
     assert np.abs(ramped[:, 0]).max() <= 0.15 + 1e-9
-    np.testing.assert_allclose(ramped[:, 1], 0.1 * np.sin(2 * np.arcsin(ramped[:, 0] / 0.15)), atol=1e-9)
+    np.testing.assert_allclose(
+        ramped[:, 1], 0.1 * np.sin(2 * np.arcsin(ramped[:, 0] / 0.15)), atol=1e-9
+    )
     assert 0 < np.arcsin(ramped[-1, 0] / 0.15) < angle
     body = resolve_scenario(two_link()).plant.arm
     assert body is not None
     np.testing.assert_allclose(run.tip, along(body.tip, body.values, run.x[:, :2]), atol=1e-15)
-    assert run.rms_tip == pytest.approx(np.sqrt(np.mean(np.sum((run.tip - run.tip_r) ** 2, axis=1))))
+    assert run.rms_tip == pytest.approx(
+        np.sqrt(np.mean(np.sum((run.tip - run.tip_r) ** 2, axis=1)))
+    )
     assert blind.rms_tip is not None
     assert run.rms_tip < blind.rms_tip / 3
 
@@ -249,7 +359,11 @@ def test_files_keep_tips_and_csv_leaves_poses_out(both: tuple[Run, Run], tmp_pat
     np.testing.assert_array_equal(Run.load(tmp_path / "run.npz").poses, run.poses)
 
 
-VARIED = {"sensor.right": {"uniform": [0.02, 0.1]}, "plant.parameters.l1": {"uniform": [0.38, 0.42]}, "plant.parameters.payload": {"uniform": [0.0, 1.0]}}
+VARIED = {
+    "sensor.right": {"uniform": [0.02, 0.1]},
+    "plant.parameters.l1": {"uniform": [0.38, 0.42]},
+    "plant.parameters.payload": {"uniform": [0.0, 1.0]},
+}
 
 
 def test_the_tip_s_error_in_an_ensemble_is_that_of_the_run_itself() -> None:
@@ -257,7 +371,9 @@ def test_the_tip_s_error_in_an_ensemble_is_that_of_the_run_itself() -> None:
     values = fleet.binding.draw(0, 8, 8)
     column = table(fleet, fleet.rows(np.arange(8), values))["rms_tip"]
     assert np.ptp(column) > 1e-3
-    assert [replay(fleet, k).rms_tip for k in (0, 3, 7)] == pytest.approx(column[[0, 3, 7]], rel=1e-9)
+    assert [replay(fleet, k).rms_tip for k in (0, 3, 7)] == pytest.approx(
+        column[[0, 3, 7]], rel=1e-9
+    )
 
 
 # --- Engines
@@ -266,11 +382,22 @@ def test_the_tip_s_error_in_an_ensemble_is_that_of_the_run_itself() -> None:
 def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
     plant = {"parameters": {"payload": 0.5, "f1": 0.3}}
     arm = {"torque_max": [8.0, 5.0], "limits": [[-2.0, -1.5], [0.5, 2.5]], "stops": [500.0, 5.0]}
-    scenario = two_link(0.1, plant=plant, arm=arm, sensor={"quantum": 1e-3}, observer={"method": "full_state"})
+    scenario = two_link(
+        0.1, plant=plant, arm=arm, sensor={"quantum": 1e-3}, observer={"method": "full_state"}
+    )
     step, state, exogenous, params, _ = parts(scenario)
     expected = interpret.run(step, state, exogenous, params)
     assert max(map(distance, compiled(step, state, exogenous, params), expected)) < 1e-12
-    assert max(map(distance, interpret.run(generated(step, tmp_path), state, exogenous, params), expected)) < 1e-14
+    assert (
+        max(
+            map(
+                distance,
+                interpret.run(generated(step, tmp_path), state, exogenous, params),
+                expected,
+            )
+        )
+        < 1e-14
+    )
 
 
 # --- Figures, page and animation
@@ -278,9 +405,20 @@ def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
 
 def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
     figure = arm_figures.tip(*both)
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["The tip, last half of the run", "Distance of the tip from where it should be", "Torques"]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["path", "extended, blind", "extended"]
-    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["extended", "extended, blind"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [
+        "The tip, last half of the run",
+        "Distance of the tip from where it should be",
+        "Torques",
+    ]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "path",
+        "extended, blind",
+        "extended",
+    ]
+    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == [
+        "extended",
+        "extended, blind",
+    ]
     assert len(figure.axes[2].lines) == 2
     planes = arm_figures.phase(both[0])
     assert [axes.get_title(loc="left") for axes in planes.axes] == ["q1", "q2"]
@@ -290,34 +428,55 @@ def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
 
 
 def test_a_speed_has_no_dead_zone_in_the_phase_plane() -> None:
-    run = simulate(two_link(0.1, plant={"arm": {"kind": "two_link", "measured": "velocity"}}, observer={"method": "full_state"}))
+    run = simulate(
+        two_link(
+            0.1,
+            plant={"arm": {"kind": "two_link", "measured": "velocity"}},
+            observer={"method": "full_state"},
+        )
+    )
     assert not arm_figures.phase(run).axes[0].patches
 
 
 def test_the_page_plays_the_arm_from_itself_alone(both: tuple[Run, Run], tmp_path: Path) -> None:
     written = write(both[0], tmp_path, True, both[1])
-    assert [path.name for path in written] == ["run.npz", "run.csv", "figure.png", "tip.png", "phase.png", "report.html"]
+    assert [path.name for path in written] == [
+        "run.npz",
+        "run.csv",
+        "figure.png",
+        "tip.png",
+        "phase.png",
+        "report.html",
+    ]
     text = written[-1].read_text(encoding="utf-8")
     found = Auditor(text)
     assert found.tags.count("script") == found.tags.count("canvas") == 1
     assert found.tags.count("img") == 3
     assert all(address.startswith("data:image/png;base64,") for address in found.addresses)
     assert not {"link", "iframe", "object"} & set(found.tags)
-    assert not re.search(r"fetch\(|XMLHttpRequest|import|https?:|url\(", text.replace("!important", ""))
-    told = json.loads(re.search(r"play\(document\.currentScript\.parentElement, (.*)\);</script>", text)[1])  # type: ignore[index]
+    assert not re.search(
+        r"fetch\(|XMLHttpRequest|import|https?:|url\(", text.replace("!important", "")
+    )
+    told = json.loads(
+        re.search(r"play\(document\.currentScript\.parentElement, (.*)\);</script>", text)[1]
+    )  # type: ignore[index]
     np.testing.assert_allclose(told["arms"][1]["frames"], both[0].poses, atol=5.1e-5)
     assert len(told["arms"]) == 2
     assert "extended, blind" in found.text
 
 
 def test_what_a_title_says_cannot_leave_the_script(both: tuple[Run, Run]) -> None:
-    nasty = dataclasses.replace(both[0], info=msgspec.structs.replace(both[0].info, label="</script><b>"))
+    nasty = dataclasses.replace(
+        both[0], info=msgspec.structs.replace(both[0].info, label="</script><b>")
+    )
     found = Auditor(animation.animated(nasty).text)
     assert found.tags.count("script") == 1
     assert "b" not in found.tags
 
 
-def test_a_gif_is_written_and_other_names_are_refused(both: tuple[Run, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gif_is_written_and_other_names_are_refused(
+    both: tuple[Run, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     image = pytest.importorskip("PIL.Image")
     told: list[int] = []
     path = animation.movie(both[0], both[1], tmp_path / "arm.gif", told.append)
@@ -338,7 +497,14 @@ def test_a_gif_is_written_and_other_names_are_refused(both: tuple[Run, Run], tmp
 
 
 def command(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
 
 
 @pytest.fixture
@@ -356,8 +522,16 @@ def test_a_comparison_is_told_in_json(scenario: Path) -> None:
     assert result["compare"]["method"] == "extended"
 
 
-@pytest.mark.parametrize(("name", "animation", "words"), [("paper_5sin", "a.gif", "this plant is no arm"), ("two_link", "a.txt", "must end in .gif or .mp4")])
-def test_an_animation_that_cannot_be_is_refused_before_the_run(name: str, animation: str, words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "animation", "words"),
+    [
+        ("paper_5sin", "a.gif", "this plant is no arm"),
+        ("two_link", "a.txt", "must end in .gif or .mp4"),
+    ],
+)
+def test_an_animation_that_cannot_be_is_refused_before_the_run(
+    name: str, animation: str, words: str, tmp_path: Path
+) -> None:
     done = command("run", EXAMPLES / f"{name}.toml", "--animation", animation, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr
@@ -369,8 +543,14 @@ def test_observers_are_told_apart_by_method_or_by_what_differs() -> None:
     def names(first: dict[str, Any], second: dict[str, Any]) -> tuple[str, str]:
         return _told_apart(*(two_link(observer=one).observer for one in (first, second)))
 
-    assert names(FILTER | {"noise": 0.002}, FILTER | {"blind": True}) == ("extended", "extended, blind")
+    assert names(FILTER | {"noise": 0.002}, FILTER | {"blind": True}) == (
+        "extended",
+        "extended, blind",
+    )
     assert names(FILTER | {"noise": 0.002}, FILTER) == ("extended, noise = 0.002", "extended")
-    assert names(FILTER | {"uncertain": {"payload": 0.5}}, FILTER) == ("extended, uncertain payload", "extended")
+    assert names(FILTER | {"uncertain": {"payload": 0.5}}, FILTER) == (
+        "extended, uncertain payload",
+        "extended",
+    )
     assert names(FILTER, {"method": "kalman", "right": [0.0, 0.1]}) == ("extended", "kalman")
     assert names(FILTER, FILTER) == ("extended", "extended")

@@ -30,7 +30,13 @@ from undeadzone.support.arrays import Floats
 from undeadzone.tuning.candidates import graph
 
 TWO = {"kind": "two_link"}
-FAST = {"kind": "sine", "amplitude": [0.5, 1.2], "frequency": 1.0, "phase": [0.0, -1.5707963], "offset": [-1.5, 1.5]}
+FAST = {
+    "kind": "sine",
+    "amplitude": [0.5, 1.2],
+    "frequency": 1.0,
+    "phase": [0.0, -1.5707963],
+    "offset": [-1.5, 1.5],
+}
 REST = {"kind": "step", "amplitude": [0.4, -0.7]}
 LINK = {"plant": {"arm": {"kind": "elastic_joint", "measured": "link"}}, "tracked": [0]}
 TORQUE: dict[str, Any] = {"method": "computed_torque", "bandwidth": 15.0}
@@ -38,7 +44,13 @@ GRAVITY: dict[str, Any] = {"method": "gravity_pd", "k_p": 200.0, "k_d": 20.0}
 OPTIMAL: dict[str, Any] = {"method": "lqr", "Q": [100.0, 100.0, 1.0, 1.0], "R": 0.01}
 
 
-def moving(controller: dict[str, Any], x0: Any = None, step: float = 1e-3, duration: float = 2.0, **changes: Any) -> Scenario:
+def moving(
+    controller: dict[str, Any],
+    x0: Any = None,
+    step: float = 1e-3,
+    duration: float = 2.0,
+    **changes: Any,
+) -> Scenario:
     """A two-link arm on a fast path, its state known."""
     base: dict[str, Any] = {
         "plant": {"arm": TWO} | ({} if x0 is None else {"x0": x0}),
@@ -54,7 +66,13 @@ def moving(controller: dict[str, Any], x0: Any = None, step: float = 1e-3, durat
 def targets(problem: Problem) -> Target:
     """x_ref, u_ff and what is planned, by instant."""
     m, n, tracked = problem.model.m, problem.model.n, len(problem.tracked)
-    return Target(*np.split(inputs.exogenous(problem), np.cumsum([tracked, n, m, problem.controller.planned]), axis=1)[:4])
+    return Target(
+        *np.split(
+            inputs.exogenous(problem),
+            np.cumsum([tracked, n, m, problem.controller.planned]),
+            axis=1,
+        )[:4]
+    )
 
 
 def on_path(step: float = 1e-3) -> Target:
@@ -91,26 +109,39 @@ def test_targets_of_an_arm_satisfy_its_equations() -> None:
     q, v, a = (problem.path.value(t, order) for order in range(3))
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
     move = ca.Function("move", [x, u], [problem.flow.move(ca.SX(problem.flow.params), x, u)])
-    np.testing.assert_allclose(move(target.x_ref.T, target.u_ff.T).full().T, np.hstack([v, a]), atol=1e-11 * np.abs(a).max())
+    np.testing.assert_allclose(
+        move(target.x_ref.T, target.u_ff.T).full().T,
+        np.hstack([v, a]),
+        atol=1e-11 * np.abs(a).max(),
+    )
     np.testing.assert_allclose(target.r, q[:, [1]], atol=1e-14)
 
 
 def test_targets_of_an_elastic_joint_satisfy_its_equations() -> None:
     """x_ref' = f(x_ref, u_ff), the derivative taken numerically."""
-    problem = resolve_scenario(moving(GRAVITY, reference={"kind": "sine", "amplitude": 0.8, "frequency": 1.0}, **LINK))
+    problem = resolve_scenario(
+        moving(GRAVITY, reference={"kind": "sine", "amplitude": 0.8, "frequency": 1.0}, **LINK)
+    )
     assert problem.path is not None
     h, t = 1e-4, np.linspace(0.0, 1.0, 23)
-    before, here, after = (flat_targets(problem.flow, problem.path, [0], t + shift) for shift in (-h, 0.0, h))
+    before, here, after = (
+        flat_targets(problem.flow, problem.path, [0], t + shift) for shift in (-h, 0.0, h)
+    )
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 1)
     move = ca.Function("move", [x, u], [problem.flow.move(ca.SX(problem.flow.params), x, u)])
     rate = (after.x_ref - before.x_ref) / (2 * h)
-    np.testing.assert_allclose(move(here.x_ref.T, here.u_ff.T).full().T, rate, atol=1e-6 * np.abs(rate).max())
+    np.testing.assert_allclose(
+        move(here.x_ref.T, here.u_ff.T).full().T, rate, atol=1e-6 * np.abs(rate).max()
+    )
     np.testing.assert_allclose(here.r, problem.path.value(t), atol=1e-14)
 
 
 def test_feedforward_held_from_mid_sample_is_of_second_order() -> None:
     steps = (8e-3, 4e-3, 2e-3)
-    errors = [float(worst(simulate(moving(OPTIMAL, on_path(step).x_ref[0].tolist(), step))).max()) for step in steps]
+    errors = [
+        float(worst(simulate(moving(OPTIMAL, on_path(step).x_ref[0].tolist(), step))).max())
+        for step in steps
+    ]
     assert errors[-1] < 1e-4
     assert slopes(steps, errors) == pytest.approx(2.0, abs=0.3)
 
@@ -125,7 +156,10 @@ def exact(t: Floats, e0: Floats, w: float, z: float) -> Floats:
 
 def test_computed_torque_makes_the_error_linear() -> None:
     """In continuous time exactly, held over samples to the first order of the sample time."""
-    offset, controller = np.array([0.4, -0.3]), {"method": "computed_torque", "bandwidth": 10.0, "damping": 0.7}
+    offset, controller = (
+        np.array([0.4, -0.3]),
+        {"method": "computed_torque", "bandwidth": 10.0, "damping": 0.7},
+    )
     x0 = on_path().x_ref[0] + np.append(offset, [0, 0])
     steps, errors = (4e-3, 2e-3, 1e-3), []
     for step in steps:
@@ -144,7 +178,9 @@ def test_computed_torque_follows_a_fast_path_that_gravity_pd_does_not() -> None:
 
 
 def test_on_the_path_computed_torque_is_the_feedforward() -> None:
-    problem = resolve_scenario(moving({"method": "computed_torque", "k_p": [30.0, 50.0], "k_d": 9.0}))
+    problem = resolve_scenario(
+        moving({"method": "computed_torque", "k_p": [30.0, 50.0], "k_d": 9.0})
+    )
     target = targets(problem)
     for k in (0, 300, 1999):
         here = Target(*(part[k] for part in target))
@@ -160,7 +196,9 @@ def test_a_known_disturbance_is_taken_into_account(reject: bool) -> None:
     controller = ComputedTorque(k_p=k_p, k_d=k_d, reject=reject).build(model)
     x, x_ref, w, a_ref = (rng.normal(size=size) for size in (4, 4, 4, 2))
     u = torques(controller, x, Target(np.zeros(2), x_ref, np.zeros(2), a_ref), w)
-    a = np.asarray(ca.evalf(acceleration(model.arm, ca.SX(model.params), ca.SX(x[:2]), ca.SX(x[2:]), ca.SX(u)))).ravel()
+    a = np.asarray(
+        ca.evalf(acceleration(model.arm, ca.SX(model.params), ca.SX(x[:2]), ca.SX(x[2:]), ca.SX(u)))
+    ).ravel()
     left = (a_ref - a - w[2:]) + k_d * (x_ref[2:] - x[2:] - w[:2]) + k_p * (x_ref[:2] - x[:2])
     assert left == pytest.approx(0.0 if reject else -k_d * w[:2] - w[2:], abs=1e-9)
 
@@ -170,7 +208,9 @@ def test_the_step_that_is_refused_is_the_one_that_is_unstable() -> None:
     for k_p, k_d in ((100.0, 14.0), (4000.0, 20.0)):
         limit = min(2 / k_d, 2 * k_d / k_p)
         for Ts, stable in ((0.99 * limit, True), (1.01 * limit, False)):
-            closed = np.array([[1 - k_p * Ts**2 / 2, Ts - k_d * Ts**2 / 2], [-k_p * Ts, 1 - k_d * Ts]])
+            closed = np.array(
+                [[1 - k_p * Ts**2 / 2, Ts - k_d * Ts**2 / 2], [-k_p * Ts, 1 - k_d * Ts]]
+            )
             assert (np.abs(np.linalg.eigvals(closed)).max() < 1) == stable
             options = ComputedTorque(k_p=k_p, k_d=k_d)
             if stable:
@@ -193,12 +233,23 @@ def test_gravity_pd_settles_where_it_should(at: str) -> None:
 def test_gravity_pd_hangs_where_it_does_not_know_the_payload() -> None:
     """By the payload's torque over K_p: K_p (q_ref - q) = g(q) - g^(q_ref)."""
     plant = {"arm": TWO, "parameters": {"payload": 0.5}}
-    run = simulate(moving(GRAVITY, plant=plant, model={"parameters": {"payload": 0.0}}, reference=REST, duration=6.0))
+    run = simulate(
+        moving(
+            GRAVITY,
+            plant=plant,
+            model={"parameters": {"payload": 0.0}},
+            reference=REST,
+            duration=6.0,
+        )
+    )
     problem = resolve_scenario(moving(GRAVITY, plant=plant))
     arm = problem.plant.arm
     assert arm is not None
     empty = np.where(np.array(arm.names) == "payload", 0.0, problem.plant.params)
-    g, believed = (np.asarray(arm.bias(p, q, np.zeros(2))).ravel() for p, q in ((problem.plant.params, run.x[-1, :2]), (empty, [0.4, -0.7])))
+    g, believed = (
+        np.asarray(arm.bias(p, q, np.zeros(2))).ravel()
+        for p, q in ((problem.plant.params, run.x[-1, :2]), (empty, [0.4, -0.7]))
+    )
     gap = np.array([0.4, -0.7]) - run.x[-1, :2]
     assert 200.0 * gap == pytest.approx(g - believed, abs=1e-4)
     assert np.abs(gap).max() > 5e-3
@@ -206,10 +257,23 @@ def test_gravity_pd_hangs_where_it_does_not_know_the_payload() -> None:
 
 def test_gravity_pd_brings_an_elastic_joint_to_rest_from_its_motor() -> None:
     """Tomei (1991): the link stands at its reference, the motor further by the spring's deflection."""
-    joint = LINK | {"plant": {"arm": {"kind": "elastic_joint", "measured": "link"}, "parameters": {"b2": 0.2}}}
-    scenario = moving(GRAVITY | {"k_p": 30.0, "k_d": 2.0}, reference={"kind": "step", "amplitude": 0.4}, duration=12.0, **joint)
+    joint = LINK | {
+        "plant": {"arm": {"kind": "elastic_joint", "measured": "link"}, "parameters": {"b2": 0.2}}
+    }
+    scenario = moving(
+        GRAVITY | {"k_p": 30.0, "k_d": 2.0},
+        reference={"kind": "step", "amplitude": 0.4},
+        duration=12.0,
+        **joint,
+    )
     run = simulate(scenario)
-    values = dict(zip(resolve_scenario(scenario).plant.names, resolve_scenario(scenario).plant.params, strict=True))
+    values = dict(
+        zip(
+            resolve_scenario(scenario).plant.names,
+            resolve_scenario(scenario).plant.params,
+            strict=True,
+        )
+    )
     weight = values["m"] * values["c"] * values["g"] * np.cos(0.4)
     assert run.x[-1] == pytest.approx([0.4 + weight / values["k"], 0.4, 0.0, 0.0], abs=1e-5)
 
@@ -226,10 +290,14 @@ def test_on_a_linear_plant_lqr_is_the_algebraic_solution(inputs_: int) -> None:
     K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
     controller = LQR(Q=[1.0, 2.0, 3.0, 4.0], R=0.5).build(model)
     assert controller.plan is not None
-    rows = controller.plan.along(controller.plan.params, Target(np.zeros((3, 1)), np.zeros((3, 4)), np.zeros((3, inputs_))))
+    rows = controller.plan.along(
+        controller.plan.params, Target(np.zeros((3, 1)), np.zeros((3, 4)), np.zeros((3, inputs_)))
+    )
     x, x_ref, u_ff = np.arange(4.0), np.array([0.3, -1.0, 0.5, 2.0]), np.arange(1.0, 1.0 + inputs_)
     for row in rows:
-        assert torques(controller, x, Target(np.zeros(1), x_ref, u_ff, row)) == pytest.approx(u_ff - K @ (x - x_ref))
+        assert torques(controller, x, Target(np.zeros(1), x_ref, u_ff, row)) == pytest.approx(
+            u_ff - K @ (x - x_ref)
+        )
     many = (np.broadcast_to(part, (4000, *part.shape)) for part in (A, B))
     along = riccati_along(*many, Q, R, Q)  # from an end that is no steady state
     assert along[0] == pytest.approx(K, rel=1e-9)
@@ -261,32 +329,61 @@ def test_lqr_is_optimal_about_the_trajectory() -> None:
 
     best = cost(options | {"Q": Q.tolist(), "R": 1.0})
     assert best == pytest.approx(offset @ P @ offset, rel=0.02)
-    assert min(cost({"method": "state_feedback", "K": stationary(k)[1].tolist()}) for k in (0, 500, 750)) > 1.5 * best
+    assert (
+        min(
+            cost({"method": "state_feedback", "K": stationary(k)[1].tolist()})
+            for k in (0, 500, 750)
+        )
+        > 1.5 * best
+    )
 
 
 def test_lqr_of_every_few_samples_is_nearly_that_of_all() -> None:
     model, target, weights = arm_model(1e-3), on_path(), (np.eye(4), 0.01 * np.eye(2))
     fine = gains(model, Params(*weights, 1), target)
-    gaps = [float(np.abs(gains(model, Params(*weights, stride), target) - fine).max()) for stride in (16, 8)]
+    gaps = [
+        float(np.abs(gains(model, Params(*weights, stride), target) - fine).max())
+        for stride in (16, 8)
+    ]
     assert gaps[1] < 2e-3 * np.abs(fine).max()
     assert gaps[0] > 3 * gaps[1]
 
 
 def test_lqr_follows_with_a_plant_given_by_formulas() -> None:
-    pendulum = {"states": ["a", "v"], "f": ["v", "-9.81 * sin(a) - 0.5 * v + u"], "h": ["a"], "x0": [0.6, 0.0]}
+    pendulum = {
+        "states": ["a", "v"],
+        "f": ["v", "-9.81 * sin(a) - 0.5 * v + u"],
+        "h": ["a"],
+        "x0": [0.6, 0.0],
+    }
     reference = {"kind": "sine", "amplitude": 2.0, "frequency": 0.5}
-    run = simulate(moving({"method": "lqr", "Q": [50.0, 1.0], "R": 0.1}, plant=pendulum, reference=reference, duration=4.0))
+    run = simulate(
+        moving(
+            {"method": "lqr", "Q": [50.0, 1.0], "R": 0.1},
+            plant=pendulum,
+            reference=reference,
+            duration=4.0,
+        )
+    )
     assert np.abs(run.z - run.r)[-200:].max() < 1e-3
     assert np.abs(run.z[0] - run.r[0]).max() > 0.5
 
 
 def test_a_reference_twice_as_large_does_not_scale_the_gains() -> None:
     """scale.reference, which ensembles vary, scales the targets of a linear plant and nothing else."""
-    data = table(controller={"method": "lqr", "R": 0.01}, observer={"method": "full_state"}, simulation={"time": "sampled"})
+    data = table(
+        controller={"method": "lqr", "R": 0.01},
+        observer={"method": "full_state"},
+        simulation={"time": "sampled"},
+    )
     loop, state, exogenous = prepare(resolve_scenario(scene(**data)))
-    scaled = loop._replace(params=loop.params._replace(scale=loop.params.scale._replace(reference=2.0)))
+    scaled = loop._replace(
+        params=loop.params._replace(scale=loop.params.scale._replace(reference=2.0))
+    )
     doubled = scene(**data | {"reference": data["reference"] | {"amplitude": 10.0}})
-    assert run_loop(scaled, state, exogenous).u == pytest.approx(simulate(doubled).u, rel=1e-9, abs=1e-9)
+    assert run_loop(scaled, state, exogenous).u == pytest.approx(
+        simulate(doubled).u, rel=1e-9, abs=1e-9
+    )
 
 
 def test_candidates_share_a_kernel_only_if_they_share_their_plan() -> None:
@@ -301,14 +398,25 @@ def test_candidates_share_a_kernel_only_if_they_share_their_plan() -> None:
 # --- All of them
 
 
-@pytest.mark.parametrize("controller", [TORQUE, GRAVITY, GRAVITY | {"at": "estimate"}, OPTIMAL], ids=["torque", "gravity", "at estimate", "lqr"])
-def test_compiled_lanes_run_the_same(controller: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "controller",
+    [TORQUE, GRAVITY, GRAVITY | {"at": "estimate"}, OPTIMAL],
+    ids=["torque", "gravity", "at estimate", "lqr"],
+)
+def test_compiled_lanes_run_the_same(
+    controller: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
     scenario = moving(controller, duration=0.3)
     one, other = simulate(scenario), simulate(scenario, engine="lanes")
     assert np.ptp(one.u, axis=0).min() > 1.0
     for name in ("x", "u"):
-        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-11 * np.abs(getattr(one, name)).max())
+        np.testing.assert_allclose(
+            getattr(other, name),
+            getattr(one, name),
+            rtol=0,
+            atol=1e-11 * np.abs(getattr(one, name)).max(),
+        )
 
 
 def test_what_is_planned_varies_along_the_path_and_is_no_parameter() -> None:
@@ -321,27 +429,86 @@ def test_what_is_planned_varies_along_the_path_and_is_no_parameter() -> None:
 
 
 LINEAR = sampled(random_plant(np.random.default_rng(0), 2), 0.01)
-ELASTIC = resolve_scenario(moving(GRAVITY | {"k_p": 30.0, "k_d": 2.0}, reference={"kind": "step", "amplitude": 0.4}, **LINK)).model
+ELASTIC = resolve_scenario(
+    moving(
+        GRAVITY | {"k_p": 30.0, "k_d": 2.0}, reference={"kind": "step", "amplitude": 0.4}, **LINK
+    )
+).model
 
 
 @pytest.mark.parametrize(
     ("options", "model", "error", "words"),
     [
         (ComputedTorque(bandwidth=1.0), LINEAR, InputError, "'computed_torque' needs an arm"),
-        (ComputedTorque(bandwidth=1.0), ELASTIC, InputError, "'computed_torque' needs an arm whose every joint has its motor"),
-        (ComputedTorque(), arm_model(1e-3), InputError, "needs either bandwidth .* or k_p and k_d; found none"),
-        (ComputedTorque(bandwidth=1.0, k_p=1.0), arm_model(1e-3), InputError, "found bandwidth and k_p"),
+        (
+            ComputedTorque(bandwidth=1.0),
+            ELASTIC,
+            InputError,
+            "'computed_torque' needs an arm whose every joint has its motor",
+        ),
+        (
+            ComputedTorque(),
+            arm_model(1e-3),
+            InputError,
+            "needs either bandwidth .* or k_p and k_d; found none",
+        ),
+        (
+            ComputedTorque(bandwidth=1.0, k_p=1.0),
+            arm_model(1e-3),
+            InputError,
+            "found bandwidth and k_p",
+        ),
         (ComputedTorque(k_p=1.0), arm_model(1e-3), InputError, "found k_p"),
-        (ComputedTorque(bandwidth=[1.0, 0.0]), arm_model(1e-3), InputError, "controller.bandwidth: must be positive, found 0"),
-        (ComputedTorque(bandwidth=[1.0] * 3), arm_model(1e-3), ShapeError, r"controller.bandwidth: expected 2 numbers \(one per joint\), found 3"),
+        (
+            ComputedTorque(bandwidth=[1.0, 0.0]),
+            arm_model(1e-3),
+            InputError,
+            "controller.bandwidth: must be positive, found 0",
+        ),
+        (
+            ComputedTorque(bandwidth=[1.0] * 3),
+            arm_model(1e-3),
+            ShapeError,
+            r"controller.bandwidth: expected 2 numbers \(one per joint\), found 3",
+        ),
         (GravityPD(k_p=1.0, k_d=1.0), LINEAR, InputError, "'gravity_pd' needs an arm"),
-        (GravityPD(k_p=1.0, k_d=-1.0), arm_model(1e-3), InputError, "controller.k_d: must be positive, found -1"),
-        (GravityPD(k_p=100.0, k_d=100.0), arm_model(1e-2), StepError, "simulation.step: 0.01 s is too coarse for controller.k_p, k_d"),
-        (LQR(), arm_model(), InputError, r"'lqr' works on samples; set simulation.time = \"sampled\""),
-        (LQR(Q=[1.0, 2.0, 3.0]), LINEAR, ShapeError, r"controller.Q: expected a 2 x 2 matrix \(states x states\), found a list of 3 numbers"),
-        (LQR(R=[[1.0, 2.0]]), LINEAR, ShapeError, r"controller.R: expected a 1 x 1 matrix \(inputs x inputs\), found 1 x 2"),
+        (
+            GravityPD(k_p=1.0, k_d=-1.0),
+            arm_model(1e-3),
+            InputError,
+            "controller.k_d: must be positive, found -1",
+        ),
+        (
+            GravityPD(k_p=100.0, k_d=100.0),
+            arm_model(1e-2),
+            StepError,
+            "simulation.step: 0.01 s is too coarse for controller.k_p, k_d",
+        ),
+        (
+            LQR(),
+            arm_model(),
+            InputError,
+            r"'lqr' works on samples; set simulation.time = \"sampled\"",
+        ),
+        (
+            LQR(Q=[1.0, 2.0, 3.0]),
+            LINEAR,
+            ShapeError,
+            r"controller.Q: expected a 2 x 2 matrix \(states x states\), found a list of 3 numbers",
+        ),
+        (
+            LQR(R=[[1.0, 2.0]]),
+            LINEAR,
+            ShapeError,
+            r"controller.R: expected a 1 x 1 matrix \(inputs x inputs\), found 1 x 2",
+        ),
         (LQR(R=0.0), LINEAR, InputError, "controller.R: must be positive definite"),
-        (LQR(stride=0), LINEAR, InputError, "controller.stride: expected a number of samples, at least 1, found 0"),
+        (
+            LQR(stride=0),
+            LINEAR,
+            InputError,
+            "controller.stride: expected a number of samples, at least 1, found 0",
+        ),
     ],
 )
 def test_what_is_refused(options: Any, model: System, error: type[Exception], words: str) -> None:

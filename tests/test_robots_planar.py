@@ -35,7 +35,12 @@ def params(body: Arm | System, **changes: float) -> Floats:
 def drawn(body: Arm, seed: int) -> tuple[np.random.Generator, Floats, Floats, Floats]:
     """Random parameters, payload and friction among them, and a random state."""
     rng = np.random.default_rng(seed)
-    return rng, rng.uniform(0.1, 2.0, len(body.names)), rng.uniform(-np.pi, np.pi, body.size), rng.normal(size=body.size) * 5
+    return (
+        rng,
+        rng.uniform(0.1, 2.0, len(body.names)),
+        rng.uniform(-np.pi, np.pi, body.size),
+        rng.normal(size=body.size) * 5,
+    )
 
 
 def column(value: Any) -> Floats:
@@ -53,12 +58,18 @@ def elastic(measured: str = "motor", x_eq: Any = None, **parameters: float) -> S
 def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
     """Kinetic and potential energy of the links and payload, from the paths of their centres of mass in the complex plane."""
     p = dict(zip(body.names, numbers, strict=True))
-    links = [{name: p[name + tag] for name in "mlcI"} for tag in ([""] if body.size == 1 else ["1", "2"])]
+    links = [
+        {name: p[name + tag] for name in "mlcI"} for tag in ([""] if body.size == 1 else ["1", "2"])
+    ]
     joint, speed, total = 0j, 0j, 0.0
     for link, angle, rate in zip(links, np.cumsum(q), np.cumsum(v), strict=True):
         along = np.exp(1j * angle)
         centre, swing = joint + link["c"] * along, speed + 1j * rate * link["c"] * along
-        total += 0.5 * link["m"] * abs(swing) ** 2 + 0.5 * link["I"] * rate**2 + link["m"] * p["g"] * centre.imag
+        total += (
+            0.5 * link["m"] * abs(swing) ** 2
+            + 0.5 * link["I"] * rate**2
+            + link["m"] * p["g"] * centre.imag
+        )
         joint, speed = joint + link["l"] * along, speed + 1j * rate * link["l"] * along
     return total + 0.5 * p["payload"] * abs(speed) ** 2 + p["payload"] * p["g"] * joint.imag
 
@@ -66,13 +77,25 @@ def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
 def elastic_energy(plant: System, numbers: Floats, x: Floats) -> float:
     p = dict(zip(plant.names, numbers, strict=True))
     link = arm(planar.one_link())
-    of_link = energy(link, params(link, **{name: p[name] for name in ("m", "l", "c", "I", "g", "payload")}), x[1:2], x[3:])
+    of_link = energy(
+        link,
+        params(link, **{name: p[name] for name in ("m", "l", "c", "I", "g", "payload")}),
+        x[1:2],
+        x[3:],
+    )
     return of_link + 0.5 * p["J"] * x[2] ** 2 + 0.5 * p["k"] * (x[0] - x[1]) ** 2
 
 
 def moved(rate: ca.Function, x0: Floats, duration: float = 10.0) -> Floats:
     """The states (times x n) of a free motion."""
-    found = solve_ivp(lambda t, x: rate(x).full().ravel(), (0, duration), x0, method="DOP853", rtol=1e-10, atol=1e-11)
+    found = solve_ivp(
+        lambda t, x: rate(x).full().ravel(),
+        (0, duration),
+        x0,
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-11,
+    )
     return found.y.T
 
 
@@ -111,11 +134,15 @@ def mujoco_arm(text: str, numbers: dict[str, float]) -> Any:
     """MuJoCo's model and data of an arm whose payload is a point mass at the tip."""
     mujoco = pytest.importorskip("mujoco")
     point = POINT.format(numbers["payload"]) if numbers["payload"] else ""
-    model = mujoco.MjModel.from_xml_string(text.format(**numbers | {"g": -numbers["g"], "payload": point}))
+    model = mujoco.MjModel.from_xml_string(
+        text.format(**numbers | {"g": -numbers["g"], "payload": point})
+    )
     return mujoco, model, mujoco.MjData(model)
 
 
-def mujoco_accelerations(text: str, numbers: dict[str, float], q: Floats, v: Floats, u: Floats) -> Floats:
+def mujoco_accelerations(
+    text: str, numbers: dict[str, float], q: Floats, v: Floats, u: Floats
+) -> Floats:
     mujoco, model, data = mujoco_arm(text, numbers)
     found = np.empty_like(q)
     for i in range(len(q)):
@@ -125,15 +152,28 @@ def mujoco_accelerations(text: str, numbers: dict[str, float], q: Floats, v: Flo
     return found
 
 
-@pytest.mark.parametrize("changes", [{}, {"payload": 1.5}, {"payload": 0.7, "b1": 0.3, "b2": 0.1, "m2": 4.0, "c2": 0.1, "I1": 0.3, "g": 0.0}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"payload": 1.5},
+        {"payload": 0.7, "b1": 0.3, "b2": 0.1, "m2": 4.0, "c2": 0.1, "I1": 0.3, "g": 0.0},
+    ],
+)
 def test_two_links_accelerate_as_in_mujoco(changes: dict[str, float]) -> None:
     body = ARMS["two_link"]
     numbers = params(body, **changes)
     rng = np.random.default_rng(1)
-    q, v, u = rng.uniform(-np.pi, np.pi, (1000, 2)), rng.normal(size=(1000, 2)) * 5, rng.normal(size=(1000, 2)) * 20
+    q, v, u = (
+        rng.uniform(-np.pi, np.pi, (1000, 2)),
+        rng.normal(size=(1000, 2)) * 5,
+        rng.normal(size=(1000, 2)) * 20,
+    )
     expected = mujoco_accelerations(MJCF, dict(zip(body.names, numbers, strict=True)), q, v, u)
     found = np.array([column(acceleration(body, numbers, q[i], v[i], u[i])) for i in range(1000)])
-    assert (np.linalg.norm(found - expected, axis=1) <= 1e-9 * np.linalg.norm(expected, axis=1)).all()
+    assert (
+        np.linalg.norm(found - expected, axis=1) <= 1e-9 * np.linalg.norm(expected, axis=1)
+    ).all()
 
 
 def test_two_links_stand_where_mujoco_says() -> None:
@@ -152,18 +192,24 @@ def test_inverse_dynamics_inverts_forward_dynamics(kind: str, seed: int) -> None
     body = ARMS[kind]
     rng, numbers, q, v = drawn(body, seed)
     u = rng.normal(size=body.size) * 20
-    assert column(torque(body, numbers, q, v, acceleration(body, numbers, q, v, u))) == pytest.approx(u, rel=1e-8, abs=1e-8)
+    assert column(
+        torque(body, numbers, q, v, acceleration(body, numbers, q, v, u))
+    ) == pytest.approx(u, rel=1e-8, abs=1e-8)
 
 
 @kinds
 @given(seed=seeds)
-def test_mass_is_symmetric_and_positive_and_the_energy_that_of_the_links(kind: str, seed: int) -> None:
+def test_mass_is_symmetric_and_positive_and_the_energy_that_of_the_links(
+    kind: str, seed: int
+) -> None:
     body = ARMS[kind]
     _, numbers, q, v = drawn(body, seed)
     M = body.mass(numbers, q).full()
     assert np.abs(M - M.T).max() <= 1e-14 * np.abs(M).max()
     assert np.linalg.eigvalsh(M).min() > 0
-    assert 0.5 * v @ M @ v == pytest.approx(energy(body, numbers, q, v) - energy(body, numbers, q, 0 * v), rel=1e-9)
+    assert 0.5 * v @ M @ v == pytest.approx(
+        energy(body, numbers, q, v) - energy(body, numbers, q, 0 * v), rel=1e-9
+    )
 
 
 @kinds
@@ -182,7 +228,10 @@ def test_bias_is_lagranges(kind: str, seed: int) -> None:
     assert swing == pytest.approx(coriolis.ravel(), rel=1e-9, abs=1e-9)
     assert 0.5 * v @ Mdot @ v == pytest.approx(v @ swing, rel=1e-8, abs=1e-8)
     step = 1e-5 * np.eye(body.size)
-    slope = [(energy(body, numbers, q + h, 0 * v) - energy(body, numbers, q - h, 0 * v)) / 2e-5 for h in step]
+    slope = [
+        (energy(body, numbers, q + h, 0 * v) - energy(body, numbers, q - h, 0 * v)) / 2e-5
+        for h in step
+    ]
     assert gravity == pytest.approx(np.array(slope), abs=1e-7)
 
 
@@ -191,7 +240,10 @@ def test_energy_stays_without_friction_and_torque(kind: str) -> None:
     body = ARMS[kind]
     N, numbers = body.size, params(body, payload=0.4)
     x = ca.SX.sym("x", 2 * N)
-    path = moved(ca.Function("rate", [x], [ca.vertcat(x[N:], acceleration(body, numbers, x[:N], x[N:], 0))]), np.array([0.3, 1.1, -0.5, 2.0])[-2 * N :])
+    path = moved(
+        ca.Function("rate", [x], [ca.vertcat(x[N:], acceleration(body, numbers, x[:N], x[N:], 0))]),
+        np.array([0.3, 1.1, -0.5, 2.0])[-2 * N :],
+    )
     found = np.array([energy(body, numbers, state[:N], state[N:]) for state in path])
     kinetic = found - [energy(body, numbers, state[:N], 0 * state[N:]) for state in path]
     assert np.ptp(kinetic) > 1.0
@@ -204,7 +256,10 @@ def test_on_a_horizontal_table_the_first_joint_is_cyclic(seed: int) -> None:
     rng, numbers, q, v = drawn(body, seed)
     numbers[body.names.index("g")] = 0.0
     turned = q + np.array([rng.normal(), 0.0])
-    for value in (body.mass(numbers, q) - body.mass(numbers, turned), body.bias(numbers, q, v) - body.bias(numbers, turned, v)):
+    for value in (
+        body.mass(numbers, q) - body.mass(numbers, turned),
+        body.bias(numbers, q, v) - body.bias(numbers, turned, v),
+    ):
         assert column(value) == pytest.approx(0, abs=1e-12)
     assert column(body.bias(numbers, q, 0 * v)) == pytest.approx(0)
 
@@ -229,7 +284,9 @@ def test_two_links_with_a_straight_held_elbow_are_one_link(seed: int) -> None:
     same = {name: p[name] for name in ("g", "payload", "b1", "f1")}
     rigid = params(one, m=m, l=p["l1"] + p["l2"], c=c, I=inertia, **same)
     found = column(torque(two, numbers, [q[0], 0], [v[0], 0], [3.0, 0]))[0]
-    assert found == pytest.approx(column(torque(one, rigid, q[0], v[0], 3.0))[0], rel=1e-9, abs=1e-9)
+    assert found == pytest.approx(
+        column(torque(one, rigid, q[0], v[0], 3.0))[0], rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("payload", [0.0, 0.8])
@@ -238,27 +295,43 @@ def test_the_elastic_joint_accelerates_as_in_mujoco(payload: float) -> None:
     rng = np.random.default_rng(2)
     x, u = rng.normal(size=(1000, 4)) * [1, 1, 5, 5], rng.normal(size=(1000, 1)) * 10
     numbers = dict(zip(plant.names, plant.params, strict=True))
-    expected = mujoco_accelerations(ELASTIC_MJCF, numbers, x[:, :2], x[:, 2:], np.pad(u, ((0, 0), (0, 1))))
+    expected = mujoco_accelerations(
+        ELASTIC_MJCF, numbers, x[:, :2], x[:, 2:], np.pad(u, ((0, 0), (0, 1)))
+    )
     found = np.array([move(plant, plant.params, x[i], u[i])[2:] for i in range(1000)])
-    assert (np.linalg.norm(found - expected, axis=1) <= 1e-9 * np.linalg.norm(expected, axis=1)).all()
+    assert (
+        np.linalg.norm(found - expected, axis=1) <= 1e-9 * np.linalg.norm(expected, axis=1)
+    ).all()
 
 
 @given(seeds)
 def test_the_elastic_joints_power_goes_into_energy_and_friction(seed: int) -> None:
     plant = ELASTIC
     rng = np.random.default_rng(seed)
-    numbers, x, u = rng.uniform(0.1, 2.0, len(plant.names)), rng.normal(size=4) * 3, rng.normal(size=1) * 5
+    numbers, x, u = (
+        rng.uniform(0.1, 2.0, len(plant.names)),
+        rng.normal(size=4) * 3,
+        rng.normal(size=1) * 5,
+    )
     p = dict(zip(plant.names, numbers, strict=True))
-    drag = sum(p["b" + i] * v**2 + p["f" + i] * v**2 / np.sqrt(v**2 + 0.05**2) for i, v in zip("12", x[2:], strict=True))
+    drag = sum(
+        p["b" + i] * v**2 + p["f" + i] * v**2 / np.sqrt(v**2 + 0.05**2)
+        for i, v in zip("12", x[2:], strict=True)
+    )
     dx = move(plant, numbers, x, u) * 1e-6
-    change = (elastic_energy(plant, numbers, x + dx) - elastic_energy(plant, numbers, x - dx)) / 2e-6
+    change = (
+        elastic_energy(plant, numbers, x + dx) - elastic_energy(plant, numbers, x - dx)
+    ) / 2e-6
     assert change == pytest.approx(u[0] * x[2] - drag, rel=1e-5, abs=1e-5)
 
 
 def test_the_elastic_joints_energy_stays_without_friction_and_torque() -> None:
     plant = elastic(payload=0.3, k=10.0)
     x = ca.SX.sym("x", 4)
-    path = moved(ca.Function("rate", [x], [plant.move(ca.DM(plant.params), x, 0)]), np.array([0.4, 0.2, 0.0, 3.0]))
+    path = moved(
+        ca.Function("rate", [x], [plant.move(ca.DM(plant.params), x, 0)]),
+        np.array([0.4, 0.2, 0.0, 3.0]),
+    )
     found = np.array([elastic_energy(plant, plant.params, state) for state in path])
     kinetic = 0.5 * 0.05 * path[:, 2] ** 2  # the motor's
     assert kinetic.max() > 0.1
@@ -300,12 +373,17 @@ def test_the_stiff_limit_is_the_rigid_arm_with_the_motors_inertia() -> None:
 
 @pytest.mark.parametrize(("measured", "row"), [("motor", 0), ("link", 1)])
 @pytest.mark.parametrize("angle", [-np.pi / 2, 0.0, 0.9])
-def test_linearisation_has_the_poles_of_the_closed_form(measured: str, row: int, angle: float) -> None:
+def test_linearisation_has_the_poles_of_the_closed_form(
+    measured: str, row: int, angle: float
+) -> None:
     x0 = [0.0, angle, 0.0, 0.0]
     numbers = {"b1": 0.3, "b2": 0.2, "f1": 0.1, "f2": 0.05, "payload": 0.6}
     plant = system(Plant(arm=ElasticJoint(measured=measured), parameters=numbers, x0=x0))  # type: ignore[arg-type]
     p = dict(zip(plant.names, plant.params, strict=True))
-    inertia, weight = p["I"] + p["m"] * p["c"] ** 2 + 0.6 * p["l"] ** 2, (p["m"] * p["c"] + 0.6 * p["l"]) * p["g"]
+    inertia, weight = (
+        p["I"] + p["m"] * p["c"] ** 2 + 0.6 * p["l"] ** 2,
+        (p["m"] * p["c"] + 0.6 * p["l"]) * p["g"],
+    )
     motor = [p["J"], 0.3 + 0.1 / 0.05, p["k"]]
     link = [inertia, 0.2 + 0.05 / 0.05, p["k"] - weight * np.sin(angle)]
     polynomial = np.polysub(np.polymul(motor, link), [p["k"] ** 2])
@@ -338,16 +416,28 @@ def test_the_elastic_joint_draws_motor_and_link() -> None:
     plant = ELASTIC
     assert plant.arm is not None
     hands = [plant.arm.points(plant.params, [0.3, angle]).full() for angle in (0.3, 0.7)]
-    assert hands == [pytest.approx(np.array([[0, 0, 0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0]])) for angle in (0.3, 0.7)]
+    assert hands == [
+        pytest.approx(np.array([[0, 0, 0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0]]))
+        for angle in (0.3, 0.7)
+    ]
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
-    [(TwoLink, "m1", -1.0), (TwoLink, "I2", 0.0), (TwoLink, "l2", -0.3), (OneLink, "m", 0.0), (ElasticJoint, "J", -0.1), (ElasticJoint, "k", 0.0)],
+    [
+        (TwoLink, "m1", -1.0),
+        (TwoLink, "I2", 0.0),
+        (TwoLink, "l2", -0.3),
+        (OneLink, "m", 0.0),
+        (ElasticJoint, "J", -0.1),
+        (ElasticJoint, "k", 0.0),
+    ],
 )
 def test_numbers_that_no_arm_has_are_refused_by_name(kind: type, name: str, value: float) -> None:
     for key in ("plant", "model"):
-        with pytest.raises(InputError, match=rf"{key}\.parameters\.{name}: must be greater than 0, found {value:g}"):
+        with pytest.raises(
+            InputError, match=rf"{key}\.parameters\.{name}: must be greater than 0, found {value:g}"
+        ):
             system(Plant(arm=kind(), parameters={name: value}), key)
 
 

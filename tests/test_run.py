@@ -26,7 +26,12 @@ def run() -> Run:
     return simulate(
         scene(
             title='Zweiachs-Prüfstand, "Ω"',
-            plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]], "x0": [2.0, 0.0]},
+            plant={
+                "A": [[0.0, 1.0], [-1.0, -2.0]],
+                "B": [[0.0], [1.0]],
+                "C": [[1.0, 0.0], [0.0, 1.0]],
+                "x0": [2.0, 0.0],
+            },
             sensor={"right": [1.0, 0.5], "left": [0.8, 0.4], "noise": [0.0, 0.1]},
             observer={"method": "certified", "gamma": [5.0, 2.0]},
             simulation={"duration": 0.5},
@@ -44,7 +49,9 @@ def same(one: Run, other: Run) -> bool:
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
-def test_saved_and_loaded_runs_are_the_same_to_the_last_bit(run: Run, tmp_path: Path, suffix: str) -> None:
+def test_saved_and_loaded_runs_are_the_same_to_the_last_bit(
+    run: Run, tmp_path: Path, suffix: str
+) -> None:
     assert run.V is not None
     for name, kept in (("full", run), ("bare", replace(run, V=None))):
         path = kept.save(tmp_path / f"{name}{suffix}")
@@ -92,9 +99,18 @@ def test_summary_is_json_whatever_the_run(run: Run) -> None:
     assert len(summary["identifiable"]) == 2
     nothing = np.full_like(run.z, np.nan)
     assert run.V is not None
-    lost = replace(run, z=nothing, d_hat=run.d_hat * np.nan, V=run.V * np.inf, info=msgspec.structs.replace(run.info, integration_error=float("inf")))
+    lost = replace(
+        run,
+        z=nothing,
+        d_hat=run.d_hat * np.nan,
+        V=run.V * np.inf,
+        info=msgspec.structs.replace(run.info, integration_error=float("inf")),
+    )
     summary = json.loads(json.dumps(lost.summary(), allow_nan=False))
-    assert [summary[key] for key in ("rms_tracking", "rms_estimation", "integration_error", "largest_rise_of_V")] == [None] * 4
+    assert [
+        summary[key]
+        for key in ("rms_tracking", "rms_estimation", "integration_error", "largest_rise_of_V")
+    ] == [None] * 4
     assert summary["d_left"] == [None, None]
 
 
@@ -125,7 +141,9 @@ def test_saving_creates_folders_and_replaces_files(run: Run, tmp_path: Path) -> 
     assert os.listdir(path.parent) == ["run.npz"]
 
 
-def test_nothing_is_left_of_a_file_that_cannot_be_finished(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_left_of_a_file_that_cannot_be_finished(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = run.save(tmp_path / "run.npz")
 
     def stop(file: Any, **arrays: Any) -> None:
@@ -170,7 +188,9 @@ def spoil(run: Run, tmp_path: Path) -> dict[str, bytes]:
         "binary.csv": whole[:500],
         "half.csv": table[: len(table) - 40],
         "headless.csv": table.partition(b"\n")[2],
-        "narrow.csv": b"\n".join(line.rpartition(b",")[0] if i > 1 else line for i, line in enumerate(table.splitlines())),
+        "narrow.csv": b"\n".join(
+            line.rpartition(b",")[0] if i > 1 else line for i, line in enumerate(table.splitlines())
+        ),
         "rowless.csv": b"\n".join(table.splitlines()[:2]) + b"\n",
     }
 

@@ -25,7 +25,10 @@ def test_blocks_do_not_matter(sampling: str, data: st.DataObject, seed: int, ent
     runs = 24 * (entries + 2)
     whole = points(sampling, seed, 0, runs, entries, runs)
     cuts = sorted(data.draw(st.lists(st.integers(0, runs), max_size=6)))
-    blocks = [points(sampling, seed, a, b - a, entries, runs) for a, b in zip([0, *cuts], [*cuts, runs], strict=True)]
+    blocks = [
+        points(sampling, seed, a, b - a, entries, runs)
+        for a, b in zip([0, *cuts], [*cuts, runs], strict=True)
+    ]
     assert whole.shape == (runs, entries)
     assert np.array_equal(np.concatenate(blocks), whole)
 
@@ -53,7 +56,9 @@ def test_random_numbers_do_not_depend_on_the_runs_or_entries_beside_them() -> No
 
 @settings(deadline=None)
 @given(runs=st.integers(1, 700), seed=st.integers(0, 2**63 - 1))
-def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(runs: int, seed: int) -> None:
+def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(
+    runs: int, seed: int
+) -> None:
     intervals = np.floor(points("latin_hypercube", seed, 0, runs, 3, runs) * runs)
     assert (np.sort(intervals, axis=0) == np.arange(runs)[:, None]).all()
 
@@ -62,7 +67,9 @@ def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(runs: int
 @given(size=st.integers(1, 5000), seed=st.integers(0, 2**32 - 1))
 def test_permutations_take_each_place_once(size: int, seed: int) -> None:
     keys = np.random.default_rng(seed).integers(0, 2**64, ROUNDS, dtype=np.uint64)
-    assert np.array_equal(np.sort(permuted(np.arange(size, dtype=np.uint64), size, keys)), np.arange(size))
+    assert np.array_equal(
+        np.sort(permuted(np.arange(size, dtype=np.uint64), size, keys)), np.arange(size)
+    )
 
 
 def test_all_permutations_come_up_about_equally_often() -> None:
@@ -105,8 +112,12 @@ def test_saltelli_is_laid_out_as_the_indices_of_scipy_need_it() -> None:
     """The Ishigami function, whose indices are known: 0.314, 0.442, 0 alone, 0.558, 0.442, 0.244 in total."""
     each, entries = 4096, 3
     runs = each * (entries + 2)
-    f_A, f_B, *f_AB = _ishigami(2 * np.pi * points("saltelli", 2, 0, runs, entries, runs).T - np.pi).reshape(entries + 2, each)
-    found = stats.sobol_indices(func={"f_A": f_A[None], "f_B": f_B[None], "f_AB": np.array(f_AB)[:, None]}, n=each)
+    f_A, f_B, *f_AB = _ishigami(
+        2 * np.pi * points("saltelli", 2, 0, runs, entries, runs).T - np.pi
+    ).reshape(entries + 2, each)
+    found = stats.sobol_indices(
+        func={"f_A": f_A[None], "f_B": f_B[None], "f_AB": np.array(f_AB)[:, None]}, n=each
+    )
     np.testing.assert_allclose(found.first_order.ravel(), [0.314, 0.442, 0.0], atol=0.02)
     np.testing.assert_allclose(found.total_order.ravel(), [0.558, 0.442, 0.244], atol=0.02)
 
@@ -132,8 +143,18 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
         ),
         ("saltelli", 3, 2, r"\(5 or 10\), found 2"),
         ("saltelli", 0, 10, "ensemble.sampling: saltelli needs an entry that varies, found none"),
-        ("sobol", 30_000, 10, "ensemble.sampling: Sobol points have at most 21201 dimensions, found 30000; use random"),
-        ("sobol", 2, 2**40, "ensemble.runs: there are 2\\^31 Sobol points, found 1099511627776; use random"),
+        (
+            "sobol",
+            30_000,
+            10,
+            "ensemble.sampling: Sobol points have at most 21201 dimensions, found 30000; use random",
+        ),
+        (
+            "sobol",
+            2,
+            2**40,
+            "ensemble.runs: there are 2\\^31 Sobol points, found 1099511627776; use random",
+        ),
         ("saltelli", 11_000, 11_002, "at most 21201 dimensions, found 22000"),
     ],
 )

@@ -15,7 +15,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER, scene, table
-from undeadzone.errors import FileError, InputError, ShapeError, StepError, StructureError, TrackingError, UndeadzoneError
+from undeadzone.errors import (
+    FileError,
+    InputError,
+    ShapeError,
+    StepError,
+    StructureError,
+    TrackingError,
+    UndeadzoneError,
+)
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
@@ -84,7 +92,11 @@ def test_the_papers_scenario_reads_and_runs(tmp_path: Path) -> None:
     scenario = read(tmp_path / "paper.toml")
     assert scenario.title == "Paper example"
     assert np.asarray(scenario.plant.A).tolist() == [[0, 1], [-1, -2]]
-    assert (scenario.sensor.kind, scenario.simulation.time, scenario.simulation.seed) == ("deadzone", "continuous", 0)
+    assert (scenario.sensor.kind, scenario.simulation.time, scenario.simulation.seed) == (
+        "deadzone",
+        "continuous",
+        0,
+    )
     run = simulate(scenario)
     assert run.t.size == 2001
     assert run.x[0].tolist() == [0.5, 0.0]
@@ -106,10 +118,17 @@ def test_a_model_that_differs_in_parameters_only() -> None:
     assert problem.model.linear.A[1].tolist() == [-9.81, -0.1]
 
 
-def test_paths_are_taken_from_the_scenarios_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_taken_from_the_scenarios_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "r.csv").write_text("t,r\n0,0\n1,2\n2,0\n")
-    (tmp_path / "mine.toml").write_text(PAPER.replace('{ kind = "sine", amplitude = 5.0, frequency = 1.0 }', '{ kind = "csv", path = "data/r.csv" }'))
+    (tmp_path / "mine.toml").write_text(
+        PAPER.replace(
+            '{ kind = "sine", amplitude = 5.0, frequency = 1.0 }',
+            '{ kind = "csv", path = "data/r.csv" }',
+        )
+    )
     monkeypatch.chdir("/")
     run = simulate(read(tmp_path / "mine.toml"))
     assert run.r[1000, 0] == pytest.approx(2)
@@ -143,103 +162,361 @@ def test_fast_plants_in_their_own_unit_of_time_run_alike() -> None:
 UNOBSERVABLE = {"A": [[-1.0, 0.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0]]}
 UNSTABLE = {"A": [[0.0, 1.0], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
 ZERO_AT_0 = {"transfer_function": {"numerator": [1.0, 0.0], "denominator": [1.0, 2.0, 1.0]}}
-NOTCH = {"transfer_function": {"numerator": [1.0, 0.0, 39.47841760435743], "denominator": [1.0, 3.0, 3.0, 1.0]}}
+NOTCH = {
+    "transfer_function": {
+        "numerator": [1.0, 0.0, 39.47841760435743],
+        "denominator": [1.0, 3.0, 3.0, 1.0],
+    }
+}
 FREE = {"method": "certified"}
 WEAK = {"method": "certified", "L": [0.0, 0.5]}
 
 WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     # keys: missing, unknown, of the wrong kind
     ({"plant": None}, InputError, "plant: missing; this key is required"),
-    ({"sensor": {"right": 1.0, "width": 2.0}}, InputError, "sensor.width: unknown key; known keys: .*threshold"),
+    (
+        {"sensor": {"right": 1.0, "width": 2.0}},
+        InputError,
+        "sensor.width: unknown key; known keys: .*threshold",
+    ),
     ({"sensor": {"rigth": 1.0}}, InputError, "sensor.rigth: unknown key; did you mean 'right'?"),
-    ({"observer": {"method": "certified", "gama": 1.0}}, InputError, "observer.gama: unknown key; did you mean 'gamma'?"),
-    ({"observer": {"L": [1.0, 1.5]}}, InputError, r"observer.method: missing; this key is required \(one of .*certified.*\)"),
-    ({"observer": {"method": "certifed"}}, InputError, "observer.method: unknown choice 'certifed'; did you mean 'certified'?"),
-    ({"observer": {"method": "magic"}}, InputError, "observer.method: unknown choice 'magic'; expected one of "),
-    ({"sensor": {"kind": "jmp"}}, InputError, "sensor.kind: unknown choice 'jmp'; did you mean 'jump'?"),
-    ({"simulation": {"time": "discrete"}}, InputError, "simulation.time: unknown choice 'discrete'; expected one of continuous, sampled"),
-    ({"reference": {"kind": "sine", "amplitude": 1.0}}, InputError, "reference.frequency: missing; this key is required"),
-    ({"observer": {"method": "certified", "width_max": 0.1}}, InputError, "observer.width_max: the sensor's widths of output 0, .*, lie beyond d_M = 0.1"),
-    ({"simulation": {"duration": "long"}}, InputError, "simulation.duration: expected a number, found text"),
+    (
+        {"observer": {"method": "certified", "gama": 1.0}},
+        InputError,
+        "observer.gama: unknown key; did you mean 'gamma'?",
+    ),
+    (
+        {"observer": {"L": [1.0, 1.5]}},
+        InputError,
+        r"observer.method: missing; this key is required \(one of .*certified.*\)",
+    ),
+    (
+        {"observer": {"method": "certifed"}},
+        InputError,
+        "observer.method: unknown choice 'certifed'; did you mean 'certified'?",
+    ),
+    (
+        {"observer": {"method": "magic"}},
+        InputError,
+        "observer.method: unknown choice 'magic'; expected one of ",
+    ),
+    (
+        {"sensor": {"kind": "jmp"}},
+        InputError,
+        "sensor.kind: unknown choice 'jmp'; did you mean 'jump'?",
+    ),
+    (
+        {"simulation": {"time": "discrete"}},
+        InputError,
+        "simulation.time: unknown choice 'discrete'; expected one of continuous, sampled",
+    ),
+    (
+        {"reference": {"kind": "sine", "amplitude": 1.0}},
+        InputError,
+        "reference.frequency: missing; this key is required",
+    ),
+    (
+        {"observer": {"method": "certified", "width_max": 0.1}},
+        InputError,
+        "observer.width_max: the sensor's widths of output 0, .*, lie beyond d_M = 0.1",
+    ),
+    (
+        {"simulation": {"duration": "long"}},
+        InputError,
+        "simulation.duration: expected a number, found text",
+    ),
     ({"plant": 3}, InputError, "plant: expected a table, found a whole number"),
     ({"disturbance": []}, InputError, "disturbance: expected a table, found a list"),
-    ({"controller": {"method": "state_feedback", "alpha": [1.0]}}, InputError, "controller.alpha: expected a number, found a list"),
-    ({"observer": {"method": ["certified"]}}, InputError, "observer.method: expected text, found a list"),
-    ({"plant": PENDULUM | {"parameters": {"g": 9.81, "b": "low"}}}, InputError, "plant.parameters.b: expected a number, found text"),
-    ({"reference": {"kind": "sines", "components": [{"amplitude": 1.0, "frequncy": 1.0}]}}, InputError, r"components\[0\].frequncy: .*'frequency'"),
-    ({"plant": {"A": "none", "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}}, InputError, "plant.A: expected numbers, found 'none'"),
-    ({"plant": {"integrators": 2, "B": [[0.0], [1.0]]}, "observer": INTEGRATORS}, InputError, "plant.B: has no meaning for a plant given by integrators"),
+    (
+        {"controller": {"method": "state_feedback", "alpha": [1.0]}},
+        InputError,
+        "controller.alpha: expected a number, found a list",
+    ),
+    (
+        {"observer": {"method": ["certified"]}},
+        InputError,
+        "observer.method: expected text, found a list",
+    ),
+    (
+        {"plant": PENDULUM | {"parameters": {"g": 9.81, "b": "low"}}},
+        InputError,
+        "plant.parameters.b: expected a number, found text",
+    ),
+    (
+        {"reference": {"kind": "sines", "components": [{"amplitude": 1.0, "frequncy": 1.0}]}},
+        InputError,
+        r"components\[0\].frequncy: .*'frequency'",
+    ),
+    (
+        {"plant": {"A": "none", "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}},
+        InputError,
+        "plant.A: expected numbers, found 'none'",
+    ),
+    (
+        {"plant": {"integrators": 2, "B": [[0.0], [1.0]]}, "observer": INTEGRATORS},
+        InputError,
+        "plant.B: has no meaning for a plant given by integrators",
+    ),
     # numbers that are none
-    ({"sensor": {"right": float("nan")}}, InputError, "sensor.right: must be a finite number, found nan"),
-    ({"plant": {"A": [[0.0, float("inf")], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}}, InputError, r"plant.A\[0\]\[1\]: must be a finite number"),
-    ({"plant": PENDULUM | {"parameters": {"g": float("inf"), "b": 0.8}}}, InputError, "plant.parameters.g: must be a finite number"),
+    (
+        {"sensor": {"right": float("nan")}},
+        InputError,
+        "sensor.right: must be a finite number, found nan",
+    ),
+    (
+        {
+            "plant": {
+                "A": [[0.0, float("inf")], [-1.0, -2.0]],
+                "B": [[0.0], [1.0]],
+                "C": [[1.0, 0.0]],
+            }
+        },
+        InputError,
+        r"plant.A\[0\]\[1\]: must be a finite number",
+    ),
+    (
+        {"plant": PENDULUM | {"parameters": {"g": float("inf"), "b": 0.8}}},
+        InputError,
+        "plant.parameters.g: must be a finite number",
+    ),
     ({"simulation": {"seed": 2**70}}, InputError, "simulation.seed: the whole number is too large"),
-    ({"observer": {"method": "certified", "gamma": 1e60}}, InputError, "observer.gamma: every number must be below 1e.50 in size"),
+    (
+        {"observer": {"method": "certified", "gamma": 1e60}},
+        InputError,
+        "observer.gamma: every number must be below 1e.50 in size",
+    ),
     # shapes
-    ({"plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[1.0]], "C": [[1.0, 0.0]]}}, ShapeError, "plant.B: expected a matrix with 2 rows .*, found 1 x 1"),
-    ({"plant": {"A": [[0.0, 1.0], [-1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}}, InputError, "plant.A: .* rows of different lengths"),
-    ({"observer": {"method": "certified", "L": [1.0, 2.0, 3.0]}}, ShapeError, "observer.L: expected a 2 x 1 matrix .*, found 3 x 1"),
-    ({"controller": {"method": "state_feedback", "K": [1.0]}}, ShapeError, "controller.K: expected a 1 x 2 matrix .*, found 1 x 1"),
-    ({"sensor": {"right": [1.0, 2.0]}}, ShapeError, "sensor.right: expected 1 number .one per output, the plant has 1., found 2"),
-    ({"reference": {"kind": "sine", "amplitude": [1.0, 2.0], "frequency": 1.0}}, ShapeError, "reference.amplitude: expected 1 number .*, found 2"),
-    ({"disturbance": {"kind": "random", "rms": [1.0, 2.0], "correlation_time": 1.0}}, ShapeError, "disturbance.rms: expected 1 number .one per input"),
-    ({"disturbance": {"kind": "sine", "amplitude": [1.0, 2.0], "frequency": 1.0}}, ShapeError, "disturbance.amplitude: expected 1 number"),
-    ({"units": {"state": ["m"]}}, ShapeError, "units.state: expected one unit, or 2 .one per state., found 1"),
+    (
+        {"plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[1.0]], "C": [[1.0, 0.0]]}},
+        ShapeError,
+        "plant.B: expected a matrix with 2 rows .*, found 1 x 1",
+    ),
+    (
+        {"plant": {"A": [[0.0, 1.0], [-1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}},
+        InputError,
+        "plant.A: .* rows of different lengths",
+    ),
+    (
+        {"observer": {"method": "certified", "L": [1.0, 2.0, 3.0]}},
+        ShapeError,
+        "observer.L: expected a 2 x 1 matrix .*, found 3 x 1",
+    ),
+    (
+        {"controller": {"method": "state_feedback", "K": [1.0]}},
+        ShapeError,
+        "controller.K: expected a 1 x 2 matrix .*, found 1 x 1",
+    ),
+    (
+        {"sensor": {"right": [1.0, 2.0]}},
+        ShapeError,
+        "sensor.right: expected 1 number .one per output, the plant has 1., found 2",
+    ),
+    (
+        {"reference": {"kind": "sine", "amplitude": [1.0, 2.0], "frequency": 1.0}},
+        ShapeError,
+        "reference.amplitude: expected 1 number .*, found 2",
+    ),
+    (
+        {"disturbance": {"kind": "random", "rms": [1.0, 2.0], "correlation_time": 1.0}},
+        ShapeError,
+        "disturbance.rms: expected 1 number .one per input",
+    ),
+    (
+        {"disturbance": {"kind": "sine", "amplitude": [1.0, 2.0], "frequency": 1.0}},
+        ShapeError,
+        "disturbance.amplitude: expected 1 number",
+    ),
+    (
+        {"units": {"state": ["m"]}},
+        ShapeError,
+        "units.state: expected one unit, or 2 .one per state., found 1",
+    ),
     ({"model": {"B": [[1.0]]}}, ShapeError, "model.B: expected a matrix with 2 rows"),
-    ({"model": {"B": [[0.0, 1.0], [1.0, 0.0]]}}, InputError, "model: expected 2 states, 1 inputs, 1 outputs like the plant, found 2, 2, 1"),
-    ({"model": {"parameters": {"g": 9.0}}}, InputError, "model.parameters: only a plant given by formulas or an arm has parameters"),
-    ({"plant": PENDULUM, "model": {"parameters": {"mass": 9.0}}}, InputError, "model.parameters.mass: unknown parameter; the plant has g, b"),
-    ({"plant": PENDULUM, "model": {"A": [[1.0]]}}, InputError, "model.A: the plant is given by formulas"),
-    ({"tracked": [1]}, InputError, r"tracked: expected different output numbers from 0 to 0, found \[1\]"),
+    (
+        {"model": {"B": [[0.0, 1.0], [1.0, 0.0]]}},
+        InputError,
+        "model: expected 2 states, 1 inputs, 1 outputs like the plant, found 2, 2, 1",
+    ),
+    (
+        {"model": {"parameters": {"g": 9.0}}},
+        InputError,
+        "model.parameters: only a plant given by formulas or an arm has parameters",
+    ),
+    (
+        {"plant": PENDULUM, "model": {"parameters": {"mass": 9.0}}},
+        InputError,
+        "model.parameters.mass: unknown parameter; the plant has g, b",
+    ),
+    (
+        {"plant": PENDULUM, "model": {"A": [[1.0]]}},
+        InputError,
+        "model.A: the plant is given by formulas",
+    ),
+    (
+        {"tracked": [1]},
+        InputError,
+        r"tracked: expected different output numbers from 0 to 0, found \[1\]",
+    ),
     ({"tracked": []}, InputError, "tracked: expected"),
     # values out of range
     ({"sensor": {"left": -0.5}}, InputError, "sensor.left: must not be negative, found -0.5"),
-    ({"simulation": {"duration": 0}}, InputError, "simulation.duration: must be greater than 0, found 0"),
+    (
+        {"simulation": {"duration": 0}},
+        InputError,
+        "simulation.duration: must be greater than 0, found 0",
+    ),
     ({"simulation": {"step": 0.0}}, InputError, "simulation.step: must be greater than 0, found 0"),
-    ({"simulation": {"step": 5.0}}, StepError, "simulation.step: 5 s is longer than the duration, 2 s"),
+    (
+        {"simulation": {"step": 5.0}},
+        StepError,
+        "simulation.step: 5 s is longer than the duration, 2 s",
+    ),
     ({"simulation": {"seed": -1}}, InputError, "simulation.seed: must not be negative, found -1"),
-    ({"simulation": AT_100_HZ | {"substeps": 0}}, InputError, "simulation.substeps: expected 1 to 1000, found 0"),
-    ({"simulation": AT_100_HZ | {"substeps": 10**9}}, InputError, "simulation.substeps: expected 1 to 1000"),
-    ({"simulation": {"duration": 1e12}}, StepError, "simulation.step: 1e.15 steps would need more than 4 GB"),
-    ({"simulation": {"duration": 1e49, "step": 1e-49}}, StepError, "steps would need more than 4 GB"),
+    (
+        {"simulation": AT_100_HZ | {"substeps": 0}},
+        InputError,
+        "simulation.substeps: expected 1 to 1000, found 0",
+    ),
+    (
+        {"simulation": AT_100_HZ | {"substeps": 10**9}},
+        InputError,
+        "simulation.substeps: expected 1 to 1000",
+    ),
+    (
+        {"simulation": {"duration": 1e12}},
+        StepError,
+        "simulation.step: 1e.15 steps would need more than 4 GB",
+    ),
+    (
+        {"simulation": {"duration": 1e49, "step": 1e-49}},
+        StepError,
+        "steps would need more than 4 GB",
+    ),
     # structure
-    ({"plant": UNOBSERVABLE}, StructureError, r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output"),
-    ({"plant": UNOBSERVABLE | {"B": [[0.0], [1.0]], "C": [[1.0, 1.0]]}}, StructureError, r"plant: the pair \(A, B\) is uncontrollable: mode -1"),
+    (
+        {"plant": UNOBSERVABLE},
+        StructureError,
+        r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output",
+    ),
+    (
+        {"plant": UNOBSERVABLE | {"B": [[0.0], [1.0]], "C": [[1.0, 1.0]]}},
+        StructureError,
+        r"plant: the pair \(A, B\) is uncontrollable: mode -1",
+    ),
     ({"model": {"C": [[0.0, 0.0]]}}, StructureError, "model: the pair .* is unobservable"),
-    ({"plant": UNSTABLE, "observer": FREE}, StructureError, "observer.L: missing; there is a default only for a stable model, give L"),
+    (
+        {"plant": UNSTABLE, "observer": FREE},
+        StructureError,
+        "observer.L: missing; there is a default only for a stable model, give L",
+    ),
     (
         {"plant": UNSTABLE, "observer": WEAK},
         StructureError,
         "observer.L: the model is unstable .growth rate 1 1/s. and this gain cannot bound .* A - L C grows at 0.7071",
     ),
-    ({"plant": UNSTABLE, "observer": WEAK, "simulation": AT_100_HZ}, StructureError, "observer.L: the model is unstable"),
-    # steps
-    ({"simulation": {"step": 0.5}}, StepError, "simulation.step: 0.5 s is too coarse: the observer, A - L C with gamma, has a mode at"),
-    ({"plant": {"second_order": {"zeta": 0.7, "omega_n": 1e4}}}, StepError, "simulation.step: 0.001 s is too coarse: the plant has a mode at 1e.04 rad/s"),
-    ({"controller": {"method": "state_feedback", "poles": [-1e4, -2e4]}}, StepError, "the controlled model, A - B K, has a mode at 2e.04 rad/s"),
-    ({"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0, "filter_time": 1e-5}}, StepError, "the controller's filter has a mode at 1e.05 rad/s"),
-    ({"plant": {"second_order": {"zeta": 0.1, "omega_n": 400.0}}, "simulation": AT_100_HZ}, StepError, "too coarse: the plant oscillates at 63.34 Hz"),
-    ({"plant": {"A": [[2e3]], "B": [[1.0]], "C": [[1.0]]}, "observer": FREE, "simulation": AT_100_HZ}, StepError, "the plant grows at 2000 1/s"),
-    ({"observer": {"method": "certified", "gamma": 300.0}, "simulation": AT_100_HZ}, StepError, "too coarse for observer.gamma"),
-    ({"reference": {"kind": "sine", "amplitude": 1.0, "frequency": 600.0}}, StepError, "0.001 s is too coarse for reference: 600 Hz is not below half"),
-    ({"disturbance": {"kind": "sine", "amplitude": 1.0, "frequency": 60.0}, "simulation": AT_100_HZ}, StepError, "too coarse for disturbance: 60 Hz"),
     (
-        {"observer": {"method": "censored", "right": [0.0, 2.0], "correlation_time": 1e-5}, "simulation": AT_100_HZ},
+        {"plant": UNSTABLE, "observer": WEAK, "simulation": AT_100_HZ},
+        StructureError,
+        "observer.L: the model is unstable",
+    ),
+    # steps
+    (
+        {"simulation": {"step": 0.5}},
+        StepError,
+        "simulation.step: 0.5 s is too coarse: the observer, A - L C with gamma, has a mode at",
+    ),
+    (
+        {"plant": {"second_order": {"zeta": 0.7, "omega_n": 1e4}}},
+        StepError,
+        "simulation.step: 0.001 s is too coarse: the plant has a mode at 1e.04 rad/s",
+    ),
+    (
+        {"controller": {"method": "state_feedback", "poles": [-1e4, -2e4]}},
+        StepError,
+        "the controlled model, A - B K, has a mode at 2e.04 rad/s",
+    ),
+    (
+        {"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0, "filter_time": 1e-5}},
+        StepError,
+        "the controller's filter has a mode at 1e.05 rad/s",
+    ),
+    (
+        {"plant": {"second_order": {"zeta": 0.1, "omega_n": 400.0}}, "simulation": AT_100_HZ},
+        StepError,
+        "too coarse: the plant oscillates at 63.34 Hz",
+    ),
+    (
+        {
+            "plant": {"A": [[2e3]], "B": [[1.0]], "C": [[1.0]]},
+            "observer": FREE,
+            "simulation": AT_100_HZ,
+        },
+        StepError,
+        "the plant grows at 2000 1/s",
+    ),
+    (
+        {"observer": {"method": "certified", "gamma": 300.0}, "simulation": AT_100_HZ},
+        StepError,
+        "too coarse for observer.gamma",
+    ),
+    (
+        {"reference": {"kind": "sine", "amplitude": 1.0, "frequency": 600.0}},
+        StepError,
+        "0.001 s is too coarse for reference: 600 Hz is not below half",
+    ),
+    (
+        {
+            "disturbance": {"kind": "sine", "amplitude": 1.0, "frequency": 60.0},
+            "simulation": AT_100_HZ,
+        },
+        StepError,
+        "too coarse for disturbance: 60 Hz",
+    ),
+    (
+        {
+            "observer": {"method": "censored", "right": [0.0, 2.0], "correlation_time": 1e-5},
+            "simulation": AT_100_HZ,
+        },
         InputError,
         "observer.correlation_time: must lie",
     ),
-    ({"observer": {"method": "kalman", "right": [0.0, 2.0]}}, InputError, "observer: this filter works on samples; set simulation.time"),
+    (
+        {"observer": {"method": "kalman", "right": [0.0, 2.0]}},
+        InputError,
+        "observer: this filter works on samples; set simulation.time",
+    ),
     # references that cannot be followed
-    ({"plant": ZERO_AT_0, "observer": FREE, "reference": {"kind": "step", "amplitude": 1.0}}, TrackingError, "a zero of the plant at s = 0 lies on"),
-    ({"plant": NOTCH, "observer": FREE}, TrackingError, r"a zero of the plant at s = 0\+6.283j lies on the reference's spectrum"),
-    ({"plant": PENDULUM | {"h": ["sin(angle)"]}}, TrackingError, "the nonlinear plant cannot follow it at t = "),
-    ({"plant": PENDULUM | {"h": ["rate"], "x_eq": None}}, TrackingError, "the nonlinear plant has zero dynamics"),
+    (
+        {"plant": ZERO_AT_0, "observer": FREE, "reference": {"kind": "step", "amplitude": 1.0}},
+        TrackingError,
+        "a zero of the plant at s = 0 lies on",
+    ),
+    (
+        {"plant": NOTCH, "observer": FREE},
+        TrackingError,
+        r"a zero of the plant at s = 0\+6.283j lies on the reference's spectrum",
+    ),
+    (
+        {"plant": PENDULUM | {"h": ["sin(angle)"]}},
+        TrackingError,
+        "the nonlinear plant cannot follow it at t = ",
+    ),
+    (
+        {"plant": PENDULUM | {"h": ["rate"], "x_eq": None}},
+        TrackingError,
+        "the nonlinear plant has zero dynamics",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("changes", "error", "words"), WRONG, ids=[words[:50] for _, _, words in WRONG])
+@pytest.mark.parametrize(
+    ("changes", "error", "words"), WRONG, ids=[words[:50] for _, _, words in WRONG]
+)
 def test_wrong_input(changes: dict[str, Any], error: type[InputError], words: str) -> None:
-    changes = {key: {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value for key, value in changes.items()}
+    changes = {
+        key: {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
+        for key, value in changes.items()
+    }
     with pytest.raises(error, match=words) as found:
         simulate(scene(**changes))
     assert type(found.value) is error
@@ -270,13 +547,23 @@ def test_wrong_text(text: str, words: str) -> None:
 
 def test_unreadable_files(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x01")
-    for path, words in [("missing.toml", "No such file"), (".", "directory"), ("binary.toml", "not UTF-8 text"), ("nul\0.toml", "null")]:
+    for path, words in [
+        ("missing.toml", "No such file"),
+        (".", "directory"),
+        ("binary.toml", "not UTF-8 text"),
+        ("nul\0.toml", "null"),
+    ]:
         with pytest.raises(FileError, match=f"cannot read: .*{words}"):
             read(tmp_path / path)
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"), [("", "holds no samples"), ("0,1\n1,2,3\n", "sample 2 has 3 columns, expected 2"), ("0,1\n1,x\n", "sample 2 is not all finite")]
+    ("rows", "words"),
+    [
+        ("", "holds no samples"),
+        ("0,1\n1,2,3\n", "sample 2 has 3 columns, expected 2"),
+        ("0,1\n1,x\n", "sample 2 is not all finite"),
+    ],
 )
 def test_wrong_csv_in_a_scenario(tmp_path: Path, rows: str, words: str) -> None:
     (tmp_path / "bad.csv").write_text(rows)
@@ -321,15 +608,68 @@ BASES = [
     table(simulation=AT_100_HZ, observer={"method": "censored", "right": [0.0, 2.0], "noise": 0.1, "disturbance": 0.1, "tolerance": {"A[1,0]": 0.1}}),
     table(simulation=AT_100_HZ, observer=FREE | {"adaptation": {"method": "least_squares", "forgetting": 0.1}}),
 ]  # fmt: skip
-SIZES = [0, 1, 2, -1, 0.0, -0.0, 0.1, 0.5, 2.0, 10.0, 1e3, 1e6, 1e12, 1e30, 1e49, 1e60, -1e-3, -2.0, -1e6, -1e49, 1e-3, 1e-12, 1e-60, 1e-320, 2**62, 2**70]
+SIZES = [
+    0,
+    1,
+    2,
+    -1,
+    0.0,
+    -0.0,
+    0.1,
+    0.5,
+    2.0,
+    10.0,
+    1e3,
+    1e6,
+    1e12,
+    1e30,
+    1e49,
+    1e60,
+    -1e-3,
+    -2.0,
+    -1e6,
+    -1e49,
+    1e-3,
+    1e-12,
+    1e-60,
+    1e-320,
+    2**62,
+    2**70,
+]
 garbage = st.one_of(
-    st.sampled_from([*SIZES, float("nan"), float("inf"), -float("inf"), True, "", "sine", "csv", "certified", "\0", [], {}, {"method": "oracle"}]),
-    st.sampled_from([{"kind": "csv", "path": "/dev/null"}, {"kind": "csv", "path": "\0"}, np.eye(30).tolist(), [-1.0] * 30, [[1.0], [2.0, 3.0]]]),
+    st.sampled_from(
+        [
+            *SIZES,
+            float("nan"),
+            float("inf"),
+            -float("inf"),
+            True,
+            "",
+            "sine",
+            "csv",
+            "certified",
+            "\0",
+            [],
+            {},
+            {"method": "oracle"},
+        ]
+    ),
+    st.sampled_from(
+        [
+            {"kind": "csv", "path": "/dev/null"},
+            {"kind": "csv", "path": "\0"},
+            np.eye(30).tolist(),
+            [-1.0] * 30,
+            [[1.0], [2.0, 3.0]],
+        ]
+    ),
     st.lists(st.sampled_from(SIZES), max_size=4),
     st.lists(st.lists(st.sampled_from(SIZES), min_size=2, max_size=2), max_size=3),
     st.recursive(
         st.one_of(st.floats(), st.text(max_size=5), st.integers()),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        lambda inner: (
+            st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+        ),
     ),
 )
 
@@ -350,13 +690,29 @@ def mutants(draw: st.DrawFn) -> dict[str, Any]:
         container, key = draw(st.sampled_from(list(places(data))))
         value = container[key]
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        match draw(st.sampled_from(["replace", "size" if number else "replace", "size" if number else "drop", "drop", "rename", "wrap", "repeat"])):
+        match draw(
+            st.sampled_from(
+                [
+                    "replace",
+                    "size" if number else "replace",
+                    "size" if number else "drop",
+                    "drop",
+                    "rename",
+                    "wrap",
+                    "repeat",
+                ]
+            )
+        ):
             case "size":
                 container[key] = draw(st.sampled_from(SIZES))
             case "drop":
                 del container[key]
             case "rename" if isinstance(container, dict):
-                container[draw(st.sampled_from(["", "gama", "L", "A", "kind", "method", "x y", f"{key}s"]))] = container.pop(key)
+                container[
+                    draw(
+                        st.sampled_from(["", "gama", "L", "A", "kind", "method", "x y", f"{key}s"])
+                    )
+                ] = container.pop(key)
             case "wrap":
                 container[key] = [value]
             case "repeat" if isinstance(value, list) and value:
@@ -368,7 +724,12 @@ def mutants(draw: st.DrawFn) -> dict[str, Any]:
 
 def short(scenario: Scenario) -> Scenario:
     """Three steps of it."""
-    return msgspec.structs.replace(scenario, simulation=msgspec.structs.replace(scenario.simulation, duration=3 * scenario.simulation.step))
+    return msgspec.structs.replace(
+        scenario,
+        simulation=msgspec.structs.replace(
+            scenario.simulation, duration=3 * scenario.simulation.step
+        ),
+    )
 
 
 @settings(max_examples=1500)
@@ -392,7 +753,13 @@ def test_only_undeadzone_errors_come_out_of_a_short_run(data: dict[str, Any]) ->
 @settings(max_examples=600)
 @given(
     st.one_of(
-        st.text(), st.builds(lambda cut, size, new: PAPER[:cut] + new + PAPER[cut + size :], st.integers(0, len(PAPER)), st.integers(0, 9), st.text(max_size=6))
+        st.text(),
+        st.builds(
+            lambda cut, size, new: PAPER[:cut] + new + PAPER[cut + size :],
+            st.integers(0, len(PAPER)),
+            st.integers(0, 9),
+            st.text(max_size=6),
+        ),
     )
 )
 @example(PAPER)

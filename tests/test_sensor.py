@@ -21,13 +21,20 @@ gains = st.floats(0.1, 5)
 ONE_PERIOD = np.linspace(0, 2 * np.pi, 4001)
 
 
-@pytest.mark.parametrize(("right", "left", "amplitude", "low", "high"), [(0.7, 0.7, 1.0, -0.3, 0.3), (0.7, 1.4, 2.0, -0.6, 1.3)])
-def test_published_responses(right: float, left: float, amplitude: float, low: float, high: float) -> None:
+@pytest.mark.parametrize(
+    ("right", "left", "amplitude", "low", "high"),
+    [(0.7, 0.7, 1.0, -0.3, 0.3), (0.7, 1.4, 2.0, -0.6, 1.3)],
+)
+def test_published_responses(
+    right: float, left: float, amplitude: float, low: float, high: float
+) -> None:
     y = deadzone(amplitude * np.sin(ONE_PERIOD), right, left)
     assert (y.min(), y.max()) == pytest.approx((low, high))
     inside = (-left < amplitude * np.sin(ONE_PERIOD)) & (amplitude * np.sin(ONE_PERIOD) < right)
     assert (y[inside] == 0).all()
-    assert inside.mean() == pytest.approx((np.arcsin(right / amplitude) + np.arcsin(left / amplitude)) / np.pi, abs=1e-3)
+    assert inside.mean() == pytest.approx(
+        (np.arcsin(right / amplitude) + np.arcsin(left / amplitude)) / np.pi, abs=1e-3
+    )
 
 
 def saturation_describing_function(ratio: float) -> float:
@@ -37,12 +44,29 @@ def saturation_describing_function(ratio: float) -> float:
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 1.1, 2.0, 5.0, 40.0])
-@pytest.mark.parametrize(("right", "left", "slope"), [(1.0, 1.0, 1.0), (1.3, 0.6, 1.0), (0.4, 2.0, 2.5)])
-def test_describing_function_is_one_minus_that_of_saturation(amplitude: float, right: float, left: float, slope: float) -> None:
+@pytest.mark.parametrize(
+    ("right", "left", "slope"), [(1.0, 1.0, 1.0), (1.3, 0.6, 1.0), (0.4, 2.0, 2.5)]
+)
+def test_describing_function_is_one_minus_that_of_saturation(
+    amplitude: float, right: float, left: float, slope: float
+) -> None:
     corners = [np.arcsin(edge / amplitude) for edge in (right, -left) if abs(edge) < amplitude]
     points = sorted([c for corner in corners for c in (corner, np.sign(corner) * np.pi - corner)])
-    harmonic = quad(lambda a: deadzone(amplitude * np.sin(a), right, left, slope) * np.sin(a), -np.pi, np.pi, points=points or None, limit=200)[0]
-    closed = slope * (1 - (saturation_describing_function(right / amplitude) + saturation_describing_function(left / amplitude)) / 2)
+    harmonic = quad(
+        lambda a: deadzone(amplitude * np.sin(a), right, left, slope) * np.sin(a),
+        -np.pi,
+        np.pi,
+        points=points or None,
+        limit=200,
+    )[0]
+    closed = slope * (
+        1
+        - (
+            saturation_describing_function(right / amplitude)
+            + saturation_describing_function(left / amplitude)
+        )
+        / 2
+    )
     assert harmonic / (np.pi * amplitude) == pytest.approx(closed, abs=1e-9)
 
 
@@ -62,7 +86,9 @@ def test_decomposition_and_inverse(z: float, right: float, left: float, slope: f
 
 
 @given(reals, widths, widths, gains)
-def test_jump_sensor_reads_the_truth_outside_and_nothing_inside(z: float, right: float, left: float, slope: float) -> None:
+def test_jump_sensor_reads_the_truth_outside_and_nothing_inside(
+    z: float, right: float, left: float, slope: float
+) -> None:
     y = sensor.jump(z, right, left, slope)
     assert y == (0.0 if -left <= z <= right else slope * z)
     assert sensor.inverse(y, sensor.side(y), right, left, slope, "jump") == pytest.approx(y / slope)
@@ -70,19 +96,34 @@ def test_jump_sensor_reads_the_truth_outside_and_nothing_inside(z: float, right:
 
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
 @given(z=reals, right=widths, left=widths, slope=gains)
-def test_each_branch_is_the_sensor_in_its_own_zone(kind: str, z: float, right: float, left: float, slope: float) -> None:
+def test_each_branch_is_the_sensor_in_its_own_zone(
+    kind: str, z: float, right: float, left: float, slope: float
+) -> None:
     read = sensor.jump if kind == "jump" else deadzone
-    assert sensor.branch(z, sensor.zone(z, right, left), right, left, slope, kind) == read(z, right, left, slope)
+    assert sensor.branch(z, sensor.zone(z, right, left), right, left, slope, kind) == read(
+        z, right, left, slope
+    )
 
 
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
-@given(z=reals, right=widths, left=widths, slope=gains, threshold=widths, noise=st.floats(-5, 5, allow_subnormal=False))
-def test_edges_are_where_the_side_changes(kind: str, z: float, right: float, left: float, slope: float, threshold: float, noise: float) -> None:
+@given(
+    z=reals,
+    right=widths,
+    left=widths,
+    slope=gains,
+    threshold=widths,
+    noise=st.floats(-5, 5, allow_subnormal=False),
+)
+def test_edges_are_where_the_side_changes(
+    kind: str, z: float, right: float, left: float, slope: float, threshold: float, noise: float
+) -> None:
     read = sensor.jump if kind == "jump" else deadzone
     above, below = sensor.edges(right, left, slope, kind, threshold, noise)
     if min(abs(z - above), abs(z + below), abs(z - right), abs(z + left)) < 1e-9:
         return
-    assert sensor.side(read(z, right, left, slope) + noise, threshold) == (1.0 if z > above else -1.0 if z < -below else 0.0)
+    assert sensor.side(read(z, right, left, slope) + noise, threshold) == (
+        1.0 if z > above else -1.0 if z < -below else 0.0
+    )
 
 
 def test_side_of_edges_noise_and_missing_samples() -> None:
@@ -115,15 +156,35 @@ BOTH: list[tuple[Any, list[ca.SX]]] = [
     (lambda r, l, m, t, n: sensor.edges(r, l, m, "deadzone", t, n), [_r, _l, _m, _t, _n]),
     (lambda r, l, m, t, n: sensor.edges(r, l, m, "jump", t, n), [_r, _l, _m, _t, _n]),
 ]
-COMPILED = [ca.Function("f", [_z, _y, _s, _r, _l, _m, _t, _n], [ca.vertcat(*out) if isinstance(out := f(*args), tuple) else out]) for f, args in BOTH]
+COMPILED = [
+    ca.Function(
+        "f",
+        [_z, _y, _s, _r, _l, _m, _t, _n],
+        [ca.vertcat(*out) if isinstance(out := f(*args), tuple) else out],
+    )
+    for f, args in BOTH
+]
 
 
-@given(reals, reals, st.sampled_from([-1.0, 0.0, 1.0]), widths, widths, gains, widths, st.floats(-5, 5, allow_subnormal=False))
-def test_numpy_and_casadi_agree(z: float, y: float, s: float, r: float, l: float, m: float, t: float, n: float) -> None:
+@given(
+    reals,
+    reals,
+    st.sampled_from([-1.0, 0.0, 1.0]),
+    widths,
+    widths,
+    gains,
+    widths,
+    st.floats(-5, 5, allow_subnormal=False),
+)
+def test_numpy_and_casadi_agree(
+    z: float, y: float, s: float, r: float, l: float, m: float, t: float, n: float
+) -> None:
     values = dict(zip("zysrlmtn", (z, y, s, r, l, m, t, n), strict=True))
     for (function, arguments), compiled in zip(BOTH, COMPILED, strict=True):
         expected = np.ravel(function(*(np.float64(values[str(name)]) for name in arguments)))
-        assert compiled(z, y, s, r, l, m, t, n).full().ravel() == pytest.approx(expected, rel=1e-15, abs=1e-15)
+        assert compiled(z, y, s, r, l, m, t, n).full().ravel() == pytest.approx(
+            expected, rel=1e-15, abs=1e-15
+        )
 
 
 @pytest.mark.parametrize("rate", [2.0, 20.0])
@@ -142,25 +203,51 @@ def test_threshold_of_each_output_and_its_limits() -> None:
     assert 4 < found[1] / 0.5 < 5
     assert sensor.noise_threshold(np.ones(1), 1e-3, 1e9).tolist() == [0]
     assert np.isfinite(sensor.noise_threshold(np.array([0.0, 1.0]), 1e-300, 1e-300)).all()
-    assert sensor.resolve(Sensor(right=1.0, left=1.0, noise=0.5, threshold=0.2), 1, 1e-3).threshold.tolist() == [0.2]
+    assert sensor.resolve(
+        Sensor(right=1.0, left=1.0, noise=0.5, threshold=0.2), 1, 1e-3
+    ).threshold.tolist() == [0.2]
 
 
 def test_resolve_spreads_numbers_over_outputs() -> None:
     found = sensor.resolve(Sensor(right=1.0, left=[0.5, 0.7], slope=2.0), 2, 1e-3)
-    assert (found.right.tolist(), found.left.tolist(), found.slope.tolist()) == ([1, 1], [0.5, 0.7], [2, 2])
+    assert (found.right.tolist(), found.left.tolist(), found.slope.tolist()) == (
+        [1, 1],
+        [0.5, 0.7],
+        [2, 2],
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
         ({"right": -1.0, "left": 1.0}, InputError, "sensor.right: must not be negative, found -1"),
-        ({"right": 1.0, "left": [1.0, 2.0, 3.0]}, ShapeError, "sensor.left: expected 2 numbers .*, found 3"),
+        (
+            {"right": 1.0, "left": [1.0, 2.0, 3.0]},
+            ShapeError,
+            "sensor.left: expected 2 numbers .*, found 3",
+        ),
         ({"right": 1.0, "left": 1.0, "slope": 0.0}, InputError, "sensor.slope: must be positive"),
-        ({"right": float("nan"), "left": 1.0}, InputError, "sensor.right: every number must be finite"),
+        (
+            {"right": float("nan"), "left": 1.0},
+            InputError,
+            "sensor.right: every number must be finite",
+        ),
         ({"right": "wide", "left": 1.0}, InputError, "sensor.right: expected numbers"),
-        ({"right": 1.0, "left": 1.0, "noise": -0.1}, InputError, "sensor.noise: must not be negative"),
-        ({"right": 1.0, "left": 1.0, "threshold": -0.1}, InputError, "sensor.threshold: must not be negative"),
-        ({"right": 1.0, "left": 1.0, "false_alarm_rate": 0.0}, InputError, "sensor.false_alarm_rate: must be greater than 0"),
+        (
+            {"right": 1.0, "left": 1.0, "noise": -0.1},
+            InputError,
+            "sensor.noise: must not be negative",
+        ),
+        (
+            {"right": 1.0, "left": 1.0, "threshold": -0.1},
+            InputError,
+            "sensor.threshold: must not be negative",
+        ),
+        (
+            {"right": 1.0, "left": 1.0, "false_alarm_rate": 0.0},
+            InputError,
+            "sensor.false_alarm_rate: must be greater than 0",
+        ),
     ],
 )
 def test_wrong_sensors(options: dict[str, Any], error: type[Exception], words: str) -> None:

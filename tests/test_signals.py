@@ -13,13 +13,25 @@ from scipy.linalg import expm
 
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.signals import exosystem as signals
-from undeadzone.signals.exosystem import Random, Samples, Signal, Sine, Sines, Step, Tone, Trapezoid, exosystem
+from undeadzone.signals.exosystem import (
+    Random,
+    Samples,
+    Signal,
+    Sine,
+    Sines,
+    Step,
+    Tone,
+    Trapezoid,
+    exosystem,
+)
 
 T = np.linspace(0.013, 5.987, 523)
 
 
 def write_csv(path: Path, rows: Any, header: str = "") -> str:
-    path.write_text(header + "\n".join(",".join(map(str, row)) for row in rows) + "\n", encoding="utf-8")
+    path.write_text(
+        header + "\n".join(",".join(map(str, row)) for row in rows) + "\n", encoding="utf-8"
+    )
     return str(path)
 
 
@@ -31,22 +43,38 @@ def smooth(tmp_path: Path) -> Samples:
 
 @pytest.fixture
 def lines(tmp_path: Path) -> Samples:
-    return Samples(path=write_csv(tmp_path / "lines.csv", [(1, 0, 0), (2, 1, -1), (4, 1, 3)]), smooth=False)
+    return Samples(
+        path=write_csv(tmp_path / "lines.csv", [(1, 0, 0), (2, 1, -1), (4, 1, 3)]), smooth=False
+    )
 
 
 def two_channels(smooth: Samples, lines: Samples) -> list[tuple[Signal, list[float]]]:
     """Signals of two channels with the times of their corners."""
     return [
         (Sine(amplitude=[5.0, 2.0], frequency=1.3, phase=[0.0, 0.7], offset=[0.0, 1.0]), []),
-        (Sines(components=[Tone(amplitude=1.0, frequency=0.5), Tone(amplitude=[0.0, 3.0], frequency=2.0)], offset=0.5), []),
+        (
+            Sines(
+                components=[
+                    Tone(amplitude=1.0, frequency=0.5),
+                    Tone(amplitude=[0.0, 3.0], frequency=2.0),
+                ],
+                offset=0.5,
+            ),
+            [],
+        ),
         (Step(amplitude=[1.0, 2.0], time=2.0, before=-1.0), [2.0]),
-        (Trapezoid(amplitude=[1.0, 2.0], rise=0.7, hold=0.4), list(np.cumsum([0.7, 0.4, 1.4, 0.4, 0.7] * 2))),
+        (
+            Trapezoid(amplitude=[1.0, 2.0], rise=0.7, hold=0.4),
+            list(np.cumsum([0.7, 0.4, 1.4, 0.4, 0.7] * 2)),
+        ),
         (smooth, [0.5, 5.5, *np.linspace(0.5, 5.5, 41)]),
         (lines, [1.0, 2.0, 4.0]),
     ]
 
 
-def test_derivatives_are_those_of_the_values_away_from_corners(smooth: Samples, lines: Samples) -> None:
+def test_derivatives_are_those_of_the_values_away_from_corners(
+    smooth: Samples, lines: Samples
+) -> None:
     h = 1e-5
     for signal, corners in two_channels(smooth, lines):
         found = exosystem("reference", signal, 2)
@@ -54,7 +82,9 @@ def test_derivatives_are_those_of_the_values_away_from_corners(smooth: Samples, 
         assert t.size > 400
         for order in (0, 1, 2):
             slope = (found.value(t + h, order) - found.value(t - h, order)) / (2 * h)
-            assert found.value(t, order + 1) == pytest.approx(slope, rel=1e-4, abs=1e-4 * (1 + np.abs(slope).max()))
+            assert found.value(t, order + 1) == pytest.approx(
+                slope, rel=1e-4, abs=1e-4 * (1 + np.abs(slope).max())
+            )
 
 
 def test_state_obeys_its_exosystem_between_corners(smooth: Samples, lines: Samples) -> None:
@@ -73,18 +103,41 @@ def one(signal: Signal) -> Any:
 
 
 def test_values_in_closed_form() -> None:
-    assert one(Sine(amplitude=5.0, frequency=1.0))(0.0, 0.25, 0.5, 0.75) == pytest.approx([0, 5, 0, -5])
-    assert one(Sine(amplitude=5.0, frequency=1.0, phase=np.pi / 2, offset=1.0))(0.0) == pytest.approx(6)
-    both = Sines(components=[Tone(amplitude=1.0, frequency=0.5), Tone(amplitude=2.0, frequency=1.0, phase=0.3)], offset=-1.0)
-    assert one(both)(0.2) == pytest.approx(np.sin(np.pi * 0.2) + 2 * np.sin(2 * np.pi * 0.2 + 0.3) - 1)
-    assert one(Step(amplitude=2.0, time=1.0, before=-1.0))(0.0, 0.999, 1.0, 5.0).tolist() == [-1, -1, 2, 2]
+    assert one(Sine(amplitude=5.0, frequency=1.0))(0.0, 0.25, 0.5, 0.75) == pytest.approx(
+        [0, 5, 0, -5]
+    )
+    assert one(Sine(amplitude=5.0, frequency=1.0, phase=np.pi / 2, offset=1.0))(
+        0.0
+    ) == pytest.approx(6)
+    both = Sines(
+        components=[
+            Tone(amplitude=1.0, frequency=0.5),
+            Tone(amplitude=2.0, frequency=1.0, phase=0.3),
+        ],
+        offset=-1.0,
+    )
+    assert one(both)(0.2) == pytest.approx(
+        np.sin(np.pi * 0.2) + 2 * np.sin(2 * np.pi * 0.2 + 0.3) - 1
+    )
+    assert one(Step(amplitude=2.0, time=1.0, before=-1.0))(0.0, 0.999, 1.0, 5.0).tolist() == [
+        -1,
+        -1,
+        2,
+        2,
+    ]
     trapezoid = one(Trapezoid(amplitude=3.0, rise=1.0, hold=2.0))
-    assert trapezoid(0.0, 0.5, 1.0, 2.9, 4.0, 5.0, 6.9, 7.5, 8.0, 8.5) == pytest.approx([0, 1.5, 3, 3, 0, -3, -3, -1.5, 0, 1.5])
-    assert one(Trapezoid(amplitude=1.0, rise=1.0, hold=0.0))(1.0, 2.0, 3.0, 4.0) == pytest.approx([1, 0, -1, 0], abs=1e-12)
+    assert trapezoid(0.0, 0.5, 1.0, 2.9, 4.0, 5.0, 6.9, 7.5, 8.0, 8.5) == pytest.approx(
+        [0, 1.5, 3, 3, 0, -3, -3, -1.5, 0, 1.5]
+    )
+    assert one(Trapezoid(amplitude=1.0, rise=1.0, hold=0.0))(1.0, 2.0, 3.0, 4.0) == pytest.approx(
+        [1, 0, -1, 0], abs=1e-12
+    )
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12))
-def test_csv_goes_through_its_samples_and_is_held_at_its_ends(tmp_path_factory: pytest.TempPathFactory, seed: int, count: int) -> None:
+def test_csv_goes_through_its_samples_and_is_held_at_its_ends(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+) -> None:
     rng = np.random.default_rng(seed)
     t, values = np.cumsum(rng.uniform(0.1, 1.0, count)), rng.normal(size=count)
     path = write_csv(tmp_path_factory.mktemp("csv") / "samples.csv", np.stack([t, values], axis=1))
@@ -103,7 +156,10 @@ def test_smooth_samples_follow_a_sine_closely(smooth: Samples) -> None:
     assert np.abs(found.value(t, 1)[:, 1] - 2 * t).max() < 1e-9
 
 
-@pytest.mark.parametrize("start", ["", "time,angle\n", "# made by hand\nt [s],z [rad]\n", "\ufeff", "\ufefftime,angle\n", "\n"])
+@pytest.mark.parametrize(
+    "start",
+    ["", "time,angle\n", "# made by hand\nt [s],z [rad]\n", "\ufeff", "\ufefftime,angle\n", "\n"],
+)
 def test_csv_header_comments_and_byte_order_mark(tmp_path: Path, start: str) -> None:
     path = write_csv(tmp_path / "r.csv", [(0, 1), (1, 3), (2, 5)], start)
     t, values = signals.read_csv("reference", path, 1)
@@ -136,7 +192,12 @@ def test_wrong_csv(tmp_path: Path, text: str, words: str) -> None:
 
 def test_unreadable_csv(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
-    for path, words in [("missing.csv", "No such file"), (".", "directory"), ("binary.csv", "UTF-8"), ("nul\0.csv", "null")]:
+    for path, words in [
+        ("missing.csv", "No such file"),
+        (".", "directory"),
+        ("binary.csv", "UTF-8"),
+        ("nul\0.csv", "null"),
+    ]:
         with pytest.raises(FileError, match=f"reference.path: cannot read .*{words}"):
             exosystem("reference", Samples(path=f"{tmp_path}/{path}"), 1)
 
@@ -144,15 +205,49 @@ def test_unreadable_csv(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("signal", "error", "words"),
     [
-        (Sine(amplitude=[1.0, 2.0, 3.0], frequency=1.0), ShapeError, "reference.amplitude: expected 2 numbers .*, found 3"),
-        (Sine(amplitude=1.0, frequency=0.0), InputError, "reference.frequency: must be greater than 0"),
-        (Sine(amplitude=1.0, frequency=float("nan")), InputError, "reference.frequency: every number must be finite"),
+        (
+            Sine(amplitude=[1.0, 2.0, 3.0], frequency=1.0),
+            ShapeError,
+            "reference.amplitude: expected 2 numbers .*, found 3",
+        ),
+        (
+            Sine(amplitude=1.0, frequency=0.0),
+            InputError,
+            "reference.frequency: must be greater than 0",
+        ),
+        (
+            Sine(amplitude=1.0, frequency=float("nan")),
+            InputError,
+            "reference.frequency: every number must be finite",
+        ),
         (Sines(components=[]), InputError, "reference.components: expected at least one"),
-        (Sines(components=[Tone(amplitude=1.0, frequency=1.0), Tone(amplitude=1.0, frequency=-2.0)]), InputError, r"reference.components\[1\].frequency"),
-        (Step(amplitude=1.0, before=[1.0, 2.0, 3.0]), ShapeError, "reference.before: expected 2 numbers"),
-        (Step(amplitude=1.0, time=float("inf")), InputError, "reference.time: every number must be finite"),
-        (Trapezoid(amplitude=1.0, rise=0.0, hold=1.0), InputError, "reference.rise: must be greater than 0"),
-        (Trapezoid(amplitude=1.0, rise=1.0, hold=-1.0), InputError, "reference.hold: must be at least 0"),
+        (
+            Sines(
+                components=[Tone(amplitude=1.0, frequency=1.0), Tone(amplitude=1.0, frequency=-2.0)]
+            ),
+            InputError,
+            r"reference.components\[1\].frequency",
+        ),
+        (
+            Step(amplitude=1.0, before=[1.0, 2.0, 3.0]),
+            ShapeError,
+            "reference.before: expected 2 numbers",
+        ),
+        (
+            Step(amplitude=1.0, time=float("inf")),
+            InputError,
+            "reference.time: every number must be finite",
+        ),
+        (
+            Trapezoid(amplitude=1.0, rise=0.0, hold=1.0),
+            InputError,
+            "reference.rise: must be greater than 0",
+        ),
+        (
+            Trapezoid(amplitude=1.0, rise=1.0, hold=-1.0),
+            InputError,
+            "reference.hold: must be at least 0",
+        ),
     ],
 )
 def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> None:

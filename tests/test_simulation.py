@@ -16,7 +16,13 @@ from undeadzone.simulation.simulate import simulate
 
 IDLE: dict[str, Any] = {"method": "state_feedback", "K": [0.0, 0.0]}
 NO_REFERENCE: dict[str, Any] = {"kind": "step", "amplitude": 0.0}
-CERTIFIED: dict[str, Any] = {"method": "certified", "L": [1.0, 1.5], "gamma": 10.0, "widths0": [0.2, 0.2], "width_max": 3.0}
+CERTIFIED: dict[str, Any] = {
+    "method": "certified",
+    "L": [1.0, 1.5],
+    "gamma": 10.0,
+    "widths0": [0.2, 0.2],
+    "width_max": 3.0,
+}
 
 
 def test_the_repaired_example_tracks_and_finds_its_widths() -> None:
@@ -39,7 +45,11 @@ def test_the_repaired_example_tracks_and_finds_its_widths() -> None:
 @pytest.mark.parametrize("silence", [False, True])
 def test_V_never_rises_exactly_in_sampled_time(silence: bool) -> None:
     run = simulate(
-        scene(sensor={"right": 1.3, "left": 0.6}, observer=CERTIFIED | {"silence": silence}, simulation={"time": "sampled", "step": 0.01, "duration": 10.0})
+        scene(
+            sensor={"right": 1.3, "left": 0.6},
+            observer=CERTIFIED | {"silence": silence},
+            simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
+        )
     )
     assert run.info.certified
     assert run.V is not None
@@ -65,7 +75,11 @@ def test_records_agree_with_each_other() -> None:
     assert run.side.ravel().tolist() == np.sign(run.y).ravel().tolist()
     assert run.z_hat == pytest.approx(run.x_hat[:, :1])
     right, left = run.d_hat.T
-    inverse = run.y[:, 0] / 2 + np.where(run.side[:, 0] > 0, right, 0) - np.where(run.side[:, 0] < 0, left, 0)
+    inverse = (
+        run.y[:, 0] / 2
+        + np.where(run.side[:, 0] > 0, right, 0)
+        - np.where(run.side[:, 0] < 0, left, 0)
+    )
     assert run.z_inverse[:, 0] == pytest.approx(inverse)
     assert run.r[:, 0] == pytest.approx(5 * np.sin(2 * np.pi * run.t))
     assert run.t == pytest.approx(np.arange(2001) * 1e-3)
@@ -74,14 +88,25 @@ def test_records_agree_with_each_other() -> None:
 
 def test_disturbance_enters_at_the_input() -> None:
     """Against SciPy, with nothing else acting."""
-    disturbance = {"kind": "sines", "components": [{"amplitude": 2.0, "frequency": 0.7}, {"amplitude": 1.0, "frequency": 3.0, "phase": 0.4}], "offset": 0.3}
+    disturbance = {
+        "kind": "sines",
+        "components": [
+            {"amplitude": 2.0, "frequency": 0.7},
+            {"amplitude": 1.0, "frequency": 3.0, "phase": 0.4},
+        ],
+        "offset": 0.3,
+    }
     run = simulate(scene(controller=IDLE, reference=NO_REFERENCE, disturbance=disturbance))
     A, B, _ = PAPER_PLANT.linear
 
     def rate(t: float, x: Any) -> Any:
-        return A @ x + B[:, 0] * (2 * np.sin(2 * np.pi * 0.7 * t) + np.sin(2 * np.pi * 3 * t + 0.4) + 0.3)
+        return A @ x + B[:, 0] * (
+            2 * np.sin(2 * np.pi * 0.7 * t) + np.sin(2 * np.pi * 3 * t + 0.4) + 0.3
+        )
 
-    expected = solve_ivp(rate, (0, 2), [0.5, 0.0], "DOP853", t_eval=run.t, rtol=1e-12, atol=1e-12).y.T
+    expected = solve_ivp(
+        rate, (0, 2), [0.5, 0.0], "DOP853", t_eval=run.t, rtol=1e-12, atol=1e-12
+    ).y.T
     assert run.x == pytest.approx(expected, abs=1e-9)
 
 
@@ -94,7 +119,12 @@ def test_random_disturbance_has_its_rms_and_seed(time: str) -> None:
     }  # fmt: skip
 
     def run(seed: int) -> Run:
-        return simulate(scene(**tables, simulation={"duration": 100.0, "step": 0.01, "time": time, "seed": seed}), check_step=False)
+        return simulate(
+            scene(
+                **tables, simulation={"duration": 100.0, "step": 0.01, "time": time, "seed": seed}
+            ),
+            check_step=False,
+        )
 
     first, again, other = run(1), run(1), run(2)
     assert first.x.std() == pytest.approx(2.0, rel=0.15)
@@ -103,7 +133,12 @@ def test_random_disturbance_has_its_rms_and_seed(time: str) -> None:
 
 
 def test_noise_before_the_zone_moves_the_reading_only_outside() -> None:
-    run = simulate(scene(sensor={"noise_before": 0.1}, simulation={"time": "sampled", "step": 0.01, "duration": 10.0}))
+    run = simulate(
+        scene(
+            sensor={"noise_before": 0.1},
+            simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
+        )
+    )
     outside = np.abs(run.z) > 1.5
     noise = run.y - (run.z - np.clip(run.z, -1, 1))
     assert noise[outside].std() == pytest.approx(0.1, abs=0.02)
@@ -112,7 +147,9 @@ def test_noise_before_the_zone_moves_the_reading_only_outside() -> None:
 
 def test_integration_error_is_asked_for() -> None:
     assert simulate(scene(), check_step=False).info.integration_error is None
-    assert simulate(scene(simulation={"time": "sampled", "step": 0.01})).info.integration_error is None
+    assert (
+        simulate(scene(simulation={"time": "sampled", "step": 0.01})).info.integration_error is None
+    )
 
 
 def test_progress_counts_every_step() -> None:
@@ -130,7 +167,12 @@ def test_corners_of_a_reference_on_the_grid_are_felt_in_the_step_that_follows() 
 
 
 def test_a_run_that_diverges_says_when() -> None:
-    run = simulate(scene(controller={"method": "state_feedback", "K": [-200.0, -30.0]}, simulation={"duration": 10.0}))
+    run = simulate(
+        scene(
+            controller={"method": "state_feedback", "K": [-200.0, -30.0]},
+            simulation={"duration": 10.0},
+        )
+    )
     assert run.diverged_at is not None
     assert 0.5 < run.diverged_at < 5
     assert np.abs(run.x[run.t < run.diverged_at - 1e-9]).max() <= 1e12
@@ -140,7 +182,13 @@ def test_a_run_that_diverges_says_when() -> None:
 
 
 def test_an_edge_never_reached_is_reported() -> None:
-    run = simulate(scene(reference={"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0}, sensor={"left": 2.9}, simulation={"duration": 3.0}))
+    run = simulate(
+        scene(
+            reference={"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0},
+            sensor={"left": 2.9},
+            simulation={"duration": 3.0},
+        )
+    )
     (verdict,) = run.info.identifiable
     assert not run.fully_identifiable
     assert (verdict["right"], verdict["left"]) == (True, False)
@@ -150,7 +198,11 @@ def test_an_edge_never_reached_is_reported() -> None:
 def test_chain_of_integrators_is_answered_with_the_centre() -> None:
     """Class (15) for n = 2: the width is found, the centre is not, and the run says why."""
     run = simulate(
-        scene(plant={"integrators": 2, "x0": [0.5, 0.0]}, observer={"method": "certified", "L": [3.0, 2.0], "gamma": 1.0}, simulation={"duration": 3.0})
+        scene(
+            plant={"integrators": 2, "x0": [0.5, 0.0]},
+            observer={"method": "certified", "L": [3.0, 2.0], "gamma": 1.0},
+            simulation={"duration": 3.0},
+        )
     )
     (verdict,) = run.info.identifiable
     assert (verdict["width"], verdict["centre"]) == (True, False)

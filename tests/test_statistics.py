@@ -6,8 +6,26 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from undeadzone.statistics.intervals import LEVEL, QUANTILES, Extreme, Interval, describe, deviation, jackknife, mean, proportion, quantile
-from undeadzone.statistics.sensitivity import chance, first_order, given, indices, rank_correlations, saltelli
+from undeadzone.statistics.intervals import (
+    LEVEL,
+    QUANTILES,
+    Extreme,
+    Interval,
+    describe,
+    deviation,
+    jackknife,
+    mean,
+    proportion,
+    quantile,
+)
+from undeadzone.statistics.sensitivity import (
+    chance,
+    first_order,
+    given,
+    indices,
+    rank_correlations,
+    saltelli,
+)
 from undeadzone.support.arrays import Floats
 
 TRIALS = 400
@@ -19,10 +37,18 @@ def covers(interval: Interval | Extreme, truth: float) -> bool:
     return interval.low <= truth <= interval.high
 
 
-@pytest.mark.parametrize("law", [stats.norm(3.0, 0.5), stats.expon(), stats.uniform()], ids=["normal", "exponential", "uniform"])
+@pytest.mark.parametrize(
+    "law",
+    [stats.norm(3.0, 0.5), stats.expon(), stats.uniform()],
+    ids=["normal", "exponential", "uniform"],
+)
 def test_intervals_cover_the_truth_as_often_as_they_say(law: stats.rv_continuous) -> None:
     random = np.random.default_rng(1)
-    truth = {"mean": law.mean(), "std": law.std(), **{name: law.ppf(share) for name, share in QUANTILES.items()}}
+    truth = {
+        "mean": law.mean(),
+        "std": law.std(),
+        **{name: law.ppf(share) for name, share in QUANTILES.items()},
+    }
     trials = [describe(law.rvs(1000, random_state=random)) for _ in range(TRIALS)]
     for name, value in truth.items():
         coverage = np.mean([covers(found[name], value) for found in trials])
@@ -33,8 +59,12 @@ def test_intervals_cover_the_truth_as_often_as_they_say(law: stats.rv_continuous
 
 @pytest.mark.parametrize("n", [1, 20, 99, 1000])
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.99])
-def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(n: int, share: float) -> None:
-    found = quantile(np.arange(1.0, n + 1), share)  # values are ranks: X_(low) <= q < X_(high) iff low <= number of runs below q < high
+def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(
+    n: int, share: float
+) -> None:
+    found = quantile(
+        np.arange(1.0, n + 1), share
+    )  # values are ranks: X_(low) <= q < X_(high) iff low <= number of runs below q < high
     below = np.arange(n + 1)
     inside = (below >= max(found.low, 0)) & (below < min(found.high, n + 1))
     assert stats.binom.pmf(below[inside], n, share).sum() >= LEVEL
@@ -58,7 +88,10 @@ def test_extremes_say_what_share_lies_beyond_them() -> None:
     random = np.random.default_rng(2)
     found = [describe(random.random(50)) for _ in range(TRIALS)]
     for name, beyond in (("max", lambda x: 1 - x), ("min", lambda x: x)):
-        assert abs(np.mean([beyond(one[name].value) <= one[name].beyond for one in found]) - LEVEL) < SLACK  # type: ignore[union-attr]
+        assert (
+            abs(np.mean([beyond(one[name].value) <= one[name].beyond for one in found]) - LEVEL)
+            < SLACK
+        )  # type: ignore[union-attr]
 
 
 def test_infinite_values_have_quantiles_but_no_mean() -> None:
@@ -77,7 +110,9 @@ def test_a_column_without_spread_is_known_exactly() -> None:
 def test_the_jackknife_finds_the_standard_error_of_a_mean() -> None:
     random = np.random.default_rng(3)
     columns = random.exponential(size=(200, 400))
-    squares = [float(jackknife(lambda rows, x=x: np.asarray(x[rows].mean()), 400)) ** 2 for x in columns]
+    squares = [
+        float(jackknife(lambda rows, x=x: np.asarray(x[rows].mean()), 400)) ** 2 for x in columns
+    ]
     assert np.mean(squares) == pytest.approx(1 / 400, rel=0.1)
 
 
@@ -117,8 +152,12 @@ def test_ishigami_from_saltellis_design() -> None:
 
 def test_indices_are_those_of_scipy() -> None:
     blocks = ishigami(design(256, 3, seed=6))
-    twin = stats.sobol_indices(func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}, n=256)
-    np.testing.assert_allclose(indices(blocks), [twin.first_order, twin.total_order], rtol=1e-12, atol=1e-14)
+    twin = stats.sobol_indices(
+        func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}, n=256
+    )
+    np.testing.assert_allclose(
+        indices(blocks), [twin.first_order, twin.total_order], rtol=1e-12, atol=1e-14
+    )
 
 
 def test_rows_with_a_run_that_diverged_are_left_out_of_the_design() -> None:
@@ -142,7 +181,10 @@ def test_linear_gaussian_closed_forms() -> None:
     slack = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / 100)
     for i, w in enumerate(weights):
         rank = 6 / np.pi * np.arcsin(w / 2)
-        assert np.mean([trial[i].spearman.low <= rank <= trial[i].spearman.high for trial in trials]) > LEVEL - slack
+        assert (
+            np.mean([trial[i].spearman.low <= rank <= trial[i].spearman.high for trial in trials])
+            > LEVEL - slack
+        )
         assert np.mean([covers(trial[i].first, w**2) for trial in trials]) > LEVEL - slack
     idle = [trial[2] for trial in trials]
     assert np.mean([one.partial.low <= 0 <= one.partial.high for one in idle]) > LEVEL - slack
@@ -165,7 +207,9 @@ def test_rank_correlations_are_those_of_textbooks() -> None:
     spearman, partial = rank_correlations(X, y)
     for i in range(3):
         others = np.column_stack([np.ones(150), np.delete(ranks, i, axis=1)])
-        left = [column - others @ np.linalg.lstsq(others, column)[0] for column in (ranks[:, i], goal)]
+        left = [
+            column - others @ np.linalg.lstsq(others, column)[0] for column in (ranks[:, i], goal)
+        ]
         assert spearman[i] == pytest.approx(stats.spearmanr(X[:, i], y).statistic, abs=1e-12)
         assert partial[i] == pytest.approx(np.corrcoef(*left)[0, 1], abs=1e-9)
 

@@ -29,17 +29,29 @@ def test_random_pairs_are_observable_and_controllable(seed: int, n: int, channel
 def test_a_hidden_part_is_found_in_any_coordinates(seed: int, seen: int, hidden: int) -> None:
     """A block that no output sees, behind a random change of coordinates: its eigenvalues are listed."""
     rng = np.random.default_rng(seed)
-    one, other = rng.normal(size=(seen, seen)) + 3 * np.eye(seen), rng.normal(size=(hidden, hidden)) - 3 * np.eye(hidden)
+    one, other = (
+        rng.normal(size=(seen, seen)) + 3 * np.eye(seen),
+        rng.normal(size=(hidden, hidden)) - 3 * np.eye(hidden),
+    )
     T = np.linalg.qr(rng.normal(size=(seen + hidden, seen + hidden)))[0]
-    A = T @ np.block([[one, np.zeros((seen, hidden))], [rng.normal(size=(hidden, seen)), other]]) @ T.T
+    A = (
+        T
+        @ np.block([[one, np.zeros((seen, hidden))], [rng.normal(size=(hidden, seen)), other]])
+        @ T.T
+    )
     C = np.hstack([rng.normal(size=(1, seen)), np.zeros((1, hidden))]) @ T.T
     expected = np.sort_complex(np.linalg.eigvals(other))
     assert np.sort_complex(np.array(unobservable_modes(A, C))) == pytest.approx(expected, abs=1e-5)
-    assert np.sort_complex(np.array(uncontrollable_modes(A.T, C.T))) == pytest.approx(expected, abs=1e-5)
+    assert np.sort_complex(np.array(uncontrollable_modes(A.T, C.T))) == pytest.approx(
+        expected, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("rate", [1e-6, 1e-3, 1.0, 1e3, 1e6])
-@pytest.mark.parametrize("form", [{"companion": [6.0, 11.0, 6.0]}, {"companion": [24.0, 50.0, 35.0, 10.0]}, {"integrators": 5}])
+@pytest.mark.parametrize(
+    "form",
+    [{"companion": [6.0, 11.0, 6.0]}, {"companion": [24.0, 50.0, 35.0, 10.0]}, {"integrators": 5}],
+)
 def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float) -> None:
     """The same plant in another unit of time."""
     A, B, C = matrices(Plant(**form))
@@ -51,10 +63,25 @@ def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float
 @pytest.mark.parametrize(
     ("A", "B", "C", "words"),
     [
-        ([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [1.0]], [[1.0, 0.0]], r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output"),
-        ([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [0.0]], [[1.0, 1.0]], r"plant: the pair \(A, B\) is uncontrollable: mode -2; add an input"),
+        (
+            [[-1.0, 0.0], [0.0, -2.0]],
+            [[1.0], [1.0]],
+            [[1.0, 0.0]],
+            r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output",
+        ),
+        (
+            [[-1.0, 0.0], [0.0, -2.0]],
+            [[1.0], [0.0]],
+            [[1.0, 1.0]],
+            r"plant: the pair \(A, B\) is uncontrollable: mode -2; add an input",
+        ),
         ([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 0.0]], "is unobservable: modes -1"),
-        ([[0.0, 1.0], [-4.0, 0.0]], [[0.0], [0.0]], [[1.0, 0.0]], r"uncontrollable: modes (-?0)?.*2j"),
+        (
+            [[0.0, 1.0], [-4.0, 0.0]],
+            [[0.0], [0.0]],
+            [[1.0, 0.0]],
+            r"uncontrollable: modes (-?0)?.*2j",
+        ),
     ],
 )
 def test_the_mode_at_fault_is_named(A: Any, B: Any, C: Any, words: str) -> None:

@@ -26,8 +26,14 @@ class Outer(NamedTuple):
     pair: Any
 
 
-blocks = st.one_of(st.floats(-9, 9), arrays(float, array_shapes(max_dims=2, max_side=3), elements=st.floats(-9, 9)), st.just(np.empty(0)))
-trees = st.builds(Outer, blocks, st.builds(Inner, blocks, st.none(), blocks), st.tuples(blocks, blocks))
+blocks = st.one_of(
+    st.floats(-9, 9),
+    arrays(float, array_shapes(max_dims=2, max_side=3), elements=st.floats(-9, 9)),
+    st.just(np.empty(0)),
+)
+trees = st.builds(
+    Outer, blocks, st.builds(Inner, blocks, st.none(), blocks), st.tuples(blocks, blocks)
+)
 
 
 @given(trees)
@@ -35,8 +41,13 @@ def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> Non
     packed = tree.pack(like)
     assert packed.size == tree.size(like) == len(tree.names(like))
     column, view = tree.symbols(like, "s")
-    assert [leaf.shape for _, leaf in tree.leaves(view)] == [ca.DM(leaf).shape if np.size(leaf) else (0, 1) for _, leaf in tree.leaves(like)]
-    assert ca.Function("stack", [column], [tree.stack(view)])(packed).full().ravel().tolist() == packed.tolist()
+    assert [leaf.shape for _, leaf in tree.leaves(view)] == [
+        ca.DM(leaf).shape if np.size(leaf) else (0, 1) for _, leaf in tree.leaves(like)
+    ]
+    assert (
+        ca.Function("stack", [column], [tree.stack(view)])(packed).full().ravel().tolist()
+        == packed.tolist()
+    )
     values = [ca.Function("leaf", [column], [leaf])(packed).full() for _, leaf in tree.leaves(view)]
     again = tree.rebuild(like, iter(values))
     assert isinstance(again, Outer)
@@ -45,8 +56,22 @@ def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> Non
 
 
 def test_names_address_each_number_in_packing_order() -> None:
-    like = Outer(1.0, Inner(np.array([[1.0, 2.0], [3.0, 4.0]]), None, np.array([5.0])), (6.0, np.array([7.0, 8.0])))
-    expected = ["first", "inner.A[0,0]", "inner.A[1,0]", "inner.A[0,1]", "inner.A[1,1]", "inner.b[0]", "pair.0", "pair.1[0]", "pair.1[1]"]
+    like = Outer(
+        1.0,
+        Inner(np.array([[1.0, 2.0], [3.0, 4.0]]), None, np.array([5.0])),
+        (6.0, np.array([7.0, 8.0])),
+    )
+    expected = [
+        "first",
+        "inner.A[0,0]",
+        "inner.A[1,0]",
+        "inner.A[0,1]",
+        "inner.A[1,1]",
+        "inner.b[0]",
+        "pair.0",
+        "pair.1[0]",
+        "pair.1[1]",
+    ]
     assert tree.names(like) == expected
     assert tree.names(like, "p")[1] == "p.inner.A[0,0]"
     assert tree.pack(like).tolist() == [1, 1, 3, 2, 4, 5, 6, 7, 8]

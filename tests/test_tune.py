@@ -49,7 +49,9 @@ def gusts(**changes: Any) -> Scenario:
         sensor={"noise": 0.02},
         simulation={"time": "sampled", "step": 1e-2, "duration": 4.0},
         disturbance={"kind": "random", "rms": 5.0, "correlation_time": 0.3},
-        ensemble={"entries": {f"sensor.{edge}": {"uniform": [0.3, 2.0]} for edge in ("right", "left")}},
+        ensemble={
+            "entries": {f"sensor.{edge}": {"uniform": [0.3, 2.0]} for edge in ("right", "left")}
+        },
     )
     return msgspec.structs.replace(found, **changes)
 
@@ -69,7 +71,11 @@ def test_numbers_of_the_options_by_address() -> None:
     changed = with_numbers(scenario, {"observer.L[1]": 7.0, "controller.alpha": 3.0})
     np.testing.assert_array_equal(changed.observer.L, [1.0, 7.0])
     assert changed.controller.alpha == 3.0
-    assert numbers(changed) | {"observer.L[1]": known["observer.L[1]"], "controller.alpha": known["controller.alpha"]} == known
+    assert (
+        numbers(changed)
+        | {"observer.L[1]": known["observer.L[1]"], "controller.alpha": known["controller.alpha"]}
+        == known
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,28 +96,53 @@ def test_an_address_names_entries(address: str, names: list[str]) -> None:
     [
         ({}, "nothing to tune"),
         ({"observer.gama": (1, 20)}, "did you mean 'observer.gamma'"),
-        ({"plant.A[0,0]": (1, 20)}, "no number of that name in the options; there are controller.K"),
+        (
+            {"plant.A[0,0]": (1, 20)},
+            "no number of that name in the options; there are controller.K",
+        ),
         ({"observer.L[2]": (1, 20)}, r"there is observer.L\[0\] to observer.L\[1\]"),
         ({"controller.K[0,1]": (1, 20)}, "the scenario gives no controller.K; write it there"),
         ({"observer.gamma": (20, 1)}, r"expected \[low, high\] with low < high, found \[20, 1\]"),
-        ({"observer.gamma": (20, 30)}, r"the scenario's observer.gamma = 10 lies outside \[20, 30\]"),
+        (
+            {"observer.gamma": (20, 30)},
+            r"the scenario's observer.gamma = 10 lies outside \[20, 30\]",
+        ),
         ({"observer.gamma": (1, 20), "observer.gamma[0]": (1, 20)}, "tuned twice"),
     ],
 )
 def test_what_cannot_be_tuned(given: dict[str, tuple[float, float]], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        tune(gusts(), Tune(entries={address: Range(between=between) for address, between in given.items()}))
+        tune(
+            gusts(),
+            Tune(entries={address: Range(between=between) for address, between in given.items()}),
+        )
 
 
 @pytest.mark.parametrize(
     ("what", "scenario", "message"),
     [
-        (Tune(entries={"observer.gamma": Range(between=(0.0, 20.0), log=True)}), {}, "a logarithmic scale needs positive bounds"),
+        (
+            Tune(entries={"observer.gamma": Range(between=(0.0, 20.0), log=True)}),
+            {},
+            "a logarithmic scale needs positive bounds",
+        ),
         (Tune(entries=GAMMA, metric="rms"), {}, "tune.metric: 'rms' is none of rms_tracking"),
         (Tune(entries=GAMMA, budget=1), {}, "tune.budget: expected 4 or more, found 1"),
-        (Tune(entries={"observer.epsilon": Range(between=(0.1, 1.0))}, certified=True), {"observer": HighGain()}, "no constant gains L and gamma to certify"),
-        (Tune(entries={"controller.poles": Range(between=(-9.0, -1.0))}), {}, "cannot start from controller.poles = -5: .*exactly one of K, poles, alpha"),
-        (Tune(entries=GAMMA), {"ensemble": Vary(entries={"observer.gamma": Distribution(uniform=(1.0, 2.0))})}, "keep one of them"),
+        (
+            Tune(entries={"observer.epsilon": Range(between=(0.1, 1.0))}, certified=True),
+            {"observer": HighGain()},
+            "no constant gains L and gamma to certify",
+        ),
+        (
+            Tune(entries={"controller.poles": Range(between=(-9.0, -1.0))}),
+            {},
+            "cannot start from controller.poles = -5: .*exactly one of K, poles, alpha",
+        ),
+        (
+            Tune(entries=GAMMA),
+            {"ensemble": Vary(entries={"observer.gamma": Distribution(uniform=(1.0, 2.0))})},
+            "keep one of them",
+        ),
         (Tune(entries=GAMMA, seed=-1), {}, "tune.seed"),
     ],
 )
@@ -121,16 +152,31 @@ def test_what_cannot_be_wanted(what: Tune, scenario: dict[str, Any], message: st
 
 
 def test_no_gains_of_an_unstable_plant_are_certified() -> None:
-    plant = {"A": [[0.0, 1.0], [1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [0.5, 0.0]}
+    plant = {
+        "A": [[0.0, 1.0], [1.0, -2.0]],
+        "B": [[0.0], [1.0]],
+        "C": [[1.0, 0.0]],
+        "x0": [0.5, 0.0],
+    }
     scenario = scene(plant=plant, observer={"method": "certified", "L": [5.0, 6.0]})
     with pytest.raises(StructureError, match="no gains can be certified: the model is unstable"):
         tune(scenario, Tune(entries={"observer.gamma": Range(between=(0.1, 10.0))}, certified=True))
 
 
-@pytest.mark.parametrize("table", [{"gamma": {"between": [1, 2]}}, {"observer.gamma": [1, 2]}, {"observer.gamma": {"betwen": [1, 2]}}])
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"gamma": {"between": [1, 2]}},
+        {"observer.gamma": [1, 2]},
+        {"observer.gamma": {"betwen": [1, 2]}},
+    ],
+)
 def test_words_of_the_table(table: dict[str, Any]) -> None:
     data = {"plant": {}, "tune": table}
-    with pytest.raises(InputError, match=r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')"):
+    with pytest.raises(
+        InputError,
+        match=r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')",
+    ):
         convert(data)
 
 
@@ -142,7 +188,9 @@ def test_a_candidate_is_the_run_of_its_own_scenario() -> None:
     for point, several in zip(points, found, strict=True):
         alone = prepare(with_numbers(scenario, dict(zip(names, point, strict=True))))
         values = on.benches[0].values
-        np.testing.assert_allclose(several, alone.rows(np.arange(6), values)[:, values.shape[1] :], rtol=1e-9)
+        np.testing.assert_allclose(
+            several, alone.rows(np.arange(6), values)[:, values.shape[1] :], rtol=1e-9
+        )
 
 
 def test_the_gradient_by_lanes_is_that_of_single_candidates() -> None:
@@ -162,7 +210,9 @@ def test_the_gradient_by_lanes_is_that_of_single_candidates() -> None:
         ahead, behind = costs((u + step)[None])[0], costs((u - step)[None])[0]
         assert slope == pytest.approx((ahead - behind) / (2 * REACH), rel=1e-12)
         small = 1e-5 * np.eye(3)[i]
-        assert slope == pytest.approx((costs((u + small)[None])[0] - costs((u - small)[None])[0]) / 2e-5, rel=0.1, abs=0.03)
+        assert slope == pytest.approx(
+            (costs((u + small)[None])[0] - costs((u - small)[None])[0]) / 2e-5, rel=0.1, abs=0.03
+        )
 
 
 def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
@@ -175,7 +225,9 @@ def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
     np.testing.assert_array_equal(slopes.margin, 0.0)
 
 
-@pytest.mark.parametrize(("name", "metric"), [("mean", "rms_estimation"), ("median", "rms_tracking")])
+@pytest.mark.parametrize(
+    ("name", "metric"), [("mean", "rms_estimation"), ("median", "rms_tracking")]
+)
 def test_one_gain_is_as_good_as_a_dense_sweep(name: Any, metric: str) -> None:
     what = Tune(entries=GAMMA, runs=16, held_out=16, budget=60, statistic=name, metric=metric)
     dense = sweep(gusts(), {"observer.gamma": np.geomspace(0.1, 100.0, 151)}, what)
@@ -190,7 +242,11 @@ def test_one_gain_is_as_good_as_a_dense_sweep(name: Any, metric: str) -> None:
 def test_several_gains_are_better_than_a_grid() -> None:
     what = Tune(entries=GAINS, runs=16, held_out=64, budget=150)
     names = ("observer.L[0]", "observer.L[1]", "observer.gamma")
-    grid = sweep(gusts(), {name: np.geomspace(*GAINS[name.partition("[")[0]].between, 7) for name in names}, what)
+    grid = sweep(
+        gusts(),
+        {name: np.geomspace(*GAINS[name.partition("[")[0]].between, 7) for name in names},
+        what,
+    )
     assert grid.cost.shape == (7, 7, 7)
     found = tune(gusts(), what)
     assert found.cost[1] < grid.cost.min()
@@ -210,7 +266,9 @@ def test_the_certificate_is_kept_where_it_binds() -> None:
     assert 0.02 <= proof.margin < 0.1
     free = tune(gusts(), msgspec.structs.replace(what, certified=False))
     assert free.cost[1] < found.cost[1]
-    assert not certify(model.linear, np.reshape(free.values[:2], (2, 1)), np.array(free.values[2:]), model.Ts).certified
+    assert not certify(
+        model.linear, np.reshape(free.values[:2], (2, 1)), np.array(free.values[2:]), model.Ts
+    ).certified
     assert found.improved
     assert found.certified
 
@@ -224,14 +282,21 @@ def test_threads_change_nothing() -> None:
 
 def test_a_rebuilt_option_is_a_lane_too() -> None:
     scenario = gusts(observer=HighGain(epsilon=0.2))
-    on = of(Tune(runs=4), scenario, ["observer.epsilon", "controller.alpha"], [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]])
+    on = of(
+        Tune(runs=4),
+        scenario,
+        ["observer.epsilon", "controller.alpha"],
+        [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]],
+    )
     candidates = on.problems(np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]]))
     assert candidates[2] is None  # too fast for the sample time
     kept = [problems for problems in candidates if problems is not None]
     cost = on.costs(kept)
     assert on.benches[0].graph == graph(kept[1][0])
     alone = prepare(kept[1][0].scenario)
-    lost = losses("rms_tracking", on.benches[0], alone.rows(np.arange(4), on.benches[0].values)[:, 2:])
+    lost = losses(
+        "rms_tracking", on.benches[0], alone.rows(np.arange(4), on.benches[0].values)[:, 2:]
+    )
     assert cost[1] == pytest.approx(lost.mean(), rel=1e-9)
 
 
@@ -244,15 +309,29 @@ def test_an_observer_in_python_runs_the_same_runs() -> None:
         found = row(problem, run_loop(loop, state, inputs.exogenous(problem, run=k)))
         np.testing.assert_allclose(found[0], expected, rtol=1e-9)
     particles = gusts(ensemble=None, observer=ParticleFilter(right=[0.0, 2.0], particles=10))
-    found = tune(particles, Tune(entries={"observer.noise": Range(between=(0.01, 1.0), log=True)}, runs=2, held_out=2, budget=4))
+    found = tune(
+        particles,
+        Tune(
+            entries={"observer.noise": Range(between=(0.01, 1.0), log=True)},
+            runs=2,
+            held_out=2,
+            budget=4,
+        ),
+    )
     assert len(found.trials) == 4
     assert found.cost[1] <= found.cost[0]
     with pytest.raises(InputError, match="computes in Python"):
-        tune(gusts(observer=particles.observer), Tune(entries={"observer.noise": Range(between=(0.01, 1.0))}))
+        tune(
+            gusts(observer=particles.observer),
+            Tune(entries={"observer.noise": Range(between=(0.01, 1.0))}),
+        )
 
 
 def test_another_structure_is_another_graph() -> None:
-    options = [TaylorResidual(reach=6.0, speed=3.0, degree=degree, leak=leak) for degree, leak in ((5, 0.1), (5, 0.2), (7, 0.1))]
+    options = [
+        TaylorResidual(reach=6.0, speed=3.0, degree=degree, leak=leak)
+        for degree, leak in ((5, 0.1), (5, 0.2), (7, 0.1))
+    ]
     problems = [resolve_scenario(gusts(observer=each)) for each in options]
     assert graph(problems[0]) == graph(problems[1]) != graph(problems[2])
 
@@ -270,12 +349,20 @@ def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
     assert lost[3] == 3.0
     assert LIMIT == lost[4] < lost[1] < lost[2] < 2 * LIMIT
     found[:, names.index("d_right[0]")] = 5.0
-    np.testing.assert_allclose(losses("d_right_error[0]", bench, found[:1, None].repeat(2, axis=1))[0], 5.0 - bench.values[:, 0])
+    np.testing.assert_allclose(
+        losses("d_right_error[0]", bench, found[:1, None].repeat(2, axis=1))[0],
+        5.0 - bench.values[:, 0],
+    )
 
 
 def test_statistics_of_losses() -> None:
     lost = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))[None]
-    assert [float(statistic(name, lost)[0]) for name in ("mean", "median", "p95", "worst")] == [50.5, 50.0, 95.0, 100.0]
+    assert [float(statistic(name, lost)[0]) for name in ("mean", "median", "p95", "worst")] == [
+        50.5,
+        50.0,
+        95.0,
+        100.0,
+    ]
 
 
 def test_the_interval_of_the_change_covers_it() -> None:
@@ -294,7 +381,9 @@ def test_better_means_fewer_diverge_or_a_change_that_chance_does_not_explain() -
     value = Interval(1.0, 0.9, 1.1)
 
     def improved(before: Interval, after: Interval, change: Interval) -> bool:
-        return dataclasses.replace(found, held_out=(HeldOut(Worth(value, before), Worth(value, after), 8),), change=change).improved
+        return dataclasses.replace(
+            found, held_out=(HeldOut(Worth(value, before), Worth(value, after), 8),), change=change
+        ).improved
 
     assert improved(none, none, Interval(-1.0, -2.0, -0.1))
     assert not improved(none, none, Interval(-1.0, -2.0, 0.1))
@@ -308,14 +397,26 @@ def test_several_scenarios_at_once() -> None:
     what = Tune(entries=GAMMA, runs=8, held_out=8, budget=24)
     frames = [Frame(0.1, 2.0), Frame(0.0, 0.05)]
     found = tune([gusts(), calm], what, frames=frames)
-    expected = [sweep(scenario, {"observer.gamma": [found.values[0], 10.0]}, what).cost for scenario in (gusts(), calm)]
-    scores = np.mean([(cost - frame.zero) / (frame.one - frame.zero) for cost, frame in zip(expected, frames, strict=True)], axis=0)
+    expected = [
+        sweep(scenario, {"observer.gamma": [found.values[0], 10.0]}, what).cost
+        for scenario in (gusts(), calm)
+    ]
+    scores = np.mean(
+        [
+            (cost - frame.zero) / (frame.one - frame.zero)
+            for cost, frame in zip(expected, frames, strict=True)
+        ],
+        axis=0,
+    )
     np.testing.assert_allclose(scores[::-1], found.cost, rtol=1e-9)
     assert [scenario.title for scenario in found.scenarios] == [gusts().title, "calm"]
     assert {scenario.observer.gamma for scenario in found.scenarios} == {found.values[0]}
     assert found.runs == len(found.trials) * 8 * 2
     with pytest.raises(InputError, match="scenario 'other' has no such number"):
-        tune([gusts(), gusts(title="other", observer=HighGain())], Tune(entries={"observer.L": GAINS["observer.L"]}))
+        tune(
+            [gusts(), gusts(title="other", observer=HighGain())],
+            Tune(entries={"observer.L": GAINS["observer.L"]}),
+        )
 
 
 def test_runs_that_are_alike_are_one_run() -> None:
@@ -329,7 +430,9 @@ def test_runs_that_are_alike_are_one_run() -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     scenario = tmp_path / "mine.toml"
-    scenario.write_text(toml.dumps(gusts(tune=Tune(entries=GAMMA, runs=16, held_out=64, budget=40))))
+    scenario.write_text(
+        toml.dumps(gusts(tune=Tune(entries=GAMMA, runs=16, held_out=64, budget=40)))
+    )
     words = ["--over", "observer.L=0.01:100:log", "--json", "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(group, ["tune", str(scenario), *words], standalone_mode=False)
     assert run.exception is None
@@ -344,7 +447,11 @@ def test_the_command(tmp_path: Path) -> None:
     assert all(numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"])
     for name in ("history.png", "around.png"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
-    again = CliRunner().invoke(group, ["tune", str(tmp_path / "out" / "tuned.toml"), "--budget", "4", "--no-figures"], standalone_mode=False)
+    again = CliRunner().invoke(
+        group,
+        ["tune", str(tmp_path / "out" / "tuned.toml"), "--budget", "4", "--no-figures"],
+        standalone_mode=False,
+    )
     assert again.return_value == 1
     assert "NO improvement" in again.stdout
 
@@ -353,7 +460,9 @@ def test_a_tuned_scenario_finds_its_files(tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "r.csv").write_text("t,r\n0,0\n1,1\n2,0\n4,1\n")
     table = msgspec.to_builtins(gusts().simulation)
-    scenario = scene(reference={"kind": "csv", "path": str(tmp_path / "here" / "r.csv")}, simulation=table)
+    scenario = scene(
+        reference={"kind": "csv", "path": str(tmp_path / "here" / "r.csv")}, simulation=table
+    )
     found = tune(scenario, Tune(entries=GAMMA, runs=2, held_out=2, budget=4))
     path = found.save(tmp_path / "there" / "deep" / "tuned.toml")
     assert resolve_scenario(read(path)).reference is not None

@@ -32,16 +32,28 @@ PENDULUM: dict[str, Any] = {
     "parameters": {"g": 9.81, "b": 0.8}, "x0": [0.1, 0.0],
 }  # fmt: skip
 TWO = {
-    "plant": {"A": [[-1.0, 0.5], [0.0, -2.0]], "B": [[1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]},
+    "plant": {
+        "A": [[-1.0, 0.5], [0.0, -2.0]],
+        "B": [[1.0, 0.0], [0.0, 1.0]],
+        "C": [[1.0, 0.0], [0.0, 1.0]],
+    },
     "sensor": {"right": [0.5, 0.2], "left": 0.3, "noise": [0.0, 0.1]},
     "observer": {"method": "certified"},
     "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
 }
-OBSERVER = {"method": "certified", "L": [1.0, 1.5], "gamma": 10.0, "widths0": [0.2, 0.2], "width_max": 3.0}
+OBSERVER = {
+    "method": "certified",
+    "L": [1.0, 1.5],
+    "gamma": 10.0,
+    "widths0": [0.2, 0.2],
+    "width_max": 3.0,
+}
 SINE = {"kind": "sine", "amplitude": 5.0, "frequency": 1.0}
 
 
-def bound(entries: dict[str, Any], ensemble: dict[str, Any] | None = None, **changes: Any) -> Binding:
+def bound(
+    entries: dict[str, Any], ensemble: dict[str, Any] | None = None, **changes: Any
+) -> Binding:
     problem = resolve_scenario(scene(ensemble=(ensemble or {}) | entries, **changes))
     return bind(problem, prepare(problem)[0])
 
@@ -56,42 +68,114 @@ BIAS = {"kind": "step", "amplitude": 1.0}
 SAME: list[tuple[str, float, dict[str, Any], dict[str, Any]]] = [
     ("sensor.right", 0.4, {}, {"sensor": {"right": 0.4}}),
     ("sensor.left[0]", 0.0, {}, {"sensor": {"left": 0.0}}),
-    ("sensor.noise", 0.3, {"sensor": {"noise": 0.1, "threshold": 0.2}}, {"sensor": {"noise": 0.3, "threshold": 0.2}}),
+    (
+        "sensor.noise",
+        0.3,
+        {"sensor": {"noise": 0.1, "threshold": 0.2}},
+        {"sensor": {"noise": 0.3, "threshold": 0.2}},
+    ),
     ("sensor.noise_before", 0.3, {}, {"sensor": {"noise_before": 0.3}}),
-    ("sensor.threshold", 0.3, {"observer": OBSERVER | {"silence": True}}, {"observer": OBSERVER | {"silence": True}, "sensor": {"threshold": 0.3}}),
-    ("sensor.right", 1.7, {"observer": {"method": "oracle"}}, {"observer": {"method": "oracle"}, "sensor": {"right": 1.7}}),
+    (
+        "sensor.threshold",
+        0.3,
+        {"observer": OBSERVER | {"silence": True}},
+        {"observer": OBSERVER | {"silence": True}, "sensor": {"threshold": 0.3}},
+    ),
+    (
+        "sensor.right",
+        1.7,
+        {"observer": {"method": "oracle"}},
+        {"observer": {"method": "oracle"}, "sensor": {"right": 1.7}},
+    ),
     ("plant.x0[1]", -2.0, {}, {"plant": PLANT | {"x0": [0.5, -2.0]}}),
-    ("plant.A[1,0]", -1.3, {}, {"plant": PLANT | {"A": [[0.0, 1.0], [-1.3, -2.0]]}, "model": MODEL}),
+    (
+        "plant.A[1,0]",
+        -1.3,
+        {},
+        {"plant": PLANT | {"A": [[0.0, 1.0], [-1.3, -2.0]]}, "model": MODEL},
+    ),
     ("plant.B[1, 0]", 0.6, {}, {"plant": PLANT | {"B": [[0.0], [0.6]]}, "model": MODEL}),
     ("plant.C[0,1]", 0.1, {}, {"plant": PLANT | {"C": [[1.0, 0.1]]}, "model": MODEL}),
-    ("plant.A[1,0]", -1.3, {"plant": {"companion": [1.0, 2.0]}}, {"plant": {"companion": [1.3, 2.0]}, "model": MODEL}),
+    (
+        "plant.A[1,0]",
+        -1.3,
+        {"plant": {"companion": [1.0, 2.0]}},
+        {"plant": {"companion": [1.3, 2.0]}, "model": MODEL},
+    ),
     ("observer.gamma", 3.0, {}, {"observer": OBSERVER | {"gamma": 3.0}}),
     ("observer.L[1,0]", 3.0, {}, {"observer": OBSERVER | {"L": [1.0, 3.0]}}),
     ("observer.right0[0]", 1.0, {}, {"observer": OBSERVER | {"widths0": [1.0, 0.2]}}),
-    ("controller.K[0,1]", 4.0, {"controller": {"method": "state_feedback", "K": [1.0, 2.0]}}, {"controller": {"method": "state_feedback", "K": [1.0, 4.0]}}),
+    (
+        "controller.K[0,1]",
+        4.0,
+        {"controller": {"method": "state_feedback", "K": [1.0, 2.0]}},
+        {"controller": {"method": "state_feedback", "K": [1.0, 4.0]}},
+    ),
     ("reference.amplitude", 3.0, {}, {"reference": SINE | {"amplitude": 3.0}}),
-    ("reference.scale", 0.6, {"reference": SINE | {"offset": 1.0}}, {"reference": SINE | {"amplitude": 3.0, "offset": 0.6}}),
-    ("disturbance.amplitude", -2.0, {"disturbance": BIAS}, {"disturbance": BIAS | {"amplitude": -2.0}}),
-    ("disturbance.rms[0]", 2.0, *({"disturbance": {"kind": "random", "rms": rms, "correlation_time": 0.1}} for rms in (1.0, 2.0))),
-    ("disturbance.scale", 3.0, {"disturbance": SINE | {"offset": 1.0}}, {"disturbance": SINE | {"amplitude": 15.0, "offset": 3.0}}),
-    ("plant.parameters.b", 0.5, {"plant": PENDULUM}, {"plant": PENDULUM | {"parameters": {"g": 9.81, "b": 0.5}}, "model": {"parameters": {"b": 0.8}}}),
+    (
+        "reference.scale",
+        0.6,
+        {"reference": SINE | {"offset": 1.0}},
+        {"reference": SINE | {"amplitude": 3.0, "offset": 0.6}},
+    ),
+    (
+        "disturbance.amplitude",
+        -2.0,
+        {"disturbance": BIAS},
+        {"disturbance": BIAS | {"amplitude": -2.0}},
+    ),
+    (
+        "disturbance.rms[0]",
+        2.0,
+        *(
+            {"disturbance": {"kind": "random", "rms": rms, "correlation_time": 0.1}}
+            for rms in (1.0, 2.0)
+        ),
+    ),
+    (
+        "disturbance.scale",
+        3.0,
+        {"disturbance": SINE | {"offset": 1.0}},
+        {"disturbance": SINE | {"amplitude": 15.0, "offset": 3.0}},
+    ),
+    (
+        "plant.parameters.b",
+        0.5,
+        {"plant": PENDULUM},
+        {
+            "plant": PENDULUM | {"parameters": {"g": 9.81, "b": 0.5}},
+            "model": {"parameters": {"b": 0.8}},
+        },
+    ),
 ]
 
 
 @pytest.mark.parametrize("simulation", [{"step": 2e-3}, AT_100_HZ], ids=["continuous", "sampled"])
-@pytest.mark.parametrize(("address", "value", "base", "changed"), SAME, ids=[case[0] for case in SAME])
+@pytest.mark.parametrize(
+    ("address", "value", "base", "changed"), SAME, ids=[case[0] for case in SAME]
+)
 def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
-    address: str, value: float, base: dict[str, Any], changed: dict[str, Any], simulation: dict[str, Any]
+    address: str,
+    value: float,
+    base: dict[str, Any],
+    changed: dict[str, Any],
+    simulation: dict[str, Any],
 ) -> None:
-    problem = resolve_scenario(scene(ensemble={address: uniform(value, value)}, simulation=simulation, **base))
+    problem = resolve_scenario(
+        scene(ensemble={address: uniform(value, value)}, simulation=simulation, **base)
+    )
     loop, _, exogenous = prepare(problem)
-    expected_loop, expected_state, expected_exogenous = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
+    expected_loop, expected_state, expected_exogenous = prepare(
+        resolve_scenario(scene(simulation=simulation, **changed))
+    )
     binding = bind(problem, loop)
     state, params = binding.packed(binding.draw(0, 1, 1)[0])
     if "noise" in address:
         exogenous = expected_exogenous  # drawn also where the nominal noise is 0
     found, _ = interpret.run(loop.step, state, exogenous, params)
-    expected, _ = interpret.run(expected_loop.step, expected_state, expected_exogenous, tree.pack(expected_loop.params))
+    expected, _ = interpret.run(
+        expected_loop.step, expected_state, expected_exogenous, tree.pack(expected_loop.params)
+    )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
     nominal, _ = interpret.run(loop.step, binding.state, exogenous, binding.params)
@@ -101,21 +185,30 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
 @pytest.mark.parametrize("simulation", [{}, AT_100_HZ], ids=["continuous", "sampled"])
 def test_what_the_observer_believes_can_vary_alone(simulation: dict[str, Any]) -> None:
     """Its model, not the plant, nor the controller and the feedforward."""
-    problem = resolve_scenario(scene(ensemble={"observer.model.A[1,0]": uniform(-1.5, -1.5)}, simulation=simulation))
+    problem = resolve_scenario(
+        scene(ensemble={"observer.model.A[1,0]": uniform(-1.5, -1.5)}, simulation=simulation)
+    )
     loop = prepare(problem)[0]
     _, params = bind(problem, loop).packed(np.array([-1.5]))
-    believed = resolve_scenario(scene(model={"A": [[0.0, 1.0], [-1.5, -2.0]]}, simulation=simulation)).model.params
+    believed = resolve_scenario(
+        scene(model={"A": [[0.0, 1.0], [-1.5, -2.0]]}, simulation=simulation)
+    ).model.params
     expected = loop.params._replace(observer=loop.params.observer._replace(model=believed))
     np.testing.assert_allclose(params, tree.pack(expected), rtol=1e-13, atol=1e-16)
 
 
 @pytest.mark.parametrize("method", ["kalman", "censored"])
 def test_the_belief_of_a_filter_starts_where_the_run_says(method: str) -> None:
-    changes = {"simulation": AT_100_HZ, "observer": {"method": method, "right": [0.0, 2.0], "noise": 0.1}}
+    changes = {
+        "simulation": AT_100_HZ,
+        "observer": {"method": method, "right": [0.0, 2.0], "noise": 0.1},
+    }
     binding = bound({"observer.mean[2]": uniform(0.3, 0.3)}, **changes)
     state, _ = binding.packed(np.array([0.3]))
     assert state[2 + 2] == 0.3
-    assert np.count_nonzero(state != binding.state) == {"kalman": 1, "censored": 3}[method]  # one for each level
+    assert (
+        np.count_nonzero(state != binding.state) == {"kalman": 1, "censored": 3}[method]
+    )  # one for each level
 
 
 OBSERVERS: list[tuple[dict[str, Any], dict[str, Any]]] = [
@@ -130,17 +223,36 @@ OBSERVERS: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"method": "ukf", "right": [0.0, 2.0]}, AT_100_HZ),
     ({"method": "printed", "L": [12.0, 15.0], "widths0": 1.0}, {}),
     ({"method": "kalman", "right": [0.0, 2.0]}, AT_100_HZ),
-    ({"method": "censored", "right": [0.0, 2.0], "noise": 0.1, "bias": 1.0, "tolerance": 0.1, "disturbance": 0.1}, AT_100_HZ),
+    (
+        {
+            "method": "censored",
+            "right": [0.0, 2.0],
+            "noise": 0.1,
+            "bias": 1.0,
+            "tolerance": 0.1,
+            "disturbance": 0.1,
+        },
+        AT_100_HZ,
+    ),
 ]
 
 
-@pytest.mark.parametrize(("observer", "simulation"), OBSERVERS, ids=[case[0]["method"] for case in OBSERVERS])
-def test_initial_states_are_constants_or_copies_of_params(observer: dict[str, Any], simulation: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("observer", "simulation"), OBSERVERS, ids=[case[0]["method"] for case in OBSERVERS]
+)
+def test_initial_states_are_constants_or_copies_of_params(
+    observer: dict[str, Any], simulation: dict[str, Any]
+) -> None:
     """`init` on other params gives the state in which just the copies have changed."""
     problem = resolve_scenario(scene(observer=observer, simulation=simulation))
     loop = prepare(problem)[0]
-    other = tree.rebuild(loop.params, (np.asarray(leaf) + 0.125 for _, leaf in tree.leaves(loop.params)))
-    state = loop.state._replace(observer=problem.observer.init(other.observer), controller=problem.controller.init(other.controller))
+    other = tree.rebuild(
+        loop.params, (np.asarray(leaf) + 0.125 for _, leaf in tree.leaves(loop.params))
+    )
+    state = loop.state._replace(
+        observer=problem.observer.init(other.observer),
+        controller=problem.controller.init(other.controller),
+    )
     expected, moved = tree.pack(loop.state), tree.pack(other)
     for entry, source in initial_copies(problem, loop):
         expected[entry] = moved[source]
@@ -151,24 +263,48 @@ def test_initial_states_are_constants_or_copies_of_params(observer: dict[str, An
 
 
 def test_without_an_index_each_entry_has_its_own_draw() -> None:
-    binding = bound({"sensor.right": uniform(), "sensor.left": uniform(shared=True), "plant.A[1,:]": uniform()}, **TWO)
-    assert binding.names == ["sensor.right[0]", "sensor.right[1]", "sensor.left", "plant.A[1,0]", "plant.A[1,1]"]
+    binding = bound(
+        {"sensor.right": uniform(), "sensor.left": uniform(shared=True), "plant.A[1,:]": uniform()},
+        **TWO,
+    )
+    assert binding.names == [
+        "sensor.right[0]",
+        "sensor.right[1]",
+        "sensor.left",
+        "plant.A[1,0]",
+        "plant.A[1,1]",
+    ]
     values = binding.draw(0, 3, 3)
     assert len(np.unique(values)) == values.size
     params = [binding.packed(row)[1] for row in values]
     names = tree.names(prepare(resolve_scenario(scene(**TWO)))[0].params)
     by_name = [dict(zip(names, numbers, strict=True)) for numbers in params]
-    assert [(p["sensor.right[0]"], p["sensor.right[1]"], p["sensor.left[0]"], p["sensor.left[1]"]) for p in by_name] == [
-        (a, b, c, c) for a, b, c, *_ in values.tolist()
-    ]
+    assert [
+        (p["sensor.right[0]"], p["sensor.right[1]"], p["sensor.left[0]"], p["sensor.left[1]"])
+        for p in by_name
+    ] == [(a, b, c, c) for a, b, c, *_ in values.tolist()]
 
 
 @pytest.mark.parametrize("simulation", [{}, AT_100_HZ], ids=["continuous", "sampled"])
 def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
-    binding = bound({"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)}, simulation=simulation)
+    binding = bound(
+        {"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)},
+        simulation=simulation,
+    )
     assert binding.names == ["plant.A[1,:] + plant.B[1,:] (relative)"]
-    heavy = resolve_scenario(scene(plant=PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]}, model=MODEL, simulation=simulation))
-    np.testing.assert_allclose(binding.packed(np.array([0.5]))[1], tree.pack(prepare(heavy)[0].params), rtol=1e-13, atol=1e-16)
+    heavy = resolve_scenario(
+        scene(
+            plant=PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]},
+            model=MODEL,
+            simulation=simulation,
+        )
+    )
+    np.testing.assert_allclose(
+        binding.packed(np.array([0.5]))[1],
+        tree.pack(prepare(heavy)[0].params),
+        rtol=1e-13,
+        atol=1e-16,
+    )
 
 
 def test_factors_leave_entries_that_are_zero_alone() -> None:
@@ -197,9 +333,13 @@ LAWS: list[tuple[dict[str, Any], Any]] = [
 
 
 @pytest.mark.parametrize("sampling", ["random", "latin_hypercube", "sobol", "saltelli"])
-@pytest.mark.parametrize(("words", "law"), LAWS, ids=lambda case: str(case) if isinstance(case, dict) else "")
+@pytest.mark.parametrize(
+    ("words", "law"), LAWS, ids=lambda case: str(case) if isinstance(case, dict) else ""
+)
 def test_draws_follow_their_distribution(words: dict[str, Any], law: Any, sampling: str) -> None:
-    values = bound({"sensor.right": words}, {"sampling": sampling, "seed": 4}).draw(0, 6000, 6000)[:, 0]
+    values = bound({"sensor.right": words}, {"sampling": sampling, "seed": 4}).draw(0, 6000, 6000)[
+        :, 0
+    ]
     assert values.min() >= 0
     assert stats.kstest(values, law.cdf).pvalue > 1e-3
 
@@ -218,7 +358,10 @@ def test_a_distribution_without_width_is_its_value(kind: str) -> None:
 
 
 def test_the_seed_is_that_of_the_simulation_unless_given() -> None:
-    drawn = [bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw(0, 3, 3) for ensemble in ({}, {"seed": 5}, {"seed": 6})]
+    drawn = [
+        bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw(0, 3, 3)
+        for ensemble in ({}, {"seed": 5}, {"seed": 6})
+    ]
     assert np.array_equal(drawn[0], drawn[1])
     assert not np.array_equal(drawn[0], drawn[2])
 
@@ -229,7 +372,10 @@ MANY = {
     "sensor.right": uniform(), "sensor.noise": {"log_normal": [0.01, 0.5]}, "plant.A[1,:]": {"normal": [1.0, 0.3], "relative": True},
     "plant.B[1,0]": {"log_normal": [1.0, 3.0]}, "plant.x0": {"normal": [0.0, 1.0]}, "observer.right0": uniform(),
 }  # fmt: skip
-BOUND = {sampling: bound(MANY, {"sampling": sampling}, simulation=AT_100_HZ) for sampling in ("random", "latin_hypercube", "sobol", "saltelli")}
+BOUND = {
+    sampling: bound(MANY, {"sampling": sampling}, simulation=AT_100_HZ)
+    for sampling in ("random", "latin_hypercube", "sobol", "saltelli")
+}
 
 
 @pytest.mark.parametrize("sampling", list(BOUND))
@@ -255,7 +401,12 @@ def held(AB: Floats, Ts: float) -> Floats:
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), m=st.integers(1, 2), scale=st.sampled_from([1e-6, 1e-2, 1.0, 10.0]))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 6),
+    m=st.integers(1, 2),
+    scale=st.sampled_from([1e-6, 1e-2, 1.0, 10.0]),
+)
 def test_many_plants_are_held_as_one(seed: int, n: int, m: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     plants = [random_plant(rng, n, m) for _ in range(5)]
@@ -276,7 +427,11 @@ def test_the_hold_is_exact_to_rounding_where_it_is_known() -> None:
     c, s = np.cos(w * Ts), np.sin(w * Ts)
     np.testing.assert_array_equal(found[0], [[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts]])
     np.testing.assert_allclose(found[1], [[c, s, 1 - c], [-s, c, s]], atol=1e-13)
-    np.testing.assert_allclose(found[2], [[np.exp(-a * Ts), 0, -np.expm1(-a * Ts)], [0, np.exp(-1e-9 * Ts), -np.expm1(-1e-9 * Ts)]], rtol=1e-13)
+    np.testing.assert_allclose(
+        found[2],
+        [[np.exp(-a * Ts), 0, -np.expm1(-a * Ts)], [0, np.exp(-1e-9 * Ts), -np.expm1(-1e-9 * Ts)]],
+        rtol=1e-13,
+    )
 
 
 def test_a_plant_that_overflows_says_so_by_its_numbers() -> None:
@@ -297,7 +452,10 @@ def test_toml_and_python_use_the_same_words() -> None:
         [ensemble.entries]
         "plant.A[1,0]" = { normal = [1, 0.1], relative = true }
     """
-    entries = {"plant.A[1,0]": Distribution(normal=(1.0, 0.1), relative=True), "sensor.right": Distribution(uniform=(0.3, 2.0))}
+    entries = {
+        "plant.A[1,0]": Distribution(normal=(1.0, 0.1), relative=True),
+        "sensor.right": Distribution(uniform=(0.3, 2.0)),
+    }
     expected = Vary(runs=7, sampling="sobol", entries=entries)
     data = table() | {"ensemble": parse_table(text)}
     assert convert(data).ensemble == expected
@@ -316,13 +474,34 @@ TABLES: list[tuple[Any, str]] = [
     ({"run": 5}, "ensemble.run: unknown key; did you mean 'runs'?"),
     ({"runs": 1.5}, "ensemble.runs: expected a whole number, found a number"),
     ({"sampling": "sobl"}, "ensemble.sampling: unknown choice 'sobl'; did you mean 'sobol'?"),
-    ({"sensor": {"right": uniform()}}, 'ensemble.sensor: unknown key; an address stands in quotes: "sensor.right" = { uniform = '),
-    ({"sensor.right": [0.3, 2.0]}, r'ensemble."sensor.right": expected a distribution such as \{ uniform = \[0.3, 2.0\] \}, found \[0.3, 2.0\]'),
-    ({"sensor.right": {"unifrm": [0.3, 2.0]}}, "ensemble.\"sensor.right\".unifrm: unknown key; did you mean 'uniform'?"),
-    ({"sensor.right": {"uniform": [0.3]}}, 'ensemble."sensor.right".uniform: expected a list of length 2, found 1'),
-    ({"sensor.right": {"uniform": [0.3, "2"]}}, r'ensemble."sensor.right".uniform\[1\]: expected a number, found text'),
-    ({"sensor.right": uniform(relative=1)}, 'ensemble."sensor.right".relative: expected true or false, found a whole number'),
-    ({"sensor.right": uniform(float("nan"))}, r"ensemble.sensor.right.uniform\[0\]: must be a finite number, found nan"),
+    (
+        {"sensor": {"right": uniform()}},
+        'ensemble.sensor: unknown key; an address stands in quotes: "sensor.right" = { uniform = ',
+    ),
+    (
+        {"sensor.right": [0.3, 2.0]},
+        r'ensemble."sensor.right": expected a distribution such as \{ uniform = \[0.3, 2.0\] \}, found \[0.3, 2.0\]',
+    ),
+    (
+        {"sensor.right": {"unifrm": [0.3, 2.0]}},
+        "ensemble.\"sensor.right\".unifrm: unknown key; did you mean 'uniform'?",
+    ),
+    (
+        {"sensor.right": {"uniform": [0.3]}},
+        'ensemble."sensor.right".uniform: expected a list of length 2, found 1',
+    ),
+    (
+        {"sensor.right": {"uniform": [0.3, "2"]}},
+        r'ensemble."sensor.right".uniform\[1\]: expected a number, found text',
+    ),
+    (
+        {"sensor.right": uniform(relative=1)},
+        'ensemble."sensor.right".relative: expected true or false, found a whole number',
+    ),
+    (
+        {"sensor.right": uniform(float("nan"))},
+        r"ensemble.sensor.right.uniform\[0\]: must be a finite number, found nan",
+    ),
 ]
 
 
@@ -339,44 +518,160 @@ def test_unquoted_addresses_in_a_file() -> None:
 
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     # distributions
-    ({"sensor.right": {}}, {}, 'ensemble."sensor.right": expected exactly one of uniform, normal, log_normal, found none'),
+    (
+        {"sensor.right": {}},
+        {},
+        'ensemble."sensor.right": expected exactly one of uniform, normal, log_normal, found none',
+    ),
     ({"sensor.right": {"uniform": [0, 1], "normal": [0, 1]}}, {}, "found uniform and normal"),
-    ({"sensor.right": uniform(2.0, 0.3)}, {}, r'ensemble."sensor.right".uniform: expected \[low, high\] with low <= high, found \[2, 0.3\]'),
-    ({"sensor.right": {"normal": [1.0, -0.1]}}, {}, 'ensemble."sensor.right".normal: the standard deviation must not be negative, found -0.1'),
-    ({"plant.A[1,0]": {"log_normal": [-1.0, 0.1]}}, {}, r'ensemble."plant.A\[1,0\]".log_normal: the median must be positive, found -1; .*relative'),
-    ({"plant.A[1,0]": {"log_normal": [1.0, 50.0]}}, {}, r"log_normal: expected a smaller standard deviation of the logarithm, found 50: values would exceed"),
-    ({"plant.A[1,0]": uniform(0.0, 1e60)}, {}, r'ensemble."plant.A\[1,0\]".uniform\[1\]: every number must be below 1e\+50'),
-    ({"sensor.right": uniform(-0.1, 0.3)}, {}, 'ensemble."sensor.right".uniform: this must not be negative, found low = -0.1'),
-    ({"sensor.noise": {"normal": [-0.1, 0.3]}}, {}, 'ensemble."sensor.noise".normal: this must not be negative, found mean = -0.1'),
-    ({"sensor.right": {"normal": [-1.0, 0.1], "relative": True}}, {}, "must not be negative, found mean = -1"),
-    ({"sensor.slope": uniform(0.0, 1.0)}, {}, 'ensemble."sensor.slope".uniform: this must be positive, found low = 0'),
+    (
+        {"sensor.right": uniform(2.0, 0.3)},
+        {},
+        r'ensemble."sensor.right".uniform: expected \[low, high\] with low <= high, found \[2, 0.3\]',
+    ),
+    (
+        {"sensor.right": {"normal": [1.0, -0.1]}},
+        {},
+        'ensemble."sensor.right".normal: the standard deviation must not be negative, found -0.1',
+    ),
+    (
+        {"plant.A[1,0]": {"log_normal": [-1.0, 0.1]}},
+        {},
+        r'ensemble."plant.A\[1,0\]".log_normal: the median must be positive, found -1; .*relative',
+    ),
+    (
+        {"plant.A[1,0]": {"log_normal": [1.0, 50.0]}},
+        {},
+        r"log_normal: expected a smaller standard deviation of the logarithm, found 50: values would exceed",
+    ),
+    (
+        {"plant.A[1,0]": uniform(0.0, 1e60)},
+        {},
+        r'ensemble."plant.A\[1,0\]".uniform\[1\]: every number must be below 1e\+50',
+    ),
+    (
+        {"sensor.right": uniform(-0.1, 0.3)},
+        {},
+        'ensemble."sensor.right".uniform: this must not be negative, found low = -0.1',
+    ),
+    (
+        {"sensor.noise": {"normal": [-0.1, 0.3]}},
+        {},
+        'ensemble."sensor.noise".normal: this must not be negative, found mean = -0.1',
+    ),
+    (
+        {"sensor.right": {"normal": [-1.0, 0.1], "relative": True}},
+        {},
+        "must not be negative, found mean = -1",
+    ),
+    (
+        {"sensor.slope": uniform(0.0, 1.0)},
+        {},
+        'ensemble."sensor.slope".uniform: this must be positive, found low = 0',
+    ),
     ({"observer.gamma": uniform(-1.0, 1.0)}, {}, "must not be negative"),
     # addresses
-    ({"sensor.rigth": uniform()}, {}, "ensemble.\"sensor.rigth\": nothing of that name can vary; did you mean 'sensor.right'?"),
-    ({"gravity.g": uniform()}, {}, "nothing of that name can vary; what can: .*plant.x0, reference.amplitude, .*sensor.threshold"),
-    ({"plant.A[2,0]": uniform()}, {}, r'ensemble."plant.A\[2,0\]": no entry plant.A\[2,0\]; there is plant.A\[0,0\] to plant.A\[1,1\]'),
-    ({"sensor.right[1]": uniform()}, {}, r"no entry sensor.right\[1\]; there is sensor.right\[0\] alone"),
-    ({"sensor.right + sensor.rigth": uniform()}, {}, r'ensemble."sensor.right \+ sensor.rigth": nothing of that name'),
+    (
+        {"sensor.rigth": uniform()},
+        {},
+        "ensemble.\"sensor.rigth\": nothing of that name can vary; did you mean 'sensor.right'?",
+    ),
+    (
+        {"gravity.g": uniform()},
+        {},
+        "nothing of that name can vary; what can: .*plant.x0, reference.amplitude, .*sensor.threshold",
+    ),
+    (
+        {"plant.A[2,0]": uniform()},
+        {},
+        r'ensemble."plant.A\[2,0\]": no entry plant.A\[2,0\]; there is plant.A\[0,0\] to plant.A\[1,1\]',
+    ),
+    (
+        {"sensor.right[1]": uniform()},
+        {},
+        r"no entry sensor.right\[1\]; there is sensor.right\[0\] alone",
+    ),
+    (
+        {"sensor.right + sensor.rigth": uniform()},
+        {},
+        r'ensemble."sensor.right \+ sensor.rigth": nothing of that name',
+    ),
     ({"plant.parameters.g": uniform()}, {}, "nothing of that name can vary"),
-    ({"plant.parameters.l": uniform()}, {"plant": PENDULUM}, "nothing of that name can vary; did you mean 'plant.parameters"),
+    (
+        {"plant.parameters.l": uniform()},
+        {"plant": PENDULUM},
+        "nothing of that name can vary; did you mean 'plant.parameters",
+    ),
     ({"plant.A[1,0]": uniform()}, {"plant": PENDULUM}, "nothing of that name can vary"),
-    ({"plant.companion[0]": uniform()}, {}, "vary the entries of the matrices that this form gives: plant.A, plant.B, plant.C"),
-    ({"model.A[1,0]": uniform()}, {}, r'ensemble."model.A\[1,0\]": the design stays as it is for the nominal \[model\]; vary plant.A'),
+    (
+        {"plant.companion[0]": uniform()},
+        {},
+        "vary the entries of the matrices that this form gives: plant.A, plant.B, plant.C",
+    ),
+    (
+        {"model.A[1,0]": uniform()},
+        {},
+        r'ensemble."model.A\[1,0\]": the design stays as it is for the nominal \[model\]; vary plant.A',
+    ),
     ({"simulation.step": uniform()}, {}, "nothing of that name can vary"),
-    ({"controller.tau": uniform()}, {"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0}}, "nothing of that name can vary"),
-    ({"sensor.right": uniform(), "sensor.right[0]": uniform()}, {}, r'ensemble."sensor.right\[0\]": varies what sensor.right\[0\] varies already'),
-    ({"reference.amplitude": uniform(), "reference.scale": uniform()}, {}, 'ensemble."reference.scale": varies what reference.amplitude varies already'),
+    (
+        {"controller.tau": uniform()},
+        {"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0}},
+        "nothing of that name can vary",
+    ),
+    (
+        {"sensor.right": uniform(), "sensor.right[0]": uniform()},
+        {},
+        r'ensemble."sensor.right\[0\]": varies what sensor.right\[0\] varies already',
+    ),
+    (
+        {"reference.amplitude": uniform(), "reference.scale": uniform()},
+        {},
+        'ensemble."reference.scale": varies what reference.amplitude varies already',
+    ),
     # factors on nothing
-    ({"plant.A[0,0]": uniform(relative=True)}, {}, r"plant.A\[0,0\] is 0, which no factor changes; leave out relative and give values"),
-    ({"sensor.noise": uniform(relative=True)}, {}, r"sensor.noise\[0\] is 0, which no factor changes"),
-    ({"observer.limit": uniform(relative=True)}, {"observer": {"method": "certified"}}, r"observer.limit\[0\] is inf, which no factor changes"),
+    (
+        {"plant.A[0,0]": uniform(relative=True)},
+        {},
+        r"plant.A\[0,0\] is 0, which no factor changes; leave out relative and give values",
+    ),
+    (
+        {"sensor.noise": uniform(relative=True)},
+        {},
+        r"sensor.noise\[0\] is 0, which no factor changes",
+    ),
+    (
+        {"observer.limit": uniform(relative=True)},
+        {"observer": {"method": "certified"}},
+        r"observer.limit\[0\] is inf, which no factor changes",
+    ),
     # signals
-    ({"reference.amplitude": uniform()}, {"reference": SINE | {"offset": 1.0}}, "the reference has no single amplitude about 0; vary reference.scale"),
+    (
+        {"reference.amplitude": uniform()},
+        {"reference": SINE | {"offset": 1.0}},
+        "the reference has no single amplitude about 0; vary reference.scale",
+    ),
     ({"reference.amplitude": uniform()}, TWO, "the reference has no single amplitude about 0"),
-    ({"reference.scale": uniform()}, {"plant": PENDULUM}, "the feedforward of a nonlinear plant is not proportional to its reference"),
-    ({"disturbance.amplitude": uniform()}, {}, 'there is no disturbance to scale; add \\[disturbance\\], for a bias with kind = "step"'),
-    ({"disturbance.bias": uniform()}, {"disturbance": BIAS | {"amplitude": 0.0}}, r"or that is 0; give it an amplitude or rms of any size but 0"),
-    ({"disturbance.amplitude": uniform()}, {"disturbance": SINE | {"offset": 1.0}}, r"vary disturbance.scale, a factor on the whole of it"),
+    (
+        {"reference.scale": uniform()},
+        {"plant": PENDULUM},
+        "the feedforward of a nonlinear plant is not proportional to its reference",
+    ),
+    (
+        {"disturbance.amplitude": uniform()},
+        {},
+        'there is no disturbance to scale; add \\[disturbance\\], for a bias with kind = "step"',
+    ),
+    (
+        {"disturbance.bias": uniform()},
+        {"disturbance": BIAS | {"amplitude": 0.0}},
+        r"or that is 0; give it an amplitude or rms of any size but 0",
+    ),
+    (
+        {"disturbance.amplitude": uniform()},
+        {"disturbance": SINE | {"offset": 1.0}},
+        r"vary disturbance.scale, a factor on the whole of it",
+    ),
 ]
 
 
@@ -387,28 +682,53 @@ def test_what_cannot_vary(entries: dict[str, Any], changes: dict[str, Any], word
     assert "\n" not in str(raised.value)
 
 
-addresses = st.sampled_from(["sensor.right", "sensor.left[0]", "plant.A[1,:]", "plant.A", "plant.B[1,0] + plant.A", "disturbance.amplitude", "."]) | st.text(
-    max_size=4
+addresses = st.sampled_from(
+    [
+        "sensor.right",
+        "sensor.left[0]",
+        "plant.A[1,:]",
+        "plant.A",
+        "plant.B[1,0] + plant.A",
+        "disturbance.amplitude",
+        ".",
+    ]
+) | st.text(max_size=4)
+numbers = (
+    st.sampled_from([0, 1, 1.0, -1.0, 0.3, 1e-320, 1e49, 1e60, 2**62, True, "1"]) | st.floats()
 )
-numbers = st.sampled_from([0, 1, 1.0, -1.0, 0.3, 1e-320, 1e49, 1e60, 2**62, True, "1"]) | st.floats()
 values = st.fixed_dictionaries(
     {},
     optional={
-        **dict.fromkeys(("uniform", "normal", "log_normal"), st.lists(numbers, min_size=2, max_size=2) | numbers),
+        **dict.fromkeys(
+            ("uniform", "normal", "log_normal"), st.lists(numbers, min_size=2, max_size=2) | numbers
+        ),
         "relative": st.booleans(),
         "shared": st.booleans() | numbers,
     },
 )
 tables = st.fixed_dictionaries(
-    {}, optional={"runs": numbers, "seed": numbers, "tolerance": numbers, "entries": st.dictionaries(addresses, values, max_size=2) | numbers}
+    {},
+    optional={
+        "runs": numbers,
+        "seed": numbers,
+        "tolerance": numbers,
+        "entries": st.dictionaries(addresses, values, max_size=2) | numbers,
+    },
 )
 
 
 @settings(max_examples=300, deadline=None)
 @given(reserved=tables, entries=st.dictionaries(addresses, values | numbers, max_size=3))
-def test_only_undeadzone_errors_come_out_of_any_table(reserved: dict[str, Any], entries: dict[str, Any]) -> None:
+def test_only_undeadzone_errors_come_out_of_any_table(
+    reserved: dict[str, Any], entries: dict[str, Any]
+) -> None:
     with suppress(UndeadzoneError):
-        binding = bind(NOMINAL._replace(scenario=convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})), prepare(NOMINAL)[0])
+        binding = bind(
+            NOMINAL._replace(
+                scenario=convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
+            ),
+            prepare(NOMINAL)[0],
+        )
         with np.errstate(all="ignore"):
             binding.lanes(binding.draw(0, 3, 3))
 

@@ -31,7 +31,9 @@ def functions(code: str) -> dict[str, str]:
 def counted(body: str) -> tuple[int, int]:
     """(vector, scalar) sums and products."""
     vector = rf"{ARITHMETIC} <\d+ x double>|call <\d+ x double> @llvm\.fma"
-    return len(re.findall(vector, body)), len(re.findall(rf"{ARITHMETIC} double|call double @llvm\.fma", body))
+    return len(re.findall(vector, body)), len(
+        re.findall(rf"{ARITHMETIC} double|call double @llvm\.fma", body)
+    )
 
 
 def dense(n: int) -> dict[str, Any]:
@@ -39,18 +41,31 @@ def dense(n: int) -> dict[str, Any]:
     rng = np.random.default_rng(n)
     A = rng.normal(size=(n, n))
     A -= (np.linalg.eigvals(A).real.max() + 1) * np.eye(n)
-    return {"A": A.tolist(), "B": rng.normal(size=(n, 1)).tolist(), "C": rng.normal(size=(1, n)).tolist()}
+    return {
+        "A": A.tolist(),
+        "B": rng.normal(size=(n, 1)).tolist(),
+        "C": rng.normal(size=(1, n)).tolist(),
+    }
 
 
-@pytest.mark.parametrize(("time", "n"), [("sampled", 2), ("sampled", 4), ("sampled", 8), ("sampled", 12), ("continuous", 2)])
+@pytest.mark.parametrize(
+    ("time", "n"),
+    [("sampled", 2), ("sampled", 4), ("sampled", 8), ("sampled", 12), ("continuous", 2)],
+)
 def test_kernels_are_vectorised(time: str, n: int) -> None:
     observer = {"method": "certified", "L": [1.0] + [0.0] * (n - 1), "gamma": 5.0}
-    scenario = small(time, plant=dense(n), observer=observer, simulation={"duration": 0.1, "step": 1e-3})
+    scenario = small(
+        time, plant=dense(n), observer=observer, simulation={"duration": 0.1, "step": 1e-3}
+    )
     fleet = prepare(vary(scenario, WIDTHS | PLANT | NOISE))
-    assert {f"plant.A[{i},{j}] (relative)" for i in range(n) for j in range(n)} <= set(fleet.binding.names)
+    assert {f"plant.A[{i},{j}] (relative)" for i in range(n) for j in range(n)} <= set(
+        fleet.binding.names
+    )
     code = fleet.kernel.block.text
     bodies = {name: body for name, body in functions(code).items() if any(counted(body))}
-    assert len(bodies) >= (2 if time == "continuous" else 1)  # the lanes; those in which the side changes
+    assert len(bodies) >= (
+        2 if time == "continuous" else 1
+    )  # the lanes; those in which the side changes
     for name, body in bodies.items():
         vector, scalar = counted(body)
         assert vector > 5 * scalar, name

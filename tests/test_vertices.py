@@ -38,7 +38,9 @@ FORMULAS = [
 
 
 def pendulum(damping: float, gravity: float = GRAVITY) -> System:
-    return system(Plant(f=["v", f"-{gravity} * sin(q) - {damping} * v + u"], h=["q"], states=["q", "v"]))
+    return system(
+        Plant(f=["v", f"-{gravity} * sin(q) - {damping} * v + u"], h=["q"], states=["q", "v"])
+    )
 
 
 def ranges(*sides: float) -> Box:
@@ -52,8 +54,14 @@ def uniform(rng: np.random.Generator, within: Box, rows: int) -> Floats:
 
 @pytest.mark.parametrize("formula", FORMULAS)
 @settings(max_examples=60, deadline=None)
-@given(corner=st.tuples(*2 * [st.floats(-3, 3)]), width=st.tuples(*2 * [st.floats(0, 2)]), seed=st.integers(0, 1000))
-def test_an_enclosure_holds_every_value(formula: str, corner: tuple[float, ...], width: tuple[float, ...], seed: int) -> None:
+@given(
+    corner=st.tuples(*2 * [st.floats(-3, 3)]),
+    width=st.tuples(*2 * [st.floats(0, 2)]),
+    seed=st.integers(0, 1000),
+)
+def test_an_enclosure_holds_every_value(
+    formula: str, corner: tuple[float, ...], width: tuple[float, ...], seed: int
+) -> None:
     """At the corners, where bounds are attained, and inside; checked against CasADi's own evaluation."""
     plant = system(Plant(f=[formula, "0 * x"], h=["x"], states=["x", "y"], x_eq=[1.0, 0.5]))
     w = ca.SX.sym("w", 2)
@@ -61,7 +69,12 @@ def test_an_enclosure_holds_every_value(formula: str, corner: tuple[float, ...],
     low = np.clip(corner, -3, 3)
     high = np.minimum(low + width, 3)
     (bound,) = enclosure(function)([Interval(low[:, None], high[:, None])])
-    points = np.vstack([np.random.default_rng(seed).uniform(low, high, (200, 2)), [low, high, [low[0], high[1]], [high[0], low[1]]]])
+    points = np.vstack(
+        [
+            np.random.default_rng(seed).uniform(low, high, (200, 2)),
+            [low, high, [low[0], high[1]], [high[0], low[1]]],
+        ]
+    )
     values = function(points.T).full().ravel()
     assert not bound.low[0, 0] > values[np.isfinite(values)].min(initial=np.inf)
     assert not bound.high[0, 0] < values[np.isfinite(values)].max(initial=-np.inf)
@@ -69,7 +82,9 @@ def test_an_enclosure_holds_every_value(formula: str, corner: tuple[float, ...],
 
 def test_an_enclosure_is_tight_where_a_variable_stands_once() -> None:
     x = ca.SX.sym("x", 2)
-    function = ca.Function("f", [x], [ca.vertcat(ca.sin(x[0]), ca.sqrt(x[1]) * ca.cos(x[0]), 1 / x[1], x[1] ** 2)])
+    function = ca.Function(
+        "f", [x], [ca.vertcat(ca.sin(x[0]), ca.sqrt(x[1]) * ca.cos(x[0]), 1 / x[1], x[1] ** 2)]
+    )
     (bound,) = enclosure(function)([Interval(np.array([[0.5], [4.0]]), np.array([[2.0], [9.0]]))])
     assert bound.low[:, 0] == pytest.approx([np.sin(0.5), 3 * np.cos(2.0), 1 / 9, 16], rel=1e-13)
     assert bound.high[:, 0] == pytest.approx([1, 3 * np.cos(0.5), 0.25, 81], rel=1e-13)
@@ -79,7 +94,11 @@ def test_an_enclosure_is_tight_where_a_variable_stands_once() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 1e-3])
 def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None) -> None:
-    arm = system(Plant(arm=TwoLink(), parameters={"b1": 1.0, "f2": 0.3, "payload": 0.5}, x0=[HANGING, 0, 0, 0]))
+    arm = system(
+        Plant(
+            arm=TwoLink(), parameters={"b1": 1.0, "f2": 0.3, "payload": 0.5}, x0=[HANGING, 0, 0, 0]
+        )
+    )
     arm = arm if Ts is None else sampled(arm, Ts, 1)
     about, size = np.array([HANGING, 0, 0, 0, 0, 0]), np.array([0.4, 0.4, 1, 1, 3, 3])
     slopes = slopes_on(arm, Box(about - size, about + size))
@@ -105,10 +124,17 @@ def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None
 
 
 def test_slopes_are_the_linearisation() -> None:
-    for model in (pendulum(1.0), sampled(pendulum(1.0), 0.01, 10), PAPER_PLANT, sampled(PAPER_PLANT, 0.01)):
+    for model in (
+        pendulum(1.0),
+        sampled(pendulum(1.0), 0.01, 10),
+        PAPER_PLANT,
+        sampled(PAPER_PLANT, 0.01),
+    ):
         Ts = model.Ts
         expected = model.linear.A if Ts is None else (model.linear.A - np.eye(2)) / Ts
-        assert slopes_on(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(expected, abs=1e-8)
+        assert slopes_on(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(
+            expected, abs=1e-8
+        )
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -126,10 +152,15 @@ def test_of_a_linear_plant_it_is_the_certificate(seed: int) -> None:
 
 
 @pytest.mark.parametrize("damping", [0.5, 1.5, 4.0])
-def test_the_pendulum_has_a_common_v_exactly_where_the_circle_criterion_says(damping: float) -> None:
+def test_the_pendulum_has_a_common_v_exactly_where_the_circle_criterion_says(
+    damping: float,
+) -> None:
     """x'' + b x' + k(t) x = 0, k in [k1, k2], has one quadratic V iff sqrt(k2) - sqrt(k1) < b, here k = g cos q."""
     edge = np.arccos(max(1 - damping / np.sqrt(GRAVITY), 0.0) ** 2)
-    found = [certify_on(pendulum(damping), NONE, ONE, ranges(share * edge, 5, 10)) for share in (0.5, 0.99, 1.01)]
+    found = [
+        certify_on(pendulum(damping), NONE, ONE, ranges(share * edge, 5, 10))
+        for share in (0.5, 0.99, 1.01)
+    ]
     assert [one.certified for one in found] == [True, True, False]
 
 
@@ -150,24 +181,38 @@ def rises(found: Certificate, model: System, within: Box, seed: int, rows: int =
     x, u = at[:, : model.n], at[:, model.n :]
     estimate = uniform(rng, within, rows)[:, : model.n]
     estimate = x + (estimate - x) * 10 ** rng.uniform(-3, 0, (rows, 1))
-    error, d = x - estimate, rng.normal(size=(rows, 2 * model.p)) * 10 ** rng.uniform(-3, 1, (rows, 1))
+    error, d = (
+        x - estimate,
+        rng.normal(size=(rows, 2 * model.p)) * 10 ** rng.uniform(-3, 1, (rows, 1)),
+    )
     moved, guessed = (move(np.hstack([state, u]).T).full().T for state in (x, estimate))
     S = np.zeros((rows, model.p, 2 * model.p))
     for i in range(model.p):
         side = rng.integers(0, 2, rows)
         S[np.arange(rows), i, 2 * i + side] = 1 - 2 * side
-    e = rng.choice([0.0, 0.3, 1.0], (rows, model.p)) * (error @ model.linear.C.T - np.einsum("kij,kj->ki", S, d))
+    e = rng.choice([0.0, 0.3, 1.0], (rows, model.p)) * (
+        error @ model.linear.C.T - np.einsum("kij,kj->ki", S, d)
+    )
     given, V = found.dynamics, found.V
     change = np.einsum("kij,ki->kj", S, e) @ given.gamma
     value = V.value(error, d)
     if model.Ts is not None:
-        return (V.value(moved - guessed - model.Ts * e @ given.L.T, d + model.Ts * change) - value) / model.Ts / value
-    return (2 * np.einsum("ki,ij,kj->k", error, V.P, moved - guessed - e @ given.L.T) + 2 * np.einsum("ki,ij,kj->k", d, V.R, change)) / value
+        return (
+            (V.value(moved - guessed - model.Ts * e @ given.L.T, d + model.Ts * change) - value)
+            / model.Ts
+            / value
+        )
+    return (
+        2 * np.einsum("ki,ij,kj->k", error, V.P, moved - guessed - e @ given.L.T)
+        + 2 * np.einsum("ki,ij,kj->k", d, V.R, change)
+    ) / value
 
 
 @pytest.mark.parametrize("Ts", [None, 1e-3, 0.05])
 def test_v_falls_inside_the_region_for_all_states_sides_and_inputs(Ts: float | None) -> None:
-    elastic = system(Plant(arm=ElasticJoint(), parameters={"b1": 1.0, "b2": 0.5}, x0=[HANGING, HANGING, 0, 0]))
+    elastic = system(
+        Plant(arm=ElasticJoint(), parameters={"b1": 1.0, "b2": 0.5}, x0=[HANGING, HANGING, 0, 0])
+    )
     about = np.array([HANGING, HANGING, 0, 0, 0])
     reach = np.array([1.5, 1.2, 9, 9, 20])
     cases: list[tuple[System, Any, Box]] = [
@@ -187,9 +232,15 @@ def test_v_falls_along_trajectories_with_random_sides() -> None:
     """The sampled observer beside its plant, sides drawn at will, until one of them leaves the region."""
     model, within = sampled(pendulum(1.5), 0.01, 1), ranges(1.1, 5, 10)
     found = certify_on(model, np.array([[0.5], [0.3]]), np.array([5.0]), within)
-    move = ca.Function("move", [w := ca.SX.sym("w", 3)], [model.move(ca.SX(model.params), w[:2], w[2])])
+    move = ca.Function(
+        "move", [w := ca.SX.sym("w", 3)], [model.move(ca.SX(model.params), w[:2], w[2])]
+    )
     rng = np.random.default_rng(0)
-    x, guess, d = rng.normal(0, 0.2, (200, 2)), rng.normal(0, 0.2, (200, 2)), rng.normal(0, 0.3, (200, 2))
+    x, guess, d = (
+        rng.normal(0, 0.2, (200, 2)),
+        rng.normal(0, 0.2, (200, 2)),
+        rng.normal(0, 0.3, (200, 2)),
+    )
     inside, last, first = np.ones(200, bool), np.inf, found.V.value(x - guess, d)
     side, u = rng.integers(-1, 2, 200), np.zeros((200, 1))
     for k in range(1500):
@@ -212,7 +263,13 @@ def test_an_elastic_joint_is_certified_while_its_link_hangs(sampling: float | No
     """Gravity holds the motor's and the link's absolute angles while the link is below the horizontal; above, it does not."""
 
     def judged(reach: float, gravity: float = GRAVITY) -> Certificate:
-        joint = system(Plant(arm=ElasticJoint(), parameters={"b1": 0.5, "b2": 0.5, "g": gravity}, x0=[HANGING, HANGING, 0, 0]))
+        joint = system(
+            Plant(
+                arm=ElasticJoint(),
+                parameters={"b1": 0.5, "b2": 0.5, "g": gravity},
+                x0=[HANGING, HANGING, 0, 0],
+            )
+        )
         joint = joint if sampling is None else sampled(joint, sampling, 1)
         about, size = np.array([HANGING, HANGING, 0, 0, 0]), np.array([2.0, reach, 10, 10, 20])
         return certify_on(joint, np.zeros((4, 1)), ONE, Box(about - size, about + size))
@@ -223,12 +280,21 @@ def test_an_elastic_joint_is_certified_while_its_link_hangs(sampling: float | No
     assert "at x = [" in above.reason
     assert "unstable" in above.reason
     assert not table.certified
-    assert "width identifiable, centre not: add a spring, gravity, an absolute reference pulse, or a known start" in table.reason
+    assert (
+        "width identifiable, centre not: add a spring, gravity, an absolute reference pulse, or a known start"
+        in table.reason
+    )
 
 
 def test_a_rigid_arm_has_none_on_a_table_and_some_where_it_hangs() -> None:
     def judged(gravity: float, size: float, damping: float) -> Certificate:
-        arm = system(Plant(arm=TwoLink(), parameters={"b1": damping, "b2": damping, "g": gravity}, x0=[HANGING, 0, 0, 0]))
+        arm = system(
+            Plant(
+                arm=TwoLink(),
+                parameters={"b1": damping, "b2": damping, "g": gravity},
+                x0=[HANGING, 0, 0, 0],
+            )
+        )
         about = np.array([HANGING, 0, 0, 0, 0, 0])
         return certify_on(arm, np.zeros((4, 2)), np.ones(2), Box(about - size, about + size))
 
@@ -253,12 +319,17 @@ def test_a_proof_that_takes_too_many_parts_is_not_claimed() -> None:
 
 def test_designed_gains_are_certified_and_those_of_a_linear_plant_are_the_passive_ones() -> None:
     plant = random_plant(np.random.default_rng(3), 3)
-    gains, expected = design_on(plant, ONE, ranges(1, 1, 1, 1)).dynamics.L, passive_gain(plant.linear, None)
+    gains, expected = (
+        design_on(plant, ONE, ranges(1, 1, 1, 1)).dynamics.L,
+        passive_gain(plant.linear, None),
+    )
     assert gains == pytest.approx(expected, rel=1e-4)
     found = design_on(pendulum(1.5), ONE, ranges(1.2, 5, 10))
     assert found.certified
     assert np.linalg.norm(found.dynamics.L) > 0
-    with pytest.raises(StructureError, match=r"no gains can be certified on the region: at x = \[0, 0\]"):
+    with pytest.raises(
+        StructureError, match=r"no gains can be certified on the region: at x = \[0, 0\]"
+    ):
         design_on(pendulum(1.5, -GRAVITY), ONE, ranges(0.3, 1, 1))
     with pytest.raises(InputError, match="continuous time"):
         design_on(sampled(pendulum(1.5), 0.01), ONE, ranges(0.3, 1, 1))
@@ -266,37 +337,63 @@ def test_designed_gains_are_certified_and_those_of_a_linear_plant_are_the_passiv
 
 def test_what_is_not_smooth_or_bends_the_output_is_refused() -> None:
     kinked = system(Plant(f=["v", "-q - v - 0.1 * abs(v - 2) + u"], h=["q"], states=["q", "v"]))
-    with pytest.raises(InputError, match="region: the model cannot be certified on it: a condition, sign, abs, min or max"):
+    with pytest.raises(
+        InputError,
+        match="region: the model cannot be certified on it: a condition, sign, abs, min or max",
+    ):
         certify_on(kinked, NONE, ONE, ranges(1, 3, 1))
     assert certify_on(kinked, NONE, ONE, ranges(1, 1, 1)).certified
-    jumping = system(Plant(f=["v", "-q - v - 0.1 * sign(v) + u"], h=["q"], states=["q", "v"]))  # its Jacobian is constant wherever it exists
+    jumping = system(
+        Plant(f=["v", "-q - v - 0.1 * sign(v) + u"], h=["q"], states=["q", "v"])
+    )  # its Jacobian is constant wherever it exists
     with pytest.raises(InputError, match="a condition, sign, abs, min or max"):
         certify_on(jumping, NONE, ONE, ranges(1, 3, 1))
     bent = system(Plant(f=["v", "-q - v + u"], h=["sin(q)"], states=["q", "v"]))
     with pytest.raises(InputError, match="outputs that are affine"):
         certify_on(bent, NONE, ONE, ranges(1, 1, 1))
-    rubbing = system(Plant(arm=ElasticJoint(), parameters={"f1": 0.5, "b1": 0.5, "b2": 0.5}, x0=[HANGING, HANGING, 0, 0]))
+    rubbing = system(
+        Plant(
+            arm=ElasticJoint(),
+            parameters={"f1": 0.5, "b1": 0.5, "b2": 0.5},
+            x0=[HANGING, HANGING, 0, 0],
+        )
+    )
     about = np.array([HANGING, HANGING, 0, 0, 0])
-    assert certify_on(rubbing, np.zeros((4, 1)), ONE, Box(about - 0.5, about + 0.5)).certified  # smooth Coulomb friction
+    assert certify_on(
+        rubbing, np.zeros((4, 1)), ONE, Box(about - 0.5, about + 0.5)
+    ).certified  # smooth Coulomb friction
 
 
 def test_regions_are_checked_by_key() -> None:
     model = pendulum(1.0)
     assert box(Region(x=[[-1, 1], [-2, 2]], u=[-3, 3]), model).high.tolist() == [1, 2, 3]
-    assert box(Region(x=[[-1, 1], [-2, 2]]), model._replace(limit=np.array([4.0]))).low.tolist() == [-1, -2, -4]
+    assert box(
+        Region(x=[[-1, 1], [-2, 2]]), model._replace(limit=np.array([4.0]))
+    ).low.tolist() == [-1, -2, -4]
     with pytest.raises(InputError, match="region: the model is linear"):
         resolve_scenario(scene(region={"x": [[-1, 1], [-2, 2]], "u": [-3, 3]}))
     with pytest.raises(InputError, match=r"region\.u: missing"):
         box(Region(x=[[-1, 1], [-2, 2]]), model)
-    with pytest.raises(ShapeError, match=r"region\.x: expected 2 x 2 numbers \(one \[lo, hi\] per state\), found 1 x 2"):
+    with pytest.raises(
+        ShapeError,
+        match=r"region\.x: expected 2 x 2 numbers \(one \[lo, hi\] per state\), found 1 x 2",
+    ):
         box(Region(x=[[-1, 1]], u=[-3, 3]), model)
-    with pytest.raises(InputError, match=r"region\.x\[1\]: a range \[lo, hi\] must have lo < hi, found \[2.0, -2.0\]"):
+    with pytest.raises(
+        InputError,
+        match=r"region\.x\[1\]: a range \[lo, hi\] must have lo < hi, found \[2.0, -2.0\]",
+    ):
         box(Region(x=[[-1, 1], [2, -2]], u=[-3, 3]), model)
 
 
 def test_check_judges_a_nonlinear_scenario_on_its_region() -> None:
     table: dict[str, Any] = {
-        "plant": {"f": ["v", "-9.81 * sin(q) - 1.5 * v + u"], "h": ["q"], "states": ["q", "v"], "x0": [0.1, 0.0]},
+        "plant": {
+            "f": ["v", "-9.81 * sin(q) - 1.5 * v + u"],
+            "h": ["q"],
+            "states": ["q", "v"],
+            "x0": [0.1, 0.0],
+        },
         "sensor": {"right": 0.12, "left": 0.05},
         "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
         "observer": {"method": "certified", "L": [1.0, 0.0], "gamma": 5.0},
@@ -306,7 +403,11 @@ def test_check_judges_a_nonlinear_scenario_on_its_region() -> None:
     def judged(region: Any) -> dict[str, Any]:
         return check(scene(**table, region=region))
 
-    silent, wide, narrow = judged(None), judged({"x": [[-1, 1], [-4, 4]], "u": [-20, 20]}), judged({"x": [[-0.3, 1], [-4, 4]], "u": [-20, 20]})
+    silent, wide, narrow = (
+        judged(None),
+        judged({"x": [[-1, 1], [-4, 4]], "u": [-20, 20]}),
+        judged({"x": [[-0.3, 1], [-4, 4]], "u": [-20, 20]}),
+    )
     assert silent["certified"] is None
     assert any("declared [region]" in reason for reason in silent["reasons"])
     assert (wide["certified"], wide["left_region"]) == (True, None)

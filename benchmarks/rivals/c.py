@@ -15,7 +15,10 @@ from benchmarks.workload import Result, Work
 
 SOURCE = Path(__file__).with_name("loop.c")
 FLAGS = ("-O3", "-march=native", "-fopenmp", "-shared", "-fPIC", "-Wno-psabi")
-FOLDING = ("-ffinite-math-only", "-fno-signed-zeros")  # so that a product with a known 0 is left out
+FOLDING = (
+    "-ffinite-math-only",
+    "-fno-signed-zeros",
+)  # so that a product with a known 0 is left out
 
 
 @functools.cache
@@ -25,23 +28,53 @@ def compiled(n: int, step: str, width: int, known: str = "") -> ctypes.CDLL:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder, "loop.so")
         try:
-            subprocess.run(["gcc", *FLAGS, *more, f"-DN={n}", f"-DSTEP={step}", f"-DW={width}", str(SOURCE), "-o", str(library)], check=True)
+            subprocess.run(
+                [
+                    "gcc",
+                    *FLAGS,
+                    *more,
+                    f"-DN={n}",
+                    f"-DSTEP={step}",
+                    f"-DW={width}",
+                    str(SOURCE),
+                    "-o",
+                    str(library),
+                ],
+                check=True,
+            )
         except (OSError, subprocess.CalledProcessError) as failed:
             raise ImportError("gcc") from failed
         return ctypes.CDLL(str(library))
 
 
-def prepare(work: Work, *, step: str = "located", width: int = 64, known: bool = False, threads: int = 1) -> Callable[[], Result]:
+def prepare(
+    work: Work, *, step: str = "located", width: int = 64, known: bool = False, threads: int = 1
+) -> Callable[[], Result]:
     """step: plain, located or sampled; width: lanes of a block, 1 for one trajectory at a time; known: all numbers when compiled."""
     runs, steps = len(work.states), len(work.targets)
     plant = (work.A.ravel(), work.B, work.C)
-    numbers = np.concatenate([*plant, *plant, work.L, [work.gamma, work.limit], work.K, [work.step]])
-    library = compiled(len(work.B), step, width, ",".join(map(repr, numbers.tolist())) if known else "")
+    numbers = np.concatenate(
+        [*plant, *plant, work.L, [work.gamma, work.limit], work.K, [work.step]]
+    )
+    library = compiled(
+        len(work.B), step, width, ",".join(map(repr, numbers.tolist())) if known else ""
+    )
 
     def run() -> Result:
         states, sums = work.states.copy(), np.empty(runs)
-        loop, targets, *arrays = (ctypes.c_void_p(array.ctypes.data) for array in (numbers, work.targets, states, work.widths, sums))
-        library.run(loop, ctypes.c_long(steps), ctypes.c_long(steps - work.tail), targets, ctypes.c_long(runs), *arrays, ctypes.c_int(threads))
+        loop, targets, *arrays = (
+            ctypes.c_void_p(array.ctypes.data)
+            for array in (numbers, work.targets, states, work.widths, sums)
+        )
+        library.run(
+            loop,
+            ctypes.c_long(steps),
+            ctypes.c_long(steps - work.tail),
+            targets,
+            ctypes.c_long(runs),
+            *arrays,
+            ctypes.c_int(threads),
+        )
         return Result(states, np.sqrt(sums / work.tail))
 
     return run

@@ -14,8 +14,15 @@ from benchmarks.workload import Result, Work
 
 def prepare(work: Work) -> Callable[[], Result]:
     n, steps, runs = len(work.B), len(work.targets), len(work.states)
-    state, given = ca.SX.sym("state", 2 * n + 5), ca.SX.sym("given", 5)  # s, the sum of (z - r)^2, d_r, d_l; v at three instants, r, 1 in the tail
-    s, total, d = ca.vertsplit(state[: 2 * n + 2]), state[2 * n + 2], ca.vertsplit(state[2 * n + 3 :])
+    state, given = (
+        ca.SX.sym("state", 2 * n + 5),
+        ca.SX.sym("given", 5),
+    )  # s, the sum of (z - r)^2, d_r, d_l; v at three instants, r, 1 in the tail
+    s, total, d = (
+        ca.vertsplit(state[: 2 * n + 2]),
+        state[2 * n + 2],
+        ca.vertsplit(state[2 * n + 3 :]),
+    )
 
     def clip(width: Any) -> Any:
         return ca.fmax(ca.fmin(width, work.limit), 0.0)
@@ -25,11 +32,22 @@ def prepare(work: Work) -> Callable[[], Result]:
         return rate(work, s, (z > d[0], z < -d[1]), d, v, clip)
 
     after = rk4(move, s, ca.vertsplit(given[:3]), work.step)
-    following = ca.vertcat(*after[: 2 * n], *map(clip, after[2 * n :]), total + given[4] * (dot(work.C, s[:n]) - given[3]) ** 2, *d)
-    many = ca.Function("step", [state, given], [following], {"cse": True}).fold(steps).map("many", "serial", runs, [1], [])
+    following = ca.vertcat(
+        *after[: 2 * n],
+        *map(clip, after[2 * n :]),
+        total + given[4] * (dot(work.C, s[:n]) - given[3]) ** 2,
+        *d,
+    )
+    many = (
+        ca.Function("step", [state, given], [following], {"cse": True})
+        .fold(steps)
+        .map("many", "serial", runs, [1], [])
+    )
     start = np.hstack([work.states, np.zeros((runs, 1)), work.widths]).T
     tail = np.arange(steps) >= steps - work.tail
-    inputs = np.column_stack([work.targets[:, :, -1] + work.targets[:, :, 1:-1] @ work.K, work.targets[:, 0, 0], tail]).T
+    inputs = np.column_stack(
+        [work.targets[:, :, -1] + work.targets[:, :, 1:-1] @ work.K, work.targets[:, 0, 0], tail]
+    ).T
 
     def run() -> Result:
         final = many(start, inputs).full().T

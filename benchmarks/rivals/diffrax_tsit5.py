@@ -20,8 +20,15 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
     """rtol = None: constant steps."""
     n, end = len(work.B), len(work.targets) * work.step
     constant = rtol is None
-    controller = diffrax.ConstantStepSize() if constant else diffrax.PIDController(rtol=rtol, atol=rtol)
-    found = diffrax.SaveAt(subs=[diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=grid(work)[:-1], fn=lambda t, s, d: dot(work.C, s[:n]))])
+    controller = (
+        diffrax.ConstantStepSize() if constant else diffrax.PIDController(rtol=rtol, atol=rtol)
+    )
+    found = diffrax.SaveAt(
+        subs=[
+            diffrax.SubSaveAt(t1=True),
+            diffrax.SubSaveAt(ts=grid(work)[:-1], fn=lambda t, s, d: dot(work.C, s[:n])),
+        ]
+    )
 
     def move(t: Any, s: Any, d: Any) -> list[Any]:
         z = dot(work.C, s[:n])
@@ -33,7 +40,9 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
             diffrax.ODETerm(move), diffrax.Tsit5(), 0.0, end, work.step, list(s), d, saveat=found, stepsize_controller=controller, max_steps=None,
         )  # fmt: skip
         states, z = solution.ys
-        return jnp.concatenate(states), jnp.sqrt(jnp.mean((z - work.targets[-work.tail :, 0, 0]) ** 2))
+        return jnp.concatenate(states), jnp.sqrt(
+            jnp.mean((z - work.targets[-work.tail :, 0, 0]) ** 2)
+        )
 
     many = jax.jit(jax.vmap(one))
     return lambda: Result(*map(np.asarray, many(work.states, work.widths)))

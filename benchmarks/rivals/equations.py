@@ -12,21 +12,42 @@ from benchmarks.workload import Work
 
 def dot(row: Sequence[float], x: Sequence[Any]) -> Any:
     """row @ x without the terms that are 0."""
-    return functools.reduce(operator.add, (float(a) * b for a, b in zip(row, x, strict=True) if a != 0))
+    return functools.reduce(
+        operator.add, (float(a) * b for a, b in zip(row, x, strict=True) if a != 0)
+    )
 
 
-def rate(work: Work, s: Sequence[Any], on: tuple[Any, Any], d: Sequence[Any], v: Any, clip: Callable[[Any], Any] = lambda width: width) -> list[Any]:
+def rate(
+    work: Work,
+    s: Sequence[Any],
+    on: tuple[Any, Any],
+    d: Sequence[Any],
+    v: Any,
+    clip: Callable[[Any], Any] = lambda width: width,
+) -> list[Any]:
     """s' of s = [x, x^, d_r^, d_l^] for u = v - K x^; on: 1 on the (right, left) side, else 0; d: true d_r, d_l; clip: to [0, d_M]."""
     n = len(work.B)
     x, x_hat, (right, left) = s[:n], s[n : 2 * n], (clip(width) for width in s[2 * n :])
-    e = (on[0] + on[1]) * (dot(work.C, x) - dot(work.C, x_hat)) - on[0] * (d[0] - right) + on[1] * (d[1] - left)
+    e = (
+        (on[0] + on[1]) * (dot(work.C, x) - dot(work.C, x_hat))
+        - on[0] * (d[0] - right)
+        + on[1] * (d[1] - left)
+    )
     u = v - dot(work.K, x_hat)
-    plant = [dot(row, x) + float(b) * u if b else dot(row, x) for row, b in zip(work.A, work.B, strict=True)]
-    observer = [dot(row, x_hat) + float(b) * u + float(gain) * e for row, b, gain in zip(work.A, work.B, work.L, strict=True)]
+    plant = [
+        dot(row, x) + float(b) * u if b else dot(row, x)
+        for row, b in zip(work.A, work.B, strict=True)
+    ]
+    observer = [
+        dot(row, x_hat) + float(b) * u + float(gain) * e
+        for row, b, gain in zip(work.A, work.B, work.L, strict=True)
+    ]
     return [*plant, *observer, -work.gamma * on[0] * e, work.gamma * on[1] * e]
 
 
-def rk4(move: Callable[[Sequence[Any], Any], list[Any]], s: Sequence[Any], v: Sequence[Any], h: float) -> list[Any]:
+def rk4(
+    move: Callable[[Sequence[Any], Any], list[Any]], s: Sequence[Any], v: Sequence[Any], h: float
+) -> list[Any]:
     """A step of s' = move(s, v), v given at its start, middle and end."""
 
     def ahead(part: float, k: Sequence[Any]) -> list[Any]:

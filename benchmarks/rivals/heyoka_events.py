@@ -18,9 +18,15 @@ def prepare(work: Work, *, tol: float = 1e-9, batch: bool = False) -> Callable[[
     """batch: as many runs at once as the CPU's vectors hold."""
     n, times = len(work.B), grid(work)
     s = hy.make_vars(*(f"s{i}" for i in range(2 * n + 2)))
-    v = float(work.wave[1, 0]) * hy.cos(work.omega * hy.time) + float(work.wave[1, 1]) * hy.sin(work.omega * hy.time)
+    v = float(work.wave[1, 0]) * hy.cos(work.omega * hy.time) + float(work.wave[1, 1]) * hy.sin(
+        work.omega * hy.time
+    )
     z, par = dot(work.C, s[:n]), hy.par
-    equations = list(zip(s, rate(work, s, (par[ON_RIGHT], par[ON_LEFT]), (par[RIGHT], par[LEFT]), v), strict=True))
+    equations = list(
+        zip(
+            s, rate(work, s, (par[ON_RIGHT], par[ON_LEFT]), (par[RIGHT], par[LEFT]), v), strict=True
+        )
+    )
 
     def enter(index: int, inward: int) -> Callable[..., bool]:
         def callback(solver: Any, direction: int, *place: int) -> bool:
@@ -31,15 +37,28 @@ def prepare(work: Work, *, tol: float = 1e-9, batch: bool = False) -> Callable[[
 
     size = hy.recommended_simd_size() if batch else 1
     shape = (size,) if batch else ()
-    make, event = (hy.taylor_adaptive_batch, hy.t_event_batch) if batch else (hy.taylor_adaptive, hy.t_event)
+    make, event = (
+        (hy.taylor_adaptive_batch, hy.t_event_batch) if batch else (hy.taylor_adaptive, hy.t_event)
+    )
     instants = np.tile(times[:, None], (1, size)) if batch else times
-    events = [event(z - par[RIGHT], callback=enter(ON_RIGHT, 1)), event(z + par[LEFT], callback=enter(ON_LEFT, -1))]
-    integrator = make(equations, np.zeros((2 * n + 2, *shape)), pars=np.zeros((4, *shape)), tol=tol, t_events=events)
+    events = [
+        event(z - par[RIGHT], callback=enter(ON_RIGHT, 1)),
+        event(z + par[LEFT], callback=enter(ON_LEFT, -1)),
+    ]
+    integrator = make(
+        equations,
+        np.zeros((2 * n + 2, *shape)),
+        pars=np.zeros((4, *shape)),
+        tol=tol,
+        t_events=events,
+    )
 
     def run() -> Result:
         found = Result(np.empty_like(work.states), np.empty(len(work.states)))
         for first in range(0, len(work.states), size):
-            lanes = np.minimum(np.arange(first, first + size), len(work.states) - 1) if batch else first
+            lanes = (
+                np.minimum(np.arange(first, first + size), len(work.states) - 1) if batch else first
+            )
             states, (right, left) = work.states[lanes].T, work.widths[lanes].T
             z0 = work.C @ states[:n]
             if batch:
@@ -51,7 +70,9 @@ def prepare(work: Work, *, tol: float = 1e-9, batch: bool = False) -> Callable[[
             integrator.reset_cooldowns()
             integrator.propagate_until(times[0])
             path = integrator.propagate_grid(instants)[-1]  # instants x states (x lanes)
-            errors = np.tensordot(work.C, path[:-1, :n], (0, 1)).T - work.targets[-work.tail :, 0, 0]
+            errors = (
+                np.tensordot(work.C, path[:-1, :n], (0, 1)).T - work.targets[-work.tail :, 0, 0]
+            )
             found.states[lanes], found.rms[lanes] = path[-1].T, np.sqrt((errors**2).mean(axis=-1))
         return found
 

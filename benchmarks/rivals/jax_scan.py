@@ -32,9 +32,14 @@ def prepare(work: Work, *, unroll: int = 1) -> Callable[[], Result]:
         def step(carry: Any, given: Any) -> Any:
             (s, total), (v, r, counts) = carry, given
             after = rk4(move, s, v, work.step)
-            return ([*after[: 2 * n], *map(clip, after[2 * n :])], total + counts * (dot(work.C, s[:n]) - r) ** 2), None
+            return (
+                [*after[: 2 * n], *map(clip, after[2 * n :])],
+                total + counts * (dot(work.C, s[:n]) - r) ** 2,
+            ), None
 
-        (s, total), _ = jax.lax.scan(step, (list(s), 0.0), (v, work.targets[:, 0, 0], 1.0 * tail), unroll=unroll)
+        (s, total), _ = jax.lax.scan(
+            step, (list(s), 0.0), (v, work.targets[:, 0, 0], 1.0 * tail), unroll=unroll
+        )
         return jnp.stack(s), total
 
     many = jax.jit(jax.vmap(one))

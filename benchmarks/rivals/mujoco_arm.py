@@ -18,7 +18,9 @@ def prepare(work: Work, *, rolled: bool = False, threads: int = 1) -> Callable[[
     """rolled: by `mujoco.rollout`, which keeps every state, on that many threads; else a call of mj_step per step."""
     model = mujoco.MjModel.from_xml_path(str(work.path))
     model.opt.timestep, model.opt.integrator = work.step, INTEGRATORS[work.move]
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
     runs, N = work.torques.shape
     data = [mujoco.MjData(model) for _ in range(threads)]
 
@@ -34,10 +36,15 @@ def prepare(work: Work, *, rolled: bool = False, threads: int = 1) -> Callable[[
 
     starts = np.column_stack([np.zeros(runs), work.states])  # MuJoCo's state: time, q, v
     kept = np.empty((runs, work.steps, starts.shape[1]))
-    applied = {"control": work.torques[:, None], "control_spec": int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)}
+    applied = {
+        "control": work.torques[:, None],
+        "control_spec": int(mujoco.mjtState.mjSTATE_QFRC_APPLIED),
+    }
 
     def rolling() -> Floats:
-        states, _ = rollout.rollout(model, data, starts, nstep=work.steps, state=kept, persistent_pool=True, **applied)
+        states, _ = rollout.rollout(
+            model, data, starts, nstep=work.steps, state=kept, persistent_pool=True, **applied
+        )
         return states[:, -1, 1:].copy()
 
     return rolling if rolled else stepped

@@ -19,10 +19,17 @@ from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.support.arrays import Floats
 
 SOURCE = Path(__file__).with_name("pinocchio_arm.cpp")
-HEADERS = (Path(pin.__file__).parents[4] / "include", Path(ca.__file__).with_name("include") / "eigen3")  # CasADi brings Eigen's
+HEADERS = (
+    Path(pin.__file__).parents[4] / "include",
+    Path(ca.__file__).with_name("include") / "eigen3",
+)  # CasADi brings Eigen's
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-fopenmp", "-shared", "-fPIC", "-w")
 SIZES = ("LIST_SIZE=30", "VECTOR_SIZE=30")
-BOOST = (*(f"-DBOOST_MPL_LIMIT_{size}" for size in SIZES), "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS", "-DBOOST_FUSION_INVOKE_MAX_ARITY=12")  # Pinocchio's own
+BOOST = (
+    *(f"-DBOOST_MPL_LIMIT_{size}" for size in SIZES),
+    "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
+    "-DBOOST_FUSION_INVOKE_MAX_ARITY=12",
+)  # Pinocchio's own
 
 
 def prepare(work: Work) -> Callable[[], Floats]:
@@ -43,7 +50,11 @@ def prepare(work: Work) -> Callable[[], Floats]:
         v = x[N:] + h * pin.aba(model, data, x[:N], x[N:], u)
         return np.concatenate([x[:N] + h * v, v])
 
-    move = {"euler": euler, "rk4": lambda x, u, target: rk4(lambda x, _: rate(x, u), x, h), "follow": follow}[work.move]
+    move = {
+        "euler": euler,
+        "rk4": lambda x, u, target: rk4(lambda x, _: rate(x, u), x, h),
+        "follow": follow,
+    }[work.move]
 
     def run() -> Floats:
         finals = work.states.copy()
@@ -79,9 +90,24 @@ def compiled_loop(work: Work, *, threads: int = 1) -> Callable[[], Floats]:
 
     def run() -> Floats:
         finals = work.states.copy()
-        joints, g, targets, k, states, torques = (ctypes.c_void_p(array.ctypes.data) for array in (rows, gravity, work.targets, gains, finals, work.torques))
+        joints, g, targets, k, states, torques = (
+            ctypes.c_void_p(array.ctypes.data)
+            for array in (rows, gravity, work.targets, gains, finals, work.torques)
+        )
         runs, steps = (ctypes.c_long(count) for count in (len(finals), work.steps))
-        library.run(joints, g, MOVES.index(work.move), ctypes.c_double(work.step), steps, targets, k, runs, states, torques, threads)
+        library.run(
+            joints,
+            g,
+            MOVES.index(work.move),
+            ctypes.c_double(work.step),
+            steps,
+            targets,
+            k,
+            runs,
+            states,
+            torques,
+            threads,
+        )
         return finals
 
     return run
@@ -94,7 +120,16 @@ def _row(model: Any, i: int) -> Floats:
         raise ImportError(f"the C++ loop has no {kind}")
     place, body = model.jointPlacements[i], model.inertias[i]
     inertia = body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.concatenate([[known.index(kind)], place.rotation.ravel(), place.translation, [body.mass], body.lever, inertia])
+    return np.concatenate(
+        [
+            [known.index(kind)],
+            place.rotation.ravel(),
+            place.translation,
+            [body.mass],
+            body.lever,
+            inertia,
+        ]
+    )
 
 
 @functools.cache
@@ -104,10 +139,17 @@ def _compiled(N: int) -> ctypes.CDLL:
         library = Path(folder, "arm.so")
         includes = (f"-I{path}" for path in HEADERS)
         try:
-            subprocess.run(["g++", *FLAGS, *BOOST, *includes, f"-DDOF={N}", str(SOURCE), "-o", str(library)], check=True, capture_output=True, text=True)
+            subprocess.run(
+                ["g++", *FLAGS, *BOOST, *includes, f"-DDOF={N}", str(SOURCE), "-o", str(library)],
+                check=True,
+                capture_output=True,
+                text=True,
+            )
         except FileNotFoundError:
             raise ImportError("g++ not found") from None
         except subprocess.CalledProcessError as failed:
-            message = next((line for line in failed.stderr.splitlines() if "error" in line), failed.stderr)
+            message = next(
+                (line for line in failed.stderr.splitlines() if "error" in line), failed.stderr
+            )
             raise ImportError(f"g++: {message.partition('error: ')[2] or message:.80}") from failed
         return ctypes.CDLL(str(library))

@@ -23,24 +23,37 @@ def prepare(work: Work, *, rtol: float = 1e-6) -> Callable[[], Result]:
     def observe(t: float, s: Floats, given: Floats, d: Floats) -> Floats:
         (y, u), x, right, left = given, s[:n], given[0] > 0, given[0] < 0
         e = y + s[n] * right - s[n + 1] * left - work.C @ x if y else 0.0
-        return np.concatenate([work.A @ x + work.B * u + work.L * e, [-work.gamma * right * e, work.gamma * left * e]])
+        return np.concatenate(
+            [work.A @ x + work.B * u + work.L * e, [-work.gamma * right * e, work.gamma * left * e]]
+        )
 
     def control_law(t: float, s: Floats, x_hat: Floats, d: Floats) -> Floats:
         return work.wave[1] @ (math.cos(work.omega * t), math.sin(work.omega * t)) - work.K @ x_hat
 
     sensor = control.nlsys(None, reading, inputs="z", outputs="y", name="sensor")
-    observer = control.nlsys(observe, lambda t, s, given, d: s[:n], inputs=["y", "u"], outputs=names, states=n + 2, name="observer")
+    observer = control.nlsys(
+        observe,
+        lambda t, s, given, d: s[:n],
+        inputs=["y", "u"],
+        outputs=names,
+        states=n + 2,
+        name="observer",
+    )
     controller = control.nlsys(None, control_law, inputs=names, outputs="u", name="controller")
     loop = control.interconnect([plant, sensor, observer, controller], outputs="z", inputs=None)
 
     def one(s: Floats, d: Floats) -> Floats:
         given = {"right": d[0], "left": d[1]}
-        found = control.input_output_response(loop, times, 0.0, s, params=given, solve_ivp_kwargs={"rtol": rtol, "atol": rtol})
+        found = control.input_output_response(
+            loop, times, 0.0, s, params=given, solve_ivp_kwargs={"rtol": rtol, "atol": rtol}
+        )
         return found.states
 
     def run() -> Result:
         paths = np.stack([one(s, d) for s, d in zip(work.states, work.widths, strict=True)])
-        errors = np.einsum("j,ijk->ik", work.C, paths[:, :n, 1:-1]) - work.targets[-work.tail :, 0, 0]
+        errors = (
+            np.einsum("j,ijk->ik", work.C, paths[:, :n, 1:-1]) - work.targets[-work.tail :, 0, 0]
+        )
         return Result(paths[:, :, -1], np.sqrt((errors**2).mean(axis=1)))
 
     return run

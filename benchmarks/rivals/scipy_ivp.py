@@ -12,7 +12,9 @@ from benchmarks.rivals.equations import dot, rate
 from benchmarks.workload import Floats, Result, Work, grid
 
 
-def prepare(work: Work, *, rtol: float = 1e-6, method: str = "RK45", events: bool = False) -> Callable[[], Result]:
+def prepare(
+    work: Work, *, rtol: float = 1e-6, method: str = "RK45", events: bool = False
+) -> Callable[[], Result]:
     n, end, times = len(work.B), len(work.targets) * work.step, grid(work)
     options = {"rtol": rtol, "atol": rtol, "method": method}
 
@@ -33,8 +35,13 @@ def prepare(work: Work, *, rtol: float = 1e-6, method: str = "RK45", events: boo
     def switched(s: Floats, d: Floats) -> Floats:
         t, on, parts = 0.0, sides(s, d), []
         while t < end:
-            edges = [_edge(lambda s: output(s) - d[0], 1 - 2 * on[0]), _edge(lambda s: output(s) + d[1], 2 * on[1] - 1)]
-            found = solve_ivp(move, (t, end), s, args=(d, on), t_eval=times[times > t], events=edges, **options)
+            edges = [
+                _edge(lambda s: output(s) - d[0], 1 - 2 * on[0]),
+                _edge(lambda s: output(s) + d[1], 2 * on[1] - 1),
+            ]
+            found = solve_ivp(
+                move, (t, end), s, args=(d, on), t_eval=times[times > t], events=edges, **options
+            )
             if len(found.t):
                 parts.append(found.y)
             right, left = (part.size > 0 for part in found.t_events)
@@ -46,8 +53,15 @@ def prepare(work: Work, *, rtol: float = 1e-6, method: str = "RK45", events: boo
         return np.hstack(parts)
 
     def run() -> Result:
-        paths = np.stack([(switched if events else smooth)(s, d.tolist()) for s, d in zip(work.states, work.widths, strict=True)])
-        errors = np.einsum("j,ijk->ik", work.C, paths[:, :n, :-1]) - work.targets[-work.tail :, 0, 0]
+        paths = np.stack(
+            [
+                (switched if events else smooth)(s, d.tolist())
+                for s, d in zip(work.states, work.widths, strict=True)
+            ]
+        )
+        errors = (
+            np.einsum("j,ijk->ik", work.C, paths[:, :n, :-1]) - work.targets[-work.tail :, 0, 0]
+        )
         return Result(paths[:, :, -1], np.sqrt((errors**2).mean(axis=1)))
 
     return run

@@ -98,9 +98,13 @@ class Observer(NamedTuple):
     project: Callable[[Any, Any], Any] = lambda params, state: state
 
 
-def estimate(x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any) -> Estimate:
+def estimate(
+    x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
+) -> Estimate:
     """An `Estimate` with its deadzone inverse; a missing sample is inverted to z^."""
-    inverted = ca.if_else(present(reading.y), inverse(reading.y, reading.side, right, left, slope, kind), z)
+    inverted = ca.if_else(
+        present(reading.y), inverse(reading.y, reading.side, right, left, slope, kind), z
+    )
     return Estimate(x, z, right, left, inverted, innovation)
 
 
@@ -127,9 +131,35 @@ def graph_of(observer: Observer | NumericObserver) -> Observer:
     return observer
 
 
-def numeric_estimate(X: Floats, z: Floats, reading: Reading, sensor: Zone, e: Floats, std: Floats, width_std: Floats, e_std: Floats) -> Estimate:
+def numeric_estimate(
+    X: Floats,
+    z: Floats,
+    reading: Reading,
+    sensor: Zone,
+    e: Floats,
+    std: Floats,
+    width_std: Floats,
+    e_std: Floats,
+) -> Estimate:
     """An `Estimate` of numbers; X, std: [x; d_r; d_l] and its standard deviations (n + 2p); e, e_std: innovations and theirs."""
     ends = [X.size - 2 * z.size, X.size - z.size]
     (x, right, left), (x_std, right_std, left_std) = np.split(X, ends), np.split(std, ends)
-    inverted = np.where(np.isfinite(reading.y), inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind), z)
-    return Estimate(x, z, right, left, inverted, e, x_std, right_std, left_std, width_std, e_std, *np.zeros((3, 0)))
+    inverted = np.where(
+        np.isfinite(reading.y),
+        inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind),
+        z,
+    )
+    return Estimate(
+        x,
+        z,
+        right,
+        left,
+        inverted,
+        e,
+        x_std,
+        right_std,
+        left_std,
+        width_std,
+        e_std,
+        *np.zeros((3, 0)),
+    )

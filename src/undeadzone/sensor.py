@@ -82,12 +82,16 @@ def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> A
     return slope * (z - taken) * (zone != 0)
 
 
-def inverse(y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone") -> Any:
+def inverse(
+    y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone"
+) -> Any:
     """The deadzone inverse (26): y / m + chi_bar d on the measured side, y / m where silent or of the jump kind."""
     return y / slope + (0.0 if kind == "jump" else offset(side, right, left))
 
 
-def edges(right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0) -> tuple[Any, Any]:
+def edges(
+    right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0
+) -> tuple[Any, Any]:
     """(z_r, z_l): the side reads right above z_r and left below -z_l, given threshold and additive noise on y.
 
     Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that side.
@@ -95,10 +99,16 @@ def edges(right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: A
     ops = _ops(right, left, slope, threshold, noise)
 
     def edge(own: Any, other: Any, margin: Any) -> Any:
-        outer, inner = (ops.fmax(own, margin), ops.fmin(-other, margin)) if kind == "jump" else (own + margin, margin - other)
+        outer, inner = (
+            (ops.fmax(own, margin), ops.fmin(-other, margin))
+            if kind == "jump"
+            else (own + margin, margin - other)
+        )
         return outer * (margin >= 0) + inner * (margin < 0)
 
-    return edge(right, left, (threshold - noise) / slope), edge(left, right, (threshold + noise) / slope)
+    return edge(right, left, (threshold - noise) / slope), edge(
+        left, right, (threshold + noise) / slope
+    )
 
 
 def bound(right: Any, left: Any) -> Any:
@@ -156,19 +166,27 @@ class Zone(msgspec.Struct, frozen=True):
     @property
     def rms(self) -> Floats:
         """What a reading on an active side is off by, rms (p) [z]: noise ahead of and after the zone, rounding."""
-        return np.hypot(np.hypot(self.noise / self.slope, self.noise_before), self.quantum / self.slope / np.sqrt(12))
+        return np.hypot(
+            np.hypot(self.noise / self.slope, self.noise_before),
+            self.quantum / self.slope / np.sqrt(12),
+        )
 
 
 def resolve(sensor: Sensor, p: int, step: float) -> Zone:
     """Check a sensor against p outputs at a time step [s]. Raises InputError, ShapeError."""
     why = f"one per output, the plant has {p}"
-    right, left = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("right", "left"))
+    right, left = (
+        nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("right", "left")
+    )
     slope = vector("sensor.slope", sensor.slope, p, why)
     if (slope <= 0).any():
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
     noise = nonnegative("sensor.noise", sensor.noise, p, why)
     before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
-    drift, dropout, quantum = (nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("drift", "dropout", "quantum"))
+    drift, dropout, quantum = (
+        nonnegative(f"sensor.{key}", getattr(sensor, key), p, why)
+        for key in ("drift", "dropout", "quantum")
+    )
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
     rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)

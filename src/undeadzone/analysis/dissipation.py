@@ -29,11 +29,19 @@ class Inequality(NamedTuple):
 
     def matrices(self, P: Floats) -> list[Floats]:
         """One matrix per vertex and supply, affine in P; the sampled square term is bordered by -P."""
-        return [_matrix(P, A, self.B, supply, self.Ts, self.decay) for A in self.A for supply in self.supply]
+        return [
+            _matrix(P, A, self.B, supply, self.Ts, self.decay)
+            for A in self.A
+            for supply in self.supply
+        ]
 
     def magnitudes(self, P: Floats) -> list[Floats]:
         """The same sums with every term replaced by its magnitude."""
-        return [np.abs(_matrix(np.abs(P), np.abs(A), np.abs(self.B), size, self.Ts, self.decay)) for A in self.A for size in self.size]
+        return [
+            np.abs(_matrix(np.abs(P), np.abs(A), np.abs(self.B), size, self.Ts, self.decay))
+            for A in self.A
+            for size in self.size
+        ]
 
     def transformed(self, T: Floats, inverse: Floats) -> Inequality:
         """The same inequality in coordinates x = T xi."""
@@ -45,10 +53,16 @@ class Inequality(NamedTuple):
             supply[:, :n] = supply[:, :n] @ T
             return supply
 
-        return self._replace(A=tuple(inverse @ A @ T for A in self.A), B=inverse @ self.B, supply=tuple(moved(supply) for supply in self.supply))
+        return self._replace(
+            A=tuple(inverse @ A @ T for A in self.A),
+            B=inverse @ self.B,
+            supply=tuple(moved(supply) for supply in self.supply),
+        )
 
 
-def _matrix(P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float) -> Floats:
+def _matrix(
+    P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float
+) -> Floats:
     n = A.shape[0]
     PF = P @ np.hstack([A, B])
     top = supply.copy()
@@ -112,7 +126,13 @@ def optimise(
     return None
 
 
-def _pass(family: Callable[[Floats], Inequality], cost: Floats, extra: Callable[[Floats, Floats], list[Floats]], deep: bool, near: Found) -> Found | None:
+def _pass(
+    family: Callable[[Floats], Inequality],
+    cost: Floats,
+    extra: Callable[[Floats, Floats], list[Floats]],
+    deep: bool,
+    near: Found,
+) -> Found | None:
     """One solution in coordinates where the P of `near` is the identity and its matrices have a unit diagonal."""
     P, q = near
     values, vectors = np.linalg.eigh(P)
@@ -120,8 +140,12 @@ def _pass(family: Callable[[Floats], Inequality], cost: Floats, extra: Callable[
         return None
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     T, inverse = vectors / root, (vectors * root).T
-    at = _affine([family(unit).transformed(T, inverse) for unit in (np.zeros(cost.size), *np.eye(cost.size))])
-    scales = [np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(len(P)))]
+    at = _affine(
+        [family(unit).transformed(T, inverse) for unit in (np.zeros(cost.size), *np.eye(cost.size))]
+    )
+    scales = [
+        np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(len(P)))
+    ]
     entries, part = len(P) * (len(P) + 1) // 2, at(q).supply[0].shape[0]
 
     def blocks(x: Floats) -> list[Floats]:
@@ -151,7 +175,14 @@ def _affine(points: list[Inequality]) -> Callable[[Floats], Inequality]:
 def storage(inequality: Inequality) -> Floats | None:
     """P deep inside the inequality, or as near to it as there is one; None if the solver finds nothing at all."""
     none = np.zeros(0)
-    found = optimise(lambda q: inequality, none, none, deep=True, done=lambda found: check(inequality, found.P).proved, passes=4)
+    found = optimise(
+        lambda q: inequality,
+        none,
+        none,
+        deep=True,
+        done=lambda found: check(inequality, found.P).proved,
+        passes=4,
+    )
     return None if found is None else found.P
 
 
@@ -185,7 +216,9 @@ def check(inequality: Inequality, P: Floats) -> Check:
     pairs = zip(inequality.matrices(P), inequality.magnitudes(P), strict=True)
     found = [_definite(P, np.abs(P)), *(_definite(-M, size) for M, size in pairs)]
     proved = all(value > slack for value, slack in found)
-    return Check(proved, -min(value for value, _ in found[1:]), found[0][0], max(slack for _, slack in found))
+    return Check(
+        proved, -min(value for value, _ in found[1:]), found[0][0], max(slack for _, slack in found)
+    )
 
 
 def _definite(M: Floats, size: Floats) -> tuple[float, float]:
@@ -194,5 +227,7 @@ def _definite(M: Floats, size: Floats) -> tuple[float, float]:
     if not np.isfinite(M).all() or (diagonal <= 0).any():
         return -np.inf, 0.0
     scale = 1 / np.sqrt(np.outer(diagonal, diagonal))
-    rounding = 4 * (M.shape[0] + 4) * np.finfo(float).eps * (np.linalg.norm(size * scale) + M.shape[0])
+    rounding = (
+        4 * (M.shape[0] + 4) * np.finfo(float).eps * (np.linalg.norm(size * scale) + M.shape[0])
+    )
     return float(np.linalg.eigvalsh((M + M.T) / 2 * scale)[0]), float(rounding)

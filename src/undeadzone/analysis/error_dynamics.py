@@ -42,7 +42,9 @@ class Dynamics(NamedTuple):
     def groups(self) -> Floats:
         """Z (p x groups): outputs that Gamma couples must share their weight, W = Z w."""
         p = self.C.shape[0]
-        linked = (np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3)) > 0) | np.eye(p, dtype=bool)
+        linked = (np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3)) > 0) | np.eye(
+            p, dtype=bool
+        )
         reach = np.linalg.matrix_power(linked.astype(int), p) > 0
         return np.unique(reach, axis=0).T.astype(float)
 
@@ -50,12 +52,18 @@ class Dynamics(NamedTuple):
         """V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in the P that it is given."""
         return self.extended(W, np.zeros((self.L.shape[0], 0)), [])
 
-    def extended(self, W: Floats, E: Floats, terms: list[tuple[int, int, Floats]], decay: float = 0.0) -> Inequality:
+    def extended(
+        self, W: Floats, E: Floats, terms: list[tuple[int, int, Floats]], decay: float = 0.0
+    ) -> Inequality:
         """`inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w); see `dissipation.quadratic`."""
         n, p = self.L.shape
         pairs = []
         for step in self.steps:
-            own = [(0, 1, self.C.T * W), (1, 1, -2 * np.diag(W)), (1, 1, (W[:, None] * step + W * step) / 2)]
+            own = [
+                (0, 1, self.C.T * W),
+                (1, 1, -2 * np.diag(W)),
+                (1, 1, (W[:, None] * step + W * step) / 2),
+            ]
             pairs.append(quadratic([n, p, E.shape[1]], own + terms))
         supply, size = zip(*pairs, strict=True)
         return Inequality(self.A, np.hstack([-self.L, E]), supply, size, self.Ts, decay)
@@ -78,13 +86,21 @@ class Storage(NamedTuple):
 
     def value(self, x_error: Floats, d_error: Floats) -> Floats:
         """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
-        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
+        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum(
+            "ki,ij,kj->k", d_error, self.R, d_error
+        )
 
 
 def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
     """The error dynamics of a model (n states, p outputs) for gains L (n x p) and gamma (see `adaptation`), both [1/s]."""
     n, p = linear.A.shape[0], linear.C.shape[0]
-    return Dynamics((delta(linear, Ts),), linear.C, matrix("L", L, n, p, "states x outputs"), adaptation(gamma, p), Ts)
+    return Dynamics(
+        (delta(linear, Ts),),
+        linear.C,
+        matrix("L", L, n, p, "states x outputs"),
+        adaptation(gamma, p),
+        Ts,
+    )
 
 
 def delta(linear: Matrices, Ts: float | None) -> Floats:
@@ -106,7 +122,11 @@ def adaptation(gamma: Floats, p: int) -> Floats:
         if not np.allclose(found, found.T) or np.linalg.eigvalsh(found)[0] <= 0:
             raise InputError("gamma: a full matrix must be symmetric and positive definite")
         return found
-    found = np.repeat(vector("gamma", found, p, "one per output"), 2) if found.ndim < 2 else matrix("gamma", found, p, 2, "[right, left] per output").ravel()
+    found = (
+        np.repeat(vector("gamma", found, p, "one per output"), 2)
+        if found.ndim < 2
+        else matrix("gamma", found, p, 2, "[right, left] per output").ravel()
+    )
     if (found < 0).any():
         raise InputError(f"gamma: must not be negative, found {found.min():g}")
     return np.diag(found)
@@ -158,6 +178,8 @@ def balance(given: Dynamics) -> Scaling:
     A = np.mean(given.A, axis=0)
     n, p = A.shape[0], given.C.shape[0]
     time = 2.0 ** -np.round(np.log2(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)))
-    _, (scale, _) = matrix_balance(np.block([[time * A, time * given.L], [given.C, np.eye(p)]]), permute=False, separate=True)
+    _, (scale, _) = matrix_balance(
+        np.block([[time * A, time * given.L], [given.C, np.eye(p)]]), permute=False, separate=True
+    )
     leaders = np.argmax(given.groups, axis=0)
     return Scaling(scale[:n], given.groups @ scale[n:][leaders], float(time))

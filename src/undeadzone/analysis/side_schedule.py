@@ -44,10 +44,15 @@ class Schedule(NamedTuple):
 
     def visited(self, samples: int = 0) -> np.ndarray:
         """Whether the [right, left] side of each output (p x 2) lasts, in all, for more than that many samples, if it is sampled."""
-        return np.stack([self.spans @ (self.sides == side) > samples * self.grain for side in (1.0, -1.0)], axis=1)
+        return np.stack(
+            [self.spans @ (self.sides == side) > samples * self.grain for side in (1.0, -1.0)],
+            axis=1,
+        )
 
 
-def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float) -> Schedule:
+def planned(
+    model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float
+) -> Schedule:
     """The schedule of a reference that is followed exactly, over its period, or over `horizon` [s] if it has none.
 
     In continuous time the sides change at roots of the exact signal; sampled, the sides are those at the samples. Spans
@@ -59,18 +64,42 @@ def planned(model: System, reference: Exosystem, tracked: list[int], sensor: Zon
     if model.Ts is not None:
         samples, periodic = _samples(reference.period, model.Ts, horizon)
         z = reference.state(np.arange(samples) * model.Ts) @ rows.T
-        repeats = np.arange(0 if reference.period is None else samples * model.Ts / reference.period)
-        corners = reference.corners if reference.period is None else np.add.outer(repeats * reference.period, reference.corners).ravel()
+        repeats = np.arange(
+            0 if reference.period is None else samples * model.Ts / reference.period
+        )
+        corners = (
+            reference.corners
+            if reference.period is None
+            else np.add.outer(repeats * reference.period, reference.corners).ravel()
+        )
         return _from_samples(zone(z, *levels.T), z, levels, model.Ts, model.Ts, periodic, corners)
     end = horizon if reference.period is None else reference.period
-    ends = np.unique(np.concatenate([[0.0], reference.corners[(reference.corners > 0) & (reference.corners < end)], [end]]))
-    changes = [roots(reference, row, level, ends) for row, pair in zip(rows, levels, strict=True) for level in (pair[0], -pair[1])]
+    ends = np.unique(
+        np.concatenate(
+            [[0.0], reference.corners[(reference.corners > 0) & (reference.corners < end)], [end]]
+        )
+    )
+    changes = [
+        roots(reference, row, level, ends)
+        for row, pair in zip(rows, levels, strict=True)
+        for level in (pair[0], -pair[1])
+    ]
     times = np.unique(np.concatenate([ends, *changes]))
     times = times[np.concatenate([np.diff(times) > ROUNDING * end, [True]])]
     z = reference.state((times[:-1] + times[1:]) / 2) @ rows.T
     low, high = extremes(reference, rows, ends)
     mean = (reference.state((np.arange(MEAN) + 0.5) / MEAN * end) @ rows.T).mean(axis=0)
-    return Schedule(zone(z, *levels.T), np.diff(times), None, reference.period is not None, 0.0, low, mean, high, levels)
+    return Schedule(
+        zone(z, *levels.T),
+        np.diff(times),
+        None,
+        reference.period is not None,
+        0.0,
+        low,
+        mean,
+        high,
+        levels,
+    )
 
 
 def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None) -> Schedule:
@@ -84,13 +113,17 @@ def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None) -> Schedule
 
 def reading_levels(sensor: Zone) -> Floats:
     """(p x 2): a noise-free sensor reads right above levels[:, 0] and left below -levels[:, 1] of z."""
-    return np.stack(edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold), axis=1)
+    return np.stack(
+        edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold), axis=1
+    )
 
 
 def merged(schedule: Schedule) -> Schedule:
     """The same schedule with neighbours of equal sides put together."""
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
-    return schedule._replace(sides=schedule.sides[first], spans=np.add.reduceat(schedule.spans, np.flatnonzero(first)))
+    return schedule._replace(
+        sides=schedule.sides[first], spans=np.add.reduceat(schedule.spans, np.flatnonzero(first))
+    )
 
 
 def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Floats:
@@ -118,7 +151,12 @@ def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floa
     fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
     pieces = np.maximum(1, np.ceil(np.diff(ends) * fastest)).astype(int)
     half = np.repeat(np.diff(ends) / pieces / 2, pieces)
-    middle = np.concatenate([a + (b - a) * (np.arange(k) + 0.5) / k for a, b, k in zip(ends[:-1], ends[1:], pieces, strict=True)])
+    middle = np.concatenate(
+        [
+            a + (b - a) * (np.arange(k) + 0.5) / k
+            for a, b, k in zip(ends[:-1], ends[1:], pieces, strict=True)
+        ]
+    )
     found = []
     while middle.size:
         w = reference.state(middle)
@@ -144,7 +182,9 @@ def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, 
     return np.array(low), np.array(high)
 
 
-def _bisect(reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats) -> Floats:
+def _bisect(
+    reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats
+) -> Floats:
     a, b = middle - half, middle + half
 
     def above(t: Floats) -> Any:
@@ -176,7 +216,15 @@ def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool
     return max(1, round(horizon / Ts)), False
 
 
-def _from_samples(side: Floats, z: Floats, levels: Floats, step: float, Ts: float | None, periodic: bool, corners: Floats) -> Schedule:
+def _from_samples(
+    side: Floats,
+    z: Floats,
+    levels: Floats,
+    step: float,
+    Ts: float | None,
+    periodic: bool,
+    corners: Floats,
+) -> Schedule:
     """The schedule of sides at samples; sampled ones start a span at the first sample from each corner on, too."""
     starts = np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)])
     after = np.ceil(corners / step - ROUNDING * len(side)).astype(int)
@@ -189,4 +237,14 @@ def _from_samples(side: Floats, z: Floats, levels: Floats, step: float, Ts: floa
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
     grain = step if Ts is None else 1.0
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
-        return Schedule(side[first], spans, Ts, periodic, grain, z.min(axis=0), z.mean(axis=0), z.max(axis=0), levels)
+        return Schedule(
+            side[first],
+            spans,
+            Ts,
+            periodic,
+            grain,
+            z.min(axis=0),
+            z.mean(axis=0),
+            z.max(axis=0),
+            levels,
+        )

@@ -39,7 +39,9 @@ class Contest(NamedTuple):
 
     def scenario(self, method: str, title: str) -> Scenario:
         """A scenario with a method in the place of its observer, its knobs as they were here. Raises InputError where it is not applicable."""
-        return entered(catalogue()[method], situation(self.scenarios[title]), self.numbers.get(method, NOTHING))
+        return entered(
+            catalogue()[method], situation(self.scenarios[title]), self.numbers.get(method, NOTHING)
+        )
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
         """A run again, with the first seed, and all its signals."""
@@ -52,17 +54,34 @@ class Contest(NamedTuple):
         places = {title: i for i, title in enumerate(self.scenarios)}
 
         def flat(result: Result) -> dict[str, Any]:
-            regret = float(found[result.method][places[result.scenario], self.seeds.index(result.seed)])
+            regret = float(
+                found[result.method][places[result.scenario], self.seeds.index(result.seed)]
+            )
             worth = {} if result.worth is None else msgspec.structs.asdict(result.worth)
-            known = {"method": result.method, "scenario": result.scenario, "seed": result.seed, "applicable": result.worth is not None}
+            known = {
+                "method": result.method,
+                "scenario": result.scenario,
+                "seed": result.seed,
+                "applicable": result.worth is not None,
+            }
             return known | {"reason": result.reason, "regret": regret} | worth
 
-        rules = {"tail": TAIL, "cap": CAP, "refused": REFUSED, "resamples": RESAMPLES, "confidence": LEVEL, "zero": FRAME[0], "one": FRAME[1]}
+        rules = {
+            "tail": TAIL,
+            "cap": CAP,
+            "refused": REFUSED,
+            "resamples": RESAMPLES,
+            "confidence": LEVEL,
+            "zero": FRAME[0],
+            "one": FRAME[1],
+        }
         return dict(
             finite(
                 {
                     "version": undeadzone.__version__,
-                    "scenarios": {title: scenario.title for title, scenario in self.scenarios.items()},
+                    "scenarios": {
+                        title: scenario.title for title, scenario in self.scenarios.items()
+                    },
                     "seeds": list(self.seeds),
                     "rules": rules,
                     "leaderboard": [msgspec.structs.asdict(row) for row in self.rows],
@@ -85,6 +104,8 @@ def hold(
     progress: Callable[[int], None] | None = None,
 ) -> Contest:
     """Methods (None: all) against each other on scenarios. Raises InputError and its kinds."""
-    results = score(methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress)
+    results = score(
+        methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
+    )
     references = {name for name, method in catalogue().items() if method.reference}
     return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))

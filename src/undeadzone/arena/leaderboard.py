@@ -52,23 +52,48 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 def regrets(results: Sequence[Result]) -> dict[str, Floats]:
     """Regret (scenarios x seeds) by method: (J - J_full) / (J_naive - J_full), J the rms of z - r, of the same seed; NaN where refused."""
-    scenarios, seeds = list(dict.fromkeys(r.scenario for r in results)), list(dict.fromkeys(r.seed for r in results))
-    J = {name: np.full((len(scenarios), len(seeds)), np.nan) for name in dict.fromkeys(r.method for r in results)}
+    scenarios, seeds = (
+        list(dict.fromkeys(r.scenario for r in results)),
+        list(dict.fromkeys(r.seed for r in results)),
+    )
+    J = {
+        name: np.full((len(scenarios), len(seeds)), np.nan)
+        for name in dict.fromkeys(r.method for r in results)
+    }
     for result in results:
         if result.worth is not None:
-            J[result.method][scenarios.index(result.scenario), seeds.index(result.seed)] = np.inf if result.worth.diverged else result.worth.tracking
+            J[result.method][scenarios.index(result.scenario), seeds.index(result.seed)] = (
+                np.inf if result.worth.diverged else result.worth.tracking
+            )
     full, naive = (J[name] for name in FRAME)
     with np.errstate(invalid="ignore"):
-        return {name: np.where(np.isnan(own), np.nan, np.fmin((own - full) / (naive - full), CAP)) for name, own in J.items()}
+        return {
+            name: np.where(np.isnan(own), np.nan, np.fmin((own - full) / (naive - full), CAP))
+            for name, own in J.items()
+        }
 
 
-def leaderboard(results: Sequence[Result], references: Container[str] = (), seed: int = 0) -> list[Row]:
+def leaderboard(
+    results: Sequence[Result], references: Container[str] = (), seed: int = 0
+) -> list[Row]:
     """The methods by median regret, of equals by the worst. Where one is not applicable its regret counts REFUSED."""
-    counted = {name: np.where(np.isnan(regret), REFUSED, regret) for name, regret in regrets(results).items()}
+    counted = {
+        name: np.where(np.isnan(regret), REFUSED, regret)
+        for name, regret in regrets(results).items()
+    }
     scenarios = list(dict.fromkeys(result.scenario for result in results))
     times = {name: _times(results, name) for name in counted}
-    medians = {name: (np.median(regret.mean(axis=1)), regret.mean(axis=1).max()) for name, regret in counted.items()}
-    best = counted[min((name for name in counted if name not in references), key=medians.__getitem__, default=FRAME[0])]
+    medians = {
+        name: (np.median(regret.mean(axis=1)), regret.mean(axis=1).max())
+        for name, regret in counted.items()
+    }
+    best = counted[
+        min(
+            (name for name in counted if name not in references),
+            key=medians.__getitem__,
+            default=FRAME[0],
+        )
+    ]
     rows = []
     for name, regret in counted.items():
         own = [result for result in results if result.method == name]
@@ -91,14 +116,22 @@ def leaderboard(results: Sequence[Result], references: Container[str] = (), seed
                 not_applicable=1 - len(done) / len(own),
                 settled=sum(worth.settling is not None for worth in kept) / len(own),
                 cost=float(np.median(ratios)) if ratios else None,
-                **{field: _over(kept, field, np.mean) for field in ("tracking", "estimation", "coverage")},
-                **{field: _over(kept, field, np.median) for field in ("width", "centre", "effort", "slew")},
+                **{
+                    field: _over(kept, field, np.mean)
+                    for field in ("tracking", "estimation", "coverage")
+                },
+                **{
+                    field: _over(kept, field, np.median)
+                    for field in ("width", "centre", "effort", "slew")
+                },
             )
         )
     return sorted(rows, key=lambda row: (row.median_regret, row.worst_regret))
 
 
-def _over(kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]) -> float | None:
+def _over(
+    kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]
+) -> float | None:
     values = [value for worth in kept if (value := getattr(worth, field)) is not None]
     return float(statistic(values)) if values else None
 

@@ -106,11 +106,28 @@ RATE, GAIN = Knob(2.0, 100.0, "1/s"), Knob(0.3, 300.0, "1/s")
 NOISE, SHAKE, DRIFT = Knob(1e-3, 0.3, "z"), Knob(0.03, 10.0, "white u"), Knob(1e-4, 0.1, "z")
 CLAIMS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
 BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(0.01, 1.0, "z")}
-COLOURED = {"observer.disturbance": Knob(0.1, 10.0, "u"), "observer.drift": DRIFT, "observer.tolerance": Knob(0.01, 0.2)}
+COLOURED = {
+    "observer.disturbance": Knob(0.1, 10.0, "u"),
+    "observer.drift": DRIFT,
+    "observer.tolerance": Knob(0.01, 0.2),
+}
 LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}
-SLIDING = {"observer.speed": RATE, "observer.rho": Knob(0.01, 30.0, "z/s"), "observer.boundary": Knob(0.03, 3.0, "z"), "observer.gamma": GAIN}
-TWISTING = {"observer.lipschitz": Knob(0.1, 1000.0, "z/s^n"), "observer.speed": RATE, "observer.gamma": GAIN}
-FEEDBACK = {"controller.speed": Knob(5.0, 100.0, "1/s"), "controller.bandwidth": Knob(1.0, 30.0, "1/s"), "controller.gain": Knob(0.1, 1000.0, "1/s^2")}
+SLIDING = {
+    "observer.speed": RATE,
+    "observer.rho": Knob(0.01, 30.0, "z/s"),
+    "observer.boundary": Knob(0.03, 3.0, "z"),
+    "observer.gamma": GAIN,
+}
+TWISTING = {
+    "observer.lipschitz": Knob(0.1, 1000.0, "z/s^n"),
+    "observer.speed": RATE,
+    "observer.gamma": GAIN,
+}
+FEEDBACK = {
+    "controller.speed": Knob(5.0, 100.0, "1/s"),
+    "controller.bandwidth": Knob(1.0, 30.0, "1/s"),
+    "controller.gain": Knob(0.1, 1000.0, "1/s^2"),
+}
 
 METHODS: Final[Mapping[str, Method]] = MappingProxyType({
     "full_state": Method(FullState, reference=True),
@@ -153,7 +170,14 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType({
 def catalogue() -> dict[str, Method]:
     """Every contestant by name: METHODS, and each observer that has no line there with the options that it has by default."""
     used = {method.observer for method in METHODS.values()}
-    return {**METHODS, **{str(each.__struct_config__.tag): Method(each) for each in get_args(ObserverOptions) if each not in used}}
+    return {
+        **METHODS,
+        **{
+            str(each.__struct_config__.tag): Method(each)
+            for each in get_args(ObserverOptions)
+            if each not in used
+        },
+    }
 
 
 def require(name: str) -> str:
@@ -161,7 +185,9 @@ def require(name: str) -> str:
     known = catalogue()
     if name not in known:
         near = difflib.get_close_matches(name, known, 1)
-        raise InputError(f"methods: there is no {name!r}; {f'did you mean {near[0]!r}?' if near else 'there are ' + ', '.join(known)}")
+        raise InputError(
+            f"methods: there is no {name!r}; {f'did you mean {near[0]!r}?' if near else 'there are ' + ', '.join(known)}"
+        )
     return name
 
 
@@ -184,24 +210,48 @@ def entered(method: Method, ground: Ground, numbers: Mapping[str, float] = NOTHI
         simulation = msgspec.structs.replace(ground.scenario.simulation, time="continuous")
         ground = situation(msgspec.structs.replace(ground.scenario, simulation=simulation))
     scenario, known = ground
-    values = middle(method) | {address: value for address, value in numbers.items() if address in method.knobs}
-    knobs = {address: value * UNITS[method.knobs[address].unit](known) for address, value in values.items()}
+    values = middle(method) | {
+        address: value for address, value in numbers.items() if address in method.knobs
+    }
+    knobs = {
+        address: value * UNITS[method.knobs[address].unit](known)
+        for address, value in values.items()
+    }
     given = {**knobs, **method.fixed, **(method.told(known, knobs) if method.told else NOTHING)}
-    parts = {"observer": method.observer} | ({"controller": method.controller} if method.controller else {})
-    return msgspec.structs.replace(scenario, **{part: _options(kind, part, known, given) for part, kind in parts.items()})
+    parts = {"observer": method.observer} | (
+        {"controller": method.controller} if method.controller else {}
+    )
+    return msgspec.structs.replace(
+        scenario, **{part: _options(kind, part, known, given) for part, kind in parts.items()}
+    )
 
 
 def _options(kind: Any, part: str, s: Situation, given: Mapping[str, Any]) -> Any:
     """The options of a part: what is declared, by the names that they have for it, then what is given by address."""
     names = {field.name for field in msgspec.structs.fields(kind)}
-    own = {address.removeprefix(f"{part}."): value for address, value in given.items() if address.startswith(f"{part}.")}
-    return kind(**{name: value for name, value in _declared(part, names, s).items() if name in names} | own)
+    own = {
+        address.removeprefix(f"{part}."): value
+        for address, value in given.items()
+        if address.startswith(f"{part}.")
+    }
+    return kind(
+        **{name: value for name, value in _declared(part, names, s).items() if name in names} | own
+    )
 
 
 def _declared(part: str, names: set[str], s: Situation) -> Options:
     p = s.model.p
-    claims = {name: value for name, value in msgspec.structs.asdict(s.declared).items() if value is not None}
+    claims = {
+        name: value
+        for name, value in msgspec.structs.asdict(s.declared).items()
+        if value is not None
+    }
     if "correlation_time" not in names:
         claims.pop("disturbance", None)  # of another colour there
     guess, most = s.widths.mean(axis=1).reshape(2, p).T, s.widths[:, 1].reshape(2, p).max(axis=0)
-    return claims | {"widths0": guess, "width_max": most, "reach": s.reach if part == "controller" else s.reach[0], "scale": s.reach[0]}
+    return claims | {
+        "widths0": guess,
+        "width_max": most,
+        "reach": s.reach if part == "controller" else s.reach[0],
+        "scale": s.reach[0],
+    }

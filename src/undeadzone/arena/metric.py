@@ -58,7 +58,9 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
-        diverged = not bool((np.abs(np.hstack([out.x, out.x_hat, out.right, out.left, out.u])) < LIMIT).all())
+        diverged = not bool(
+            (np.abs(np.hstack([out.x, out.x_hat, out.right, out.left, out.u])) < LIMIT).all()
+        )
         outside = np.flatnonzero(~(np.abs(error).max(axis=1) <= SETTLED * np.abs(r).max()))
         width, centre = (None, None) if diverged else _widths(problem, out, truth)
         return Worth(
@@ -67,7 +69,11 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
             width=width,
             centre=centre,
             coverage=None if diverged else _coverage(out, truth),
-            settling=0.0 if not outside.size else float(t[outside[-1] + 1]) if outside[-1] < tail.start else None,
+            settling=0.0
+            if not outside.size
+            else float(t[outside[-1] + 1])
+            if outside[-1] < tail.start
+            else None,
             effort=rms(out.u),
             slew=rms(np.diff(out.u, axis=0)),
             cost=cost,
@@ -86,7 +92,12 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
     schedule = recorded(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
-    told = verdicts(linear, schedule, unknown_bias(problem.scenario.disturbance, linear.B), sensor.kind == "jump")
+    told = verdicts(
+        linear,
+        schedule,
+        unknown_bias(problem.scenario.disturbance, linear.B),
+        sensor.kind == "jump",
+    )
     off, size = estimated[-1] - truth, truth.sum(axis=0)
     errors = {"width": np.abs(off.sum(axis=0)) / size, "centre": np.abs(off[0] - off[1]) / size}
 

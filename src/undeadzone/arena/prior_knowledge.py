@@ -66,7 +66,11 @@ class Situation(NamedTuple):
     @property
     def correlation(self) -> float:
         """The correlation time of the disturbance [s]."""
-        return self.quarter if self.declared.correlation_time is None else self.declared.correlation_time
+        return (
+            self.quarter
+            if self.declared.correlation_time is None
+            else self.declared.correlation_time
+        )
 
     @property
     def bias(self) -> float:
@@ -85,7 +89,9 @@ class Situation(NamedTuple):
     @property
     def white(self) -> float:
         """The rms of a disturbance that is new at every sample and moves the state as far as bias and gusts do [u]."""
-        return math.hypot(self.gusts, self.bias) * math.sqrt(2 * self.correlation / (self.model.Ts or self.correlation))
+        return math.hypot(self.gusts, self.bias) * math.sqrt(
+            2 * self.correlation / (self.model.Ts or self.correlation)
+        )
 
     def gain(self, speed: float) -> Floats:
         """L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
@@ -119,7 +125,17 @@ def situation(scenario: Scenario) -> Ground:
     problem = resolve_scenario(scenario)
     given = declaration(scenario)
     widths = ranges(given.right, given.left, problem.model.p)
-    return Ground(scenario, Situation(scenario.sensor.kind, given, problem.model, widths, _reach(problem, float(widths.max())), _tempo(problem)))
+    return Ground(
+        scenario,
+        Situation(
+            scenario.sensor.kind,
+            given,
+            problem.model,
+            widths,
+            _reach(problem, float(widths.max())),
+            _tempo(problem),
+        ),
+    )
 
 
 def declaration(scenario: Scenario) -> Claims:
@@ -127,11 +143,19 @@ def declaration(scenario: Scenario) -> Claims:
     if scenario.declared is not None:
         return scenario.declared
     observer = scenario.observer
-    told = {name: value for name in Claims.__struct_fields__ if (value := getattr(observer, name, None)) is not None}
+    told = {
+        name: value
+        for name in Claims.__struct_fields__
+        if (value := getattr(observer, name, None)) is not None
+    }
     if "right" in told:
         return Claims(**told)
     most = getattr(observer, "width_max", None)
-    limit = VAGUE * max(np.max(scenario.sensor.right), np.max(scenario.sensor.left)) if most is None else np.max(most)
+    limit = (
+        VAGUE * max(np.max(scenario.sensor.right), np.max(scenario.sensor.left))
+        if most is None
+        else np.max(most)
+    )
     return Claims(right=np.array([0.0, float(limit)]))
 
 
@@ -151,5 +175,9 @@ def _tempo(problem: Problem) -> float:
     if K is None:
         return 10 * fastest_pole(problem.model)
     poles = np.linalg.eigvals(problem.model.linear.A - problem.model.linear.B @ K)
-    rates = np.abs(poles) if problem.model.Ts is None else np.abs(np.log(poles.astype(complex))) / problem.model.Ts
+    rates = (
+        np.abs(poles)
+        if problem.model.Ts is None
+        else np.abs(np.log(poles.astype(complex))) / problem.model.Ts
+    )
     return float(np.exp(np.log(np.maximum(rates, 1e-9)).mean()))

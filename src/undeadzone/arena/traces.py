@@ -29,7 +29,9 @@ class Trace(NamedTuple):
 def typical(contest: Contest) -> str:
     """The scenario on which the regret of the best method is nearest to its median, of those with a dead zone if there are any. There must be a contestant."""
     each = regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
-    distance = np.abs(each - np.nanmedian(each)) + np.array([CAP * (scenario.sensor.kind != "deadzone") for scenario in contest.scenarios.values()])
+    distance = np.abs(each - np.nanmedian(each)) + np.array(
+        [CAP * (scenario.sensor.kind != "deadzone") for scenario in contest.scenarios.values()]
+    )
     return list(contest.scenarios)[int(np.nanargmin(distance))]
 
 
@@ -38,7 +40,9 @@ def traced(contest: Contest, title: str | None = None) -> list[Trace]:
     if not contest.contestants:
         return []
     title = typical(contest) if title is None else title
-    kept = [row.method for row in contest.contestants if not row.diverged and not row.not_applicable] or [contest.contestants[0].method]
+    kept = [
+        row.method for row in contest.contestants if not row.diverged and not row.not_applicable
+    ] or [contest.contestants[0].method]
     paper = [row.method for row in contest.rows if row.method == PAPER]
     found = []
     for method in dict.fromkeys([kept[0], kept[-1], *paper, FRAME[1]]):
@@ -48,5 +52,15 @@ def traced(contest: Contest, title: str | None = None) -> list[Trace]:
             continue
         t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
         widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
-        found.append(Trace(method, contest.scenarios[title].title, t, out.z[:, i], out.z_hat[:, i], problem.reference.value(t)[:, 0], widths))
+        found.append(
+            Trace(
+                method,
+                contest.scenarios[title].title,
+                t,
+                out.z[:, i],
+                out.z_hat[:, i],
+                problem.reference.value(t)[:, 0],
+                widths,
+            )
+        )
     return found

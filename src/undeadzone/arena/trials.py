@@ -31,14 +31,27 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 
-def trial(name: str, method: Method, title: str, ground: Ground, seeds: Sequence[int], numbers: Mapping[str, float] = NOTHING) -> list[Result]:
+def trial(
+    name: str,
+    method: Method,
+    title: str,
+    ground: Ground,
+    seeds: Sequence[int],
+    numbers: Mapping[str, float] = NOTHING,
+) -> list[Result]:
     """A method on a scenario, a run per seed; that the method refuses it is a result."""
     try:
         problem = resolve_scenario(entered(method, ground, numbers))
     except (UndeadzoneError, np.linalg.LinAlgError) as error:
-        return [Result(method=name, scenario=title, seed=seed, worth=None, reason=str(error)) for seed in seeds]
+        return [
+            Result(method=name, scenario=title, seed=seed, worth=None, reason=str(error))
+            for seed in seeds
+        ]
     runs = zip(seeds, _runs(problem, seeds), strict=True)
-    return [Result(method=name, scenario=title, seed=seed, worth=worth(problem, *run)) for seed, run in runs]
+    return [
+        Result(method=name, scenario=title, seed=seed, worth=worth(problem, *run))
+        for seed, run in runs
+    ]
 
 
 def signals(problem: Problem, seed: int) -> Outputs:
@@ -55,13 +68,19 @@ def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[tuple[Outputs, Flo
         began = time.perf_counter()
         if isinstance(observer, NumericObserver):
             simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
-            seeded = problem._replace(scenario=msgspec.structs.replace(problem.scenario, simulation=simulation))
+            seeded = problem._replace(
+                scenario=msgspec.structs.replace(problem.scenario, simulation=simulation)
+            )
             out = live.run(seeded, observer, exogenous)
         else:
             assert loop is not None
             state = tree.pack(loop.state._replace(plant=problem.x0))
             out = named(loop, interpret.run(loop.step, state, exogenous, tree.pack(loop.params))[0])
-        yield out, inputs.widths(problem, exogenous)[-1], (time.perf_counter() - began) / len(exogenous)
+        yield (
+            out,
+            inputs.widths(problem, exogenous)[-1],
+            (time.perf_counter() - began) / len(exogenous),
+        )
 
 
 FEW: Final = 8  # trials for which a process is worth starting
@@ -93,11 +112,17 @@ def score(
     (default: those that come with the package). processes: default one per processor. progress: told of the runs just done. Raises InputError and its kinds.
     """
     own = methods if isinstance(methods, Mapping) else {}
-    named = list(catalogue()) if methods is None else [] if own else [require(name) for name in methods]
+    named = (
+        list(catalogue()) if methods is None else [] if own else [require(name) for name in methods]
+    )
     names = list(dict.fromkeys([*FRAME, *named, *own]))
     values = built_in() if numbers is None else numbers
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
-    jobs = [Job(name, own.get(name), title, given, tuple(seeds), dict(values.get(name, {}))) for title, given in grounds.items() for name in names]
+    jobs = [
+        Job(name, own.get(name), title, given, tuple(seeds), dict(values.get(name, {})))
+        for title, given in grounds.items()
+        for name in names
+    ]
     found: list[list[Result]] = [[] for _ in jobs]
     for k, results in _done(jobs, 1 if own else processes):
         found[k] = results

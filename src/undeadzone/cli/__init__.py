@@ -59,14 +59,21 @@ def main() -> None:
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        where = f"{error.ctx.command_path}: " if isinstance(error, click.UsageError) and error.ctx else "undeadzone: "
+        where = (
+            f"{error.ctx.command_path}: "
+            if isinstance(error, click.UsageError) and error.ctx
+            else "undeadzone: "
+        )
         click.echo(where + error.format_message(), err=True)
         sys.exit(BAD_INPUT)
     except UndeadzoneError as error:
         click.echo(f"undeadzone: {error}", err=True)
         sys.exit(BAD_INPUT)
     except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
-        click.echo(": ".join(filter(None, ("undeadzone: interrupted", str(error.__cause__ or error)))), err=True)
+        click.echo(
+            ": ".join(filter(None, ("undeadzone: interrupted", str(error.__cause__ or error)))),
+            err=True,
+        )
         sys.exit(130)
     except OSError as error:  # of stdout: files have errors of their own
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

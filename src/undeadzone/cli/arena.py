@@ -18,17 +18,68 @@ if TYPE_CHECKING:
 FOLDER = Path("arena-results")
 
 
-@click.command(epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html")
-@click.argument("scenarios", type=click.Path(path_type=Path), metavar="[SCENARIO.toml ...]", nargs=-1)
-@click.option("--methods", default=None, metavar="A,B,...", help="Only these (default: all), and the lines that make a regret.")
-@click.option("--seeds", type=click.IntRange(1), default=3, show_default=True, metavar="N", help="Runs of each method on each scenario.")
+@click.command(
+    epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html"
+)
+@click.argument(
+    "scenarios", type=click.Path(path_type=Path), metavar="[SCENARIO.toml ...]", nargs=-1
+)
+@click.option(
+    "--methods",
+    default=None,
+    metavar="A,B,...",
+    help="Only these (default: all), and the lines that make a regret.",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(1),
+    default=3,
+    show_default=True,
+    metavar="N",
+    help="Runs of each method on each scenario.",
+)
 @click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help=f"Folder for the files written; implies --html (default: {FOLDER}).")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
-@click.option("--tune", "tuning", is_flag=True, help="Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.")
-@click.option("--budget", type=click.IntRange(2), default=60, show_default=True, metavar="N", help="With --tune: candidates of each method.")
-@click.option("--tuned", type=click.Path(path_type=Path), default=None, metavar="FILE", help="A tuned.toml to use in the place of the built-in one.")
-@click.option("--processes", type=click.IntRange(1), default=None, metavar="N", help="At once (default: one per processor).")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="DIR",
+    help=f"Folder for the files written; implies --html (default: {FOLDER}).",
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print one JSON object on stdout and nothing else there.",
+)
+@click.option(
+    "--tune",
+    "tuning",
+    is_flag=True,
+    help="Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.",
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(2),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="With --tune: candidates of each method.",
+)
+@click.option(
+    "--tuned",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="FILE",
+    help="A tuned.toml to use in the place of the built-in one.",
+)
+@click.option(
+    "--processes",
+    type=click.IntRange(1),
+    default=None,
+    metavar="N",
+    help="At once (default: one per processor).",
+)
 def arena(
     scenarios: tuple[Path, ...], methods: str | None, seeds: int, html: bool, out: Path | None, as_json: bool,
     tuning: bool, budget: int, tuned: Path | None, processes: int | None,
@@ -41,7 +92,9 @@ def arena(
     from undeadzone.arena.scenario_sets import given
     from undeadzone.arena.scenario_sets import scenarios as built_in
 
-    names = None if methods is None else [name.strip() for name in methods.split(",") if name.strip()]
+    names = (
+        None if methods is None else [name.strip() for name in methods.split(",") if name.strip()]
+    )
     own = given(scenarios)
     if tuning:
         return _tune(names, own or built_in("tuning"), budget, processes, out or FOLDER, as_json)
@@ -54,7 +107,13 @@ def arena(
     return 0
 
 
-def _held(names: list[str] | None, grounds: dict[str, Scenario], seeds: tuple[int, ...], tuned: Path | None, processes: int | None) -> Contest:
+def _held(
+    names: list[str] | None,
+    grounds: dict[str, Scenario],
+    seeds: tuple[int, ...],
+    tuned: Path | None,
+    processes: int | None,
+) -> Contest:
     from undeadzone.arena.contest import hold
     from undeadzone.arena.methods import catalogue, numbers
 
@@ -63,7 +122,14 @@ def _held(names: list[str] | None, grounds: dict[str, Scenario], seeds: tuple[in
         return hold(names, grounds, seeds, numbers(tuned), processes, advance)
 
 
-def _tune(names: list[str] | None, grounds: dict[str, Scenario], budget: int, processes: int | None, folder: Path, as_json: bool) -> int:
+def _tune(
+    names: list[str] | None,
+    grounds: dict[str, Scenario],
+    budget: int,
+    processes: int | None,
+    folder: Path,
+    as_json: bool,
+) -> int:
     from undeadzone.arena.methods import catalogue, require
     from undeadzone.arena.tune import tune
     from undeadzone.arena.tuned_file import save
@@ -89,7 +155,10 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone.support import toml
     from undeadzone.support.files import write_text
 
-    written = [contest.save(folder / "results.json"), *write_arena(contest, traced(contest), folder)]
+    written = [
+        contest.save(folder / "results.json"),
+        *write_arena(contest, traced(contest), folder),
+    ]
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:
@@ -103,9 +172,29 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     rank = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
-    head = ("", "method", "median regret", "behind the best", "worst regret", "worst where", "diverged", "n/a", "rms z - r", "coverage")
+    head = (
+        "",
+        "method",
+        "median regret",
+        "behind the best",
+        "worst regret",
+        "worst where",
+        "diverged",
+        "n/a",
+        "rms z - r",
+        "coverage",
+    )
     refused = [row.method for row in contest.rows if row.not_applicable == 1]
-    print_table([head, *(_cells(rank.get(row.method, "-"), row) for row in contest.rows if row.method not in refused)])
+    print_table(
+        [
+            head,
+            *(
+                _cells(rank.get(row.method, "-"), row)
+                for row in contest.rows
+                if row.method not in refused
+            ),
+        ]
+    )
     if refused:
         click.echo(f"\nnot applicable (--json says why): {', '.join(refused)}")
     runs = f"{len(contest.scenarios)} scenario{'s' * (len(contest.scenarios) > 1)}, {len(contest.seeds)} run{'s' * (len(contest.seeds) > 1)} each"
@@ -139,6 +228,9 @@ def _print_tuned(found: Tuned, path: Path) -> None:
     def knobs(values: dict[str, Any]) -> str:
         return ", ".join(f"{address} {value:.3g}" for address, value in values.items())
 
-    rows = [(name, f"{each.before:.3f} -> {each.regret:.3f}", str(each.candidates), knobs(each.knobs)) for name, each in found.methods.items()]
+    rows = [
+        (name, f"{each.before:.3f} -> {each.regret:.3f}", str(each.candidates), knobs(each.knobs))
+        for name, each in found.methods.items()
+    ]
     print_table([("method", "mean regret", "candidates", "knobs"), *rows])
     click.echo(f"\nwritten: {path}")

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
 
 
-def powers(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[float, ...] | None:
+def powers(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[float, ...] | None:
     """The three numbers of D,M,N."""
     if value is None:
         return None
@@ -24,18 +26,45 @@ def powers(context: click.Context, parameter: click.Parameter, value: str | None
     except ValueError:
         found = ()
     if len(found) != 3 or not all(0 <= power < float("inf") for power in found):
-        raise click.BadParameter(f"expected three numbers, none negative, with commas between them, as in 1,0,0.5; found {value!r}", context, parameter)
+        raise click.BadParameter(
+            f"expected three numbers, none negative, with commas between them, as in 1,0,0.5; found {value!r}",
+            context,
+            parameter,
+        )
     return found
 
 
-@click.command(epilog="Example: undeadzone design examples/paper_5sin.toml --out mine && open mine/report.html")
+@click.command(
+    epilog="Example: undeadzone design examples/paper_5sin.toml --out mine && open mine/report.html"
+)
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
-    "--maximise", type=click.Choice(["knee", "rate"]), default=None, help="The knee of the front of rate, disturbance and noise (default), or the rate alone."
+    "--maximise",
+    type=click.Choice(["knee", "rate"]),
+    default=None,
+    help="The knee of the front of rate, disturbance and noise (default), or the rate alone.",
 )
-@click.option("--weights", callback=powers, metavar="D,M,N", default=None, help="Instead: maximise rate / (disturbance^D mismatch^M noise^N).")
-@click.option("--margin", type=float, default=0.01, show_default=True, help="Least margin of the certificate, between 0 and 1.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the search: the same seed gives the same gains.")
+@click.option(
+    "--weights",
+    callback=powers,
+    metavar="D,M,N",
+    default=None,
+    help="Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
+)
+@click.option(
+    "--margin",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Least margin of the certificate, between 0 and 1.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the search: the same seed gives the same gains.",
+)
 @common
 def design(
     scenario: Path,
@@ -67,14 +96,23 @@ def design(
     from undeadzone.synthesis.gain_search import Weights
 
     if maximise is not None and weights is not None:
-        raise click.UsageError("give --maximise or --weights, not both", click.get_current_context())
+        raise click.UsageError(
+            "give --maximise or --weights, not both", click.get_current_context()
+        )
     problem = read(scenario)
     if reason := impossible(problem):
         if as_json:
-            print_json({"title": problem.title, "certified": False, "reasons": [reason], "files": []})
+            print_json(
+                {"title": problem.title, "certified": False, "reasons": [reason], "files": []}
+            )
         else:
             print_pairs(
-                {"scenario": problem.title, "certified": "NO gains can be", "why": reason, "next": f"undeadzone check {scenario} says what can be known"}
+                {
+                    "scenario": problem.title,
+                    "certified": "NO gains can be",
+                    "why": reason,
+                    "next": f"undeadzone check {scenario} says what can be known",
+                }
             )
         return 1
     wanted: Any = (maximise or "knee") if weights is None else Weights(*weights)
@@ -87,7 +125,10 @@ def design(
     if as_json:
         print_json(_numbers(found) | summary | {"files": [str(path) for path in written]})
     else:
-        print_pairs(_words(found, summary, designed) | ({"written": ", ".join(map(str, written))} if written else {}))
+        print_pairs(
+            _words(found, summary, designed)
+            | ({"written": ", ".join(map(str, written))} if written else {})
+        )
     return 0
 
 
@@ -99,7 +140,11 @@ def impossible(scenario: Scenario) -> str:
     from undeadzone.scenario.problem import systems
 
     _, flow, _ = systems(scenario)
-    return "" if flow.nonlinear else certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
+    return (
+        ""
+        if flow.nonlinear
+        else certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
+    )
 
 
 def with_gains(scenario: Scenario, found: Design) -> Scenario:
@@ -109,7 +154,9 @@ def with_gains(scenario: Scenario, found: Design) -> Scenario:
     from undeadzone.observers import Certified
 
     kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
-    return msgspec.structs.replace(scenario, observer=msgspec.structs.replace(kept, L=found.L, gamma=found.gamma, design=None))
+    return msgspec.structs.replace(
+        scenario, observer=msgspec.structs.replace(kept, L=found.L, gamma=found.gamma, design=None)
+    )
 
 
 def write(found: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:
@@ -134,10 +181,18 @@ def _numbers(found: Design) -> dict[str, Any]:
 
 
 def _words(found: Design, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
-    units = {"rate": " 1/s", "disturbance": " rms error per white disturbance", "mismatch": " per relative model error", "noise": " per rms noise"}
+    units = {
+        "rate": " 1/s",
+        "disturbance": " rms error per white disturbance",
+        "mismatch": " per relative model error",
+        "noise": " per rms noise",
+    }
     now = {name: f"{name} {getattr(found.best, name):.4g}{unit}" for name, unit in units.items()}
     if found.present is not None:
-        now = {name: f"{words}; yours {getattr(found.present, name):.4g}" for name, words in now.items()}
+        now = {
+            name: f"{words}; yours {getattr(found.present, name):.4g}"
+            for name, words in now.items()
+        }
     rest = in_words(summary, scenario)
     return {
         "scenario": rest.pop("scenario"),

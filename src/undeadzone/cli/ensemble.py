@@ -29,11 +29,36 @@ SHOWN = 5  # worst runs, and entries that decide
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option("--runs", type=int, default=None, metavar="N", help="How many (default: [ensemble] runs, 10000).")
-@click.option("--resume", is_flag=True, help="Compute what an interrupted command left to do in DIR; the bits are the same.")
-@click.option("--workers", type=int, default=None, metavar="N", help="Compute on N local processes (needs the extra dask); the bits are the same.")
-@click.option("--cluster", default=None, metavar="ADDRESS", help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786.")
-@click.option("--parquet", is_flag=True, help="Write runs.parquet instead of runs.npz (needs the extra parquet).")
+@click.option(
+    "--runs",
+    type=int,
+    default=None,
+    metavar="N",
+    help="How many (default: [ensemble] runs, 10000).",
+)
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Compute what an interrupted command left to do in DIR; the bits are the same.",
+)
+@click.option(
+    "--workers",
+    type=int,
+    default=None,
+    metavar="N",
+    help="Compute on N local processes (needs the extra dask); the bits are the same.",
+)
+@click.option(
+    "--cluster",
+    default=None,
+    metavar="ADDRESS",
+    help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786.",
+)
+@click.option(
+    "--parquet",
+    is_flag=True,
+    help="Write runs.parquet instead of runs.npz (needs the extra parquet).",
+)
 @common
 def ensemble(
     scenario: Path,
@@ -68,8 +93,12 @@ def ensemble(
     problem = _sized(read(scenario), runs)
     folder = out if out is not None else Path(f"{scenario.stem}-ensemble")
     path = folder / ("runs.parquet" if parquet else "runs.npz")
-    with progress("running", problem.ensemble.runs if problem.ensemble else None, "runs") as advance:
-        result = run_ensemble(problem, path, resume=resume, workers=workers, cluster=cluster, progress=advance)
+    with progress(
+        "running", problem.ensemble.runs if problem.ensemble else None, "runs"
+    ) as advance:
+        result = run_ensemble(
+            problem, path, resume=resume, workers=workers, cluster=cluster, progress=advance
+        )
     summary = result.summary()
     written = [path]
     if not no_figures:
@@ -93,7 +122,9 @@ def _sized(problem: Scenario, runs: int | None) -> Scenario:
         return problem
     if runs < 1:
         raise InputError(f"--runs: expected 1 or more, found {runs}")
-    return msgspec.structs.replace(problem, ensemble=msgspec.structs.replace(problem.ensemble, runs=runs))
+    return msgspec.structs.replace(
+        problem, ensemble=msgspec.structs.replace(problem.ensemble, runs=runs)
+    )
 
 
 def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: list[Path]) -> None:
@@ -101,23 +132,43 @@ def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: lis
     from undeadzone.simulation.run import LAST
 
     info, path = result.info, written[0]
-    click.echo(f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, {info.sampling.replace('_', ' ')} sampling, seed {info.seed}\n")
+    click.echo(
+        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, {info.sampling.replace('_', ' ')} sampling, seed {info.seed}\n"
+    )
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     lost = summary["diverged"]
-    which = f": {_listed(lost['runs'], int(result.diverged.sum()))}; left out of what follows" if lost["runs"] else ""
+    which = (
+        f": {_listed(lost['runs'], int(result.diverged.sum()))}; left out of what follows"
+        if lost["runs"]
+        else ""
+    )
     shares = {
         "settled": f"{_share(summary['settled'])}: |z - r| within {100 * info.tolerance:g} % of the largest |r| {lasts}",
         "diverged": f"{_share(lost)}{which}",
     }
     print_pairs(shares)
     if summary["metrics"]:
-        found = ((label(name, result.unit(key)), summary["metrics"][key]) for key, name in METRICS.items() if key in summary["metrics"])
-        rows = [(name, *(_interval(metric[column]) for column in ("median", "p95", "p99"))) for name, metric in found]
+        found = (
+            (label(name, result.unit(key)), summary["metrics"][key])
+            for key, name in METRICS.items()
+            if key in summary["metrics"]
+        )
+        rows = [
+            (name, *(_interval(metric[column]) for column in ("median", "p95", "p99")))
+            for name, metric in found
+        ]
         click.echo()
-        print_table([("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below"), *rows])
+        print_table(
+            [("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below"), *rows]
+        )
     if summary["sensitivities"]:
         click.echo()
-        print_table([("what decides rms z - r", "rank correlation", "share of the variance"), *map(_decides, list(summary["sensitivities"].items())[:SHOWN])])
+        print_table(
+            [
+                ("what decides rms z - r", "rank correlation", "share of the variance"),
+                *map(_decides, list(summary["sensitivities"].items())[:SHOWN]),
+            ]
+        )
     click.echo()
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
     print_pairs(
@@ -140,7 +191,9 @@ def _share(found: dict[str, Any]) -> str:
 
 def _interval(found: dict[str, Any]) -> str:
     """A settling time without a bound is one that is never over."""
-    value, low, high = (None if found[key] is None else f"{found[key]:.4g}" for key in ("value", "low", "high"))
+    value, low, high = (
+        None if found[key] is None else f"{found[key]:.4g}" for key in ("value", "low", "high")
+    )
     if value is None:
         return "never settles" if low is None else f"never settles (or after {low})"
     return _within(value, low, high)
@@ -150,12 +203,21 @@ def _decides(entry: tuple[str, dict[str, Any]]) -> tuple[str, str, str]:
     name, found = entry
     share = found["total_order"] or found["first_order"]
     chance = found["floor"] is not None and share["value"] < found["floor"]
-    rank, part = (_within(*(f"{one[key]:z.2f}" for key in ("value", "low", "high"))) for one in (found["spearman"], share))
+    rank, part = (
+        _within(*(f"{one[key]:z.2f}" for key in ("value", "low", "high")))
+        for one in (found["spearman"], share)
+    )
     return name, rank, "may be chance" if chance else part
 
 
 def _within(value: str, low: str | None, high: str | None) -> str:
     """A value and its interval, an end of which may be unknown."""
     if high is None or low is None:
-        return value if high == low else f"{value} ({low} or more)" if high is None else f"{value} ({high} or less)"
+        return (
+            value
+            if high == low
+            else f"{value} ({low} or more)"
+            if high is None
+            else f"{value} ({high} or less)"
+        )
     return value if value == low == high else f"{value} ({low} to {high})"

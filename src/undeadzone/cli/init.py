@@ -11,7 +11,9 @@ from undeadzone.errors import FileError
 
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml")
-@click.argument("file", type=click.Path(path_type=Path), default=Path("scenario.toml"), metavar="[FILE]")
+@click.argument(
+    "file", type=click.Path(path_type=Path), default=Path("scenario.toml"), metavar="[FILE]"
+)
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
 @common
 def init(file: Path, force: bool, out: Path | None, as_json: bool, no_figures: bool) -> int:

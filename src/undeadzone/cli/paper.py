@@ -22,7 +22,11 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     with progress("auditing the paper", None) as advance:
         found = audit(progress=advance)
         folder = out if out is not None else None if no_figures else Path("paper-results")
-        written = write(found, folder, figures=not no_figures, progress=advance) if folder is not None else []
+        written = (
+            write(found, folder, figures=not no_figures, progress=advance)
+            if folder is not None
+            else []
+        )
     if as_json:
         print_json(found.summary())
         return 0
@@ -34,14 +38,20 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     summary = found.summary()
     table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("claim", "measured", "as printed", "repaired", "limit", "verdict"):
-        table.add_column(column, justify="right" if column in ("as printed", "repaired", "limit") else "left")
+        table.add_column(
+            column, justify="right" if column in ("as printed", "repaired", "limit") else "left"
+        )
     for claim in summary["claims"]:
         numbers = (_shown(claim[key]) for key in ("printed", "repaired", "limit"))
         colour = {"holds": "green", "holds after repair": "yellow"}.get(claim["verdict"], "red")
-        table.add_row(claim["claim"], claim["quantity"], *numbers, f"[{colour}]{claim['verdict']}[/]")
+        table.add_row(
+            claim["claim"], claim["quantity"], *numbers, f"[{colour}]{claim['verdict']}[/]"
+        )
     console.print(table)
     printed, repaired = summary["printed"], summary["repaired"]
-    console.print(f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = {printed['max_abs_y']:g}: the sensor never speaks.")
+    console.print(
+        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = {printed['max_abs_y']:g}: the sensor never speaks."
+    )
     console.print(
         f"Repaired: rms z - r = {repaired['rms_tracking']:.3g} over the last 2 s, "
         f"d_r^ = {repaired['d_right']:.6g}, d_l^ = {repaired['d_left']:.6g} (true 1, 1)."

@@ -17,12 +17,33 @@ TIP = "The tip against its path, its distance from it, and the torques."
 PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
 
 
-@click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results")
+@click.command(
+    epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
+)
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option("--replay", type=int, default=None, metavar="NUMBER", help="Show a run of an ensemble, whose file stands for SCENARIO.toml.")
-@click.option("--animation", type=click.Path(path_type=Path), default=None, metavar="FILE", help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.")
+@click.option(
+    "--replay",
+    type=int,
+    default=None,
+    metavar="NUMBER",
+    help="Show a run of an ensemble, whose file stands for SCENARIO.toml.",
+)
+@click.option(
+    "--animation",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="FILE",
+    help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
+)
 @common
-def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | None, as_json: bool, no_figures: bool) -> int:
+def run(
+    scenario: Path,
+    replay: int | None,
+    animation: Path | None,
+    out: Path | None,
+    as_json: bool,
+    no_figures: bool,
+) -> int:
     """Simulate a scenario: its plant behind its dead zone, watched by its observer, driven by its controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a certificate
@@ -36,7 +57,11 @@ def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | 
         from undeadzone.report.animation import require_movie
 
         require_movie(animation)
-    (result, rival), apart = (_simulated(scenario, animation is not None), None) if replay is None else _replayed(scenario, replay)
+    (result, rival), apart = (
+        (_simulated(scenario, animation is not None), None)
+        if replay is None
+        else _replayed(scenario, replay)
+    )
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = out if out is not None else None if no_figures else Path(f"{name}-results")
     written = write(result, folder, not no_figures, rival) if folder is not None else []
@@ -48,7 +73,9 @@ def run(scenario: Path, replay: int | None, animation: Path | None, out: Path | 
         print_json(summary | again | {"files": [str(path) for path in written]})
     else:
         _print(result, written, apart, rival)
-    return 0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
+    return (
+        0 if result.diverged_at is None and (result.fully_identifiable or not result.adapts) else 1
+    )
 
 
 def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
@@ -62,7 +89,9 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
     from undeadzone.simulation.simulate import simulate
 
     if path.suffix in (".npz", ".parquet"):
-        raise InputError(f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number")
+        raise InputError(
+            f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its number"
+        )
     scenario = read(path)
     if scenario.ensemble is not None:
         from undeadzone.ensemble.binding import require_bound
@@ -70,14 +99,26 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
         require_bound(scenario)
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    both = [scenario] if scenario.compare is None else [scenario, msgspec.structs.replace(scenario, observer=scenario.compare)]
+    both = (
+        [scenario]
+        if scenario.compare is None
+        else [scenario, msgspec.structs.replace(scenario, observer=scenario.compare)]
+    )
     each = 3 if scenario.simulation.time == "continuous" else 1
-    with progress("simulating", round(len(both) * each * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))) as advance:
+    with progress(
+        "simulating",
+        round(
+            len(both) * each * scenario.simulation.duration / max(scenario.simulation.step, 1e-12)
+        ),
+    ) as advance:
         runs = [simulate(one, progress=advance) for one in both]
     if scenario.compare is None:
         return runs[0], None
     names = _told_apart(scenario.observer, scenario.compare)
-    first, second = (dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name)) for run, name in zip(runs, names, strict=True))
+    first, second = (
+        dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name))
+        for run, name in zip(runs, names, strict=True)
+    )
     return first, second
 
 
@@ -87,7 +128,15 @@ def _told_apart(first: Any, second: Any) -> tuple[str, str]:
 
     one, other = tables(first), tables(second)
     differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
-    telling = "method" if "method" in differing else min(differing, key=lambda name: True not in (one.get(name), other.get(name)), default="method")
+    telling = (
+        "method"
+        if "method" in differing
+        else min(
+            differing,
+            key=lambda name: True not in (one.get(name), other.get(name)),
+            default="method",
+        )
+    )
     return _told(one, telling), _told(other, telling)
 
 
@@ -96,7 +145,13 @@ def _told(options: dict[str, Any], name: str) -> str:
     value = options.get(name)
     if name == "method" or value in (None, False, {}):
         return str(options["method"])
-    return f"{options['method']}, {name}" + ("" if value is True else f" {', '.join(value)}" if isinstance(value, dict) else f" = {value}")
+    return f"{options['method']}, {name}" + (
+        ""
+        if value is True
+        else f" {', '.join(value)}"
+        if isinstance(value, dict)
+        else f" = {value}"
+    )
 
 
 def _replayed(path: Path, number: int) -> tuple[tuple[Run, None], float]:
@@ -134,8 +189,14 @@ def write(result: Run, folder: Path, figures: bool, rival: Run | None = None) ->
             from undeadzone.report.style import png
 
             drawn = {"tip": tip(result, rival), "phase": phase(result)}
-            written += [write_figure(panel, folder / f"{name}.png") for name, panel in drawn.items()]
-            first = [animated(result, rival), picture(png(drawn["tip"]), TIP), picture(png(drawn["phase"]), PHASE)]
+            written += [
+                write_figure(panel, folder / f"{name}.png") for name, panel in drawn.items()
+            ]
+            first = [
+                animated(result, rival),
+                picture(png(drawn["tip"]), TIP),
+                picture(png(drawn["phase"]), PHASE),
+            ]
         written.append(write_text(run_page(result, [figure], rival, first), folder / "report.html"))
     return written
 
@@ -148,10 +209,17 @@ def _print(result: Run, written: list[Path], apart: float | None, rival: Run | N
         "observer": f"{summary['method']}, {summary['time']} time, step {summary['step']:g} s",
         "rms z - r": f"{result.rms_tracking:.4g} {unit} (last 2 s)",
         "rms z - z^": f"{result.rms_estimation:.4g} {unit} (last 2 s)",
-        **({} if result.rms_tip is None else {"rms tip": f"{result.rms_tip:.4g} m from its path (last 2 s)"}),
+        **(
+            {}
+            if result.rms_tip is None
+            else {"rms tip": f"{result.rms_tip:.4g} m from its path (last 2 s)"}
+        ),
         "d_right": _widths(result, 0),
         "d_left": _widths(result, 1),
-        **{name: f"{found['estimate']:.4g} ± {found['std']:.2g} (true {found['true']:g})" for name, found in result.parameters.items()},
+        **{
+            name: f"{found['estimate']:.4g} ± {found['std']:.2g} (true {found['true']:g})"
+            for name, found in result.parameters.items()
+        },
         "silent": f"{100 * result.silent_fraction:.1f} % of the time",
     }
     if summary["certified"] is not None:
@@ -159,18 +227,30 @@ def _print(result: Run, written: list[Path], apart: float | None, rival: Run | N
         holds = "holds for an exact model without noise or disturbance"
         if rise is not None:
             holds += f"; along this run V rose by at most {rise:.1g} of its peak"
-        shown["certificate"] = holds if summary["certified"] else "none found for these gains; undeadzone check says why"
+        shown["certificate"] = (
+            holds
+            if summary["certified"]
+            else "none found for these gains; undeadzone check says why"
+        )
     if summary["integration_error"] is not None:
         shown["integration"] = f"error {summary['integration_error']:.2g} (against half the step)"
     for output, verdict in zip(result.outputs, result.info.identifiable, strict=True):
-        where = f" of {'' if result.info.joints else 'output '}{output}" if len(result.info.identifiable) > 1 else ""
+        where = (
+            f" of {'' if result.info.joints else 'output '}{output}"
+            if len(result.info.identifiable) > 1
+            else ""
+        )
         shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
     if rival is not None:
         shown["compared"] = _compared(rival)
     if result.diverged_at is not None:
         shown["DIVERGED"] = f"at {result.diverged_at:g} s"
     if apart is not None:
-        shown["replayed"] = "as in the ensemble, to the last bit" if apart == 0 else f"off by {apart:.1g} of the ensemble: another processor or version"
+        shown["replayed"] = (
+            "as in the ensemble, to the last bit"
+            if apart == 0
+            else f"off by {apart:.1g} of the ensemble: another processor or version"
+        )
     if written:
         shown["written"] = ", ".join(map(str, written))
     print_pairs(shown)
@@ -186,7 +266,11 @@ def _compared(rival: Run) -> str:
 
 def _widths(result: Run, edge: int) -> str:
     """The final estimates of one edge (0 right, 1 left) of each output, their standard deviations where known, the truth."""
-    std = "" if result.d_std is None else f" ± {', '.join(f'{value:.2g}' for value in result.d_std[-1, edge::2])}"
+    std = (
+        ""
+        if result.d_std is None
+        else f" ± {', '.join(f'{value:.2g}' for value in result.d_std[-1, edge::2])}"
+    )
     return f"{_listed(result.widths[:, edge])}{std} (true {_listed(result.info.widths[edge::2])})"
 
 

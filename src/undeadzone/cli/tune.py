@@ -15,17 +15,61 @@ if TYPE_CHECKING:
     from undeadzone.tuning.result import Tuned
 
 
-@click.command(epilog="Example: undeadzone tune examples/tune.toml --out tuned && undeadzone run tuned/tuned.toml")
+@click.command(
+    epilog="Example: undeadzone tune examples/tune.toml --out tuned && undeadzone run tuned/tuned.toml"
+)
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option("--over", multiple=True, metavar="ADDRESS=LOW:HIGH[:log]", help="Tune this number too, or within these bounds; may be given several times.")
-@click.option("--metric", default=None, metavar="NAME", help="What is made small (default: [tune] metric, rms_tracking).")
-@click.option("--statistic", type=click.Choice(["mean", "median", "p95", "worst"]), default=None, help="Of the runs (default: [tune] statistic, mean).")
-@click.option("--certified", is_flag=True, default=None, help="Keep the observer's gains certified.")
-@click.option("--runs", type=int, default=None, metavar="N", help="Runs of each candidate (default: [tune] runs, 64).")
-@click.option("--budget", type=int, default=None, metavar="N", help="Candidates tried in all (default: [tune] budget, 200).")
-@click.option("--seed", type=int, default=None, metavar="N", help="Of the runs and the search (default: [tune] seed).")
+@click.option(
+    "--over",
+    multiple=True,
+    metavar="ADDRESS=LOW:HIGH[:log]",
+    help="Tune this number too, or within these bounds; may be given several times.",
+)
+@click.option(
+    "--metric",
+    default=None,
+    metavar="NAME",
+    help="What is made small (default: [tune] metric, rms_tracking).",
+)
+@click.option(
+    "--statistic",
+    type=click.Choice(["mean", "median", "p95", "worst"]),
+    default=None,
+    help="Of the runs (default: [tune] statistic, mean).",
+)
+@click.option(
+    "--certified", is_flag=True, default=None, help="Keep the observer's gains certified."
+)
+@click.option(
+    "--runs",
+    type=int,
+    default=None,
+    metavar="N",
+    help="Runs of each candidate (default: [tune] runs, 64).",
+)
+@click.option(
+    "--budget",
+    type=int,
+    default=None,
+    metavar="N",
+    help="Candidates tried in all (default: [tune] budget, 200).",
+)
+@click.option(
+    "--seed",
+    type=int,
+    default=None,
+    metavar="N",
+    help="Of the runs and the search (default: [tune] seed).",
+)
 @common
-def tune(scenario: Path, over: tuple[str, ...], out: Path | None, as_json: bool, no_figures: bool, **changes: Any) -> int:
+def tune(
+    scenario: Path,
+    over: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    no_figures: bool,
+    **changes: Any,
+) -> int:
     """Find the numbers of observer and controller that make a metric small over many runs.
 
     A table of the scenario says which, within which bounds; their runs vary as its [ensemble] says:
@@ -86,7 +130,9 @@ def _bounds(text: str) -> tuple[str, Any]:
             raise ValueError
         return address.strip(), Range(between=(float(low), float(high)), log=scale == "log")
     except ValueError:
-        raise InputError(f"--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as observer.gamma=0.1:100:log, found {text!r}") from None
+        raise InputError(
+            f"--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as observer.gamma=0.1:100:log, found {text!r}"
+        ) from None
 
 
 def _words(result: Tuned) -> dict[str, Any]:
@@ -96,17 +142,29 @@ def _words(result: Tuned) -> dict[str, Any]:
         "made small": f"{what.statistic} of {what.metric}, {what.runs} runs, {len(result.trials)} candidates of {what.budget}",
     }
     for p, value in zip(result.parameters, result.values, strict=True):
-        shown[p.name] = f"{value:.6g} (from {p.start:.6g})" + ", at the end of its range: a wider one may do better" * (p.name in edge)
+        shown[p.name] = (
+            f"{value:.6g} (from {p.start:.6g})"
+            + ", at the end of its range: a wider one may do better" * (p.name in edge)
+        )
     before, after, runs = result.held_out[0]
     shown["runs tuned on"] = f"{result.cost[0]:.4g} -> {result.cost[1]:.4g}"
-    shown["held-out runs"] = f"{_interval(before.value)} -> {_interval(after.value)}, {f'{runs} runs' if runs > 1 else 'one run: nothing differs between them'}"
-    shown["change"] = f"{_interval(result.change)}: {'better' if result.improved else 'NO improvement that chance could not explain'}"
+    shown["held-out runs"] = (
+        f"{_interval(before.value)} -> {_interval(after.value)}, {f'{runs} runs' if runs > 1 else 'one run: nothing differs between them'}"
+    )
+    shown["change"] = (
+        f"{_interval(result.change)}: {'better' if result.improved else 'NO improvement that chance could not explain'}"
+    )
     if before.diverged.value or after.diverged.value:
-        shown["diverged"] = f"{100 * before.diverged.value:.3g} % -> {100 * after.diverged.value:.3g} % of the held-out runs"
+        shown["diverged"] = (
+            f"{100 * before.diverged.value:.3g} % -> {100 * after.diverged.value:.3g} % of the held-out runs"
+        )
     if result.margin is not None:
         shown["certified"] = f"{'yes' if result.certified else 'NO'}, margin {result.margin:.4g}"
     return shown
 
 
 def _interval(found: Any) -> str:
-    return "{:.4g} ({} to {})".format(found.value, *("?" if abs(end) == float("inf") else f"{end:.4g}" for end in (found.low, found.high)))
+    return "{:.4g} ({} to {})".format(
+        found.value,
+        *("?" if abs(end) == float("inf") else f"{end:.4g}" for end in (found.low, found.high)),
+    )

@@ -25,7 +25,9 @@ NAMES = (
 
 @click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
+)
 def watch(scenario: Path, as_json: bool) -> int:
     """Read samples from stdin, write one estimate per sample to stdout, each line flushed at once.
 
@@ -38,20 +40,30 @@ def watch(scenario: Path, as_json: bool) -> int:
     from undeadzone.simulation.online import Online
 
     problem = read(scenario)
-    online = Online(problem.observer, believed_plant(problem), problem.sensor, problem.simulation.step, problem.simulation.substeps)
+    online = Online(
+        problem.observer,
+        believed_plant(problem),
+        problem.sensor,
+        problem.simulation.step,
+        problem.simulation.substeps,
+    )
     p, m = online.model.p, online.model.m
     count = 0
     for number, row in enumerate(_rows(), 1):
         if not row or (count == 0 and not any(_is_number(cell) for cell in row)):
             continue
         if len(row) not in (p + m, p + m + 1):
-            raise FileError(f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, found {len(row)}")
+            raise FileError(
+                f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, found {len(row)}"
+            )
         values = [_value(cell, number) for cell in row]
         live = online.update(values[-(p + m) : -m], values[-m:])
         if count == 0 and not as_json:
             click.echo(",".join(_header(live)))
         time = values[0] if len(row) > p + m else count * problem.simulation.step
-        click.echo(_json(time, live) if as_json else ",".join(repr(float(v)) for v in (time, *_flat(live))))
+        click.echo(
+            _json(time, live) if as_json else ",".join(repr(float(v)) for v in (time, *_flat(live)))
+        )
         sys.stdout.flush()
         count += 1
     if count == 0:
@@ -73,7 +85,9 @@ def _value(cell: str, number: int) -> float:
     try:
         return float(cell)
     except ValueError:
-        raise FileError(f"stdin, line {number}: expected a number or nothing, found {cell!r:.40}") from None
+        raise FileError(
+            f"stdin, line {number}: expected a number or nothing, found {cell!r:.40}"
+        ) from None
 
 
 def _is_number(cell: str) -> bool:
@@ -85,7 +99,10 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(live: Live) -> list[str]:
-    return ["t", *(f"{name}[{i}]" for name, part in zip(NAMES, live, strict=True) for i in range(part.size))]
+    return [
+        "t",
+        *(f"{name}[{i}]" for name, part in zip(NAMES, live, strict=True) for i in range(part.size)),
+    ]
 
 
 def _flat(live: Live) -> list[float]:
@@ -93,4 +110,7 @@ def _flat(live: Live) -> list[float]:
 
 
 def _json(time: float, live: Live) -> str:
-    return json.dumps({"t": time} | {name: part.tolist() for name, part in zip(NAMES, live, strict=True) if part.size})
+    return json.dumps(
+        {"t": time}
+        | {name: part.tolist() for name, part in zip(NAMES, live, strict=True) if part.size}
+    )

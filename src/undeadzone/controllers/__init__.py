@@ -11,7 +11,17 @@ from undeadzone.controllers.state_feedback import Robust, StateFeedback
 from undeadzone.controllers.taylor_feedback import TaylorFeedback
 from undeadzone.interfaces import Controller, Plan
 
-ControllerOptions = StateFeedback | PD | SlidingMode | FuzzyFeedback | RBFFeedback | TaylorFeedback | ComputedTorque | GravityPD | LQR
+ControllerOptions = (
+    StateFeedback
+    | PD
+    | SlidingMode
+    | FuzzyFeedback
+    | RBFFeedback
+    | TaylorFeedback
+    | ComputedTorque
+    | GravityPD
+    | LQR
+)
 
 __all__ = [
     "LQR", "PD", "ComputedTorque", "Controller", "ControllerOptions", "FuzzyFeedback", "GravityPD", "Plan", "RBFFeedback", "Robust", "SlidingMode",

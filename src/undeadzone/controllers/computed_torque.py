@@ -16,7 +16,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive
 
 
-class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="computed_torque"):
+class ComputedTorque(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="computed_torque",
+):
     """u = M(q^) (a_ref + K_d (v_ref - v^) + K_p (q_ref - q^)) + h(q^, v^) + friction(v^) for a rigid arm: Craig; Slotine and Li (1991).
 
     With the model right and x^ = x the error obeys e'' + K_d e' + K_p e = 0. Either bandwidth w [rad/s] and damping z, K_p = w^2 and
@@ -33,7 +40,9 @@ class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def build(self, model: System) -> Controller:
         """The controller for the model of a rigid arm, continuous or sampled. Raises InputError, ShapeError, StepError."""
         if (arm := model.arm) is None or arm.size != model.m:
-            raise InputError("controller.method: 'computed_torque' needs an arm whose every joint has its motor; use 'state_feedback' or 'lqr'")
+            raise InputError(
+                "controller.method: 'computed_torque' needs an arm whose every joint has its motor; use 'state_feedback' or 'lqr'"
+            )
         k_p, k_d = self._gains(arm.size)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
@@ -43,7 +52,11 @@ class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             q, v = estimate.x[:N], estimate.x[N:]
             known = self.reject and estimate.w.shape[0] > 0
             drift, push = (estimate.w[:N], estimate.w[N:]) if known else (0.0, 0.0)
-            wanted = target.plan + p.k_d * (target.x_ref[N:] - v - drift) + p.k_p * (target.x_ref[:N] - q)
+            wanted = (
+                target.plan
+                + p.k_d * (target.x_ref[N:] - v - drift)
+                + p.k_p * (target.x_ref[:N] - q)
+            )
             return s, torque(arm, p.model, q, v, wanted - push)
 
         plan = Plan(N, model.params, lambda params, target: accelerations(arm, params, target))
@@ -52,12 +65,20 @@ class ComputedTorque(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def _gains(self, N: int) -> tuple[Floats, Floats]:
         given = [name for name in ("bandwidth", "k_p", "k_d") if getattr(self, name) is not None]
         if given == ["bandwidth"]:
-            w, z = (positive(f"controller.{name}", getattr(self, name), N, "one per joint") for name in ("bandwidth", "damping"))
+            w, z = (
+                positive(f"controller.{name}", getattr(self, name), N, "one per joint")
+                for name in ("bandwidth", "damping")
+            )
             return w**2, 2 * z * w
         if given == ["k_p", "k_d"]:
-            k_p, k_d = (positive(f"controller.{name}", getattr(self, name), N, "one per joint") for name in given)
+            k_p, k_d = (
+                positive(f"controller.{name}", getattr(self, name), N, "one per joint")
+                for name in given
+            )
             return k_p, k_d
-        raise InputError(f"controller: computed_torque needs either bandwidth (and damping), or k_p and k_d; found {' and '.join(given) or 'none'}")
+        raise InputError(
+            f"controller: computed_torque needs either bandwidth (and damping), or k_p and k_d; found {' and '.join(given) or 'none'}"
+        )
 
 
 class Params(NamedTuple):
@@ -72,7 +93,9 @@ def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
     """The joints' acceleration on the path (instants x N): what u_ff does at x_ref, so that on the path u = u_ff."""
     N = arm.size
     x, u = ca.SX.sym("x", 2 * N), ca.SX.sym("u", N)
-    found = ca.Function("accelerations", [x, u], [acceleration(arm, ca.SX(params), x[:N], x[N:], u)], {"cse": True})
+    found = ca.Function(
+        "accelerations", [x, u], [acceleration(arm, ca.SX(params), x[:N], x[N:], u)], {"cse": True}
+    )
     return np.asarray(found.map(len(target.u_ff))(target.x_ref.T, target.u_ff.T).full().T)
 
 

@@ -11,7 +11,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, scalar
 
 
-class FuzzyFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="fuzzy_feedback"):
+class FuzzyFeedback(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="fuzzy_feedback",
+):
     """Wang (1993), Tong and Li (2009): b u = r^(n) - W'phi(x^) - feedback, phi the firing strengths of `rules` fuzzy sets per axis.
 
     It makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the wrong output.
@@ -32,5 +39,11 @@ class FuzzyFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """The controller for a linear model of one input and one output. Raises InputError, ShapeError, StructureError."""
         overlap = scalar("controller.overlap", self.overlap, above=0.0)
         return approximating(
-            model, self.reach, lambda reach: gaussians("controller.rules", reach, self.rules, overlap, True), self.speed, self.bandwidth, self.gain, self.leak
+            model,
+            self.reach,
+            lambda reach: gaussians("controller.rules", reach, self.rules, overlap, True),
+            self.speed,
+            self.bandwidth,
+            self.gain,
+            self.leak,
         )

@@ -15,7 +15,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive
 
 
-class GravityPD(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="gravity_pd"):
+class GravityPD(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="gravity_pd",
+):
     """u = K_p (q_ref - q^) + K_d (v_ref - v^) + g(q), g the torque that holds the arm against gravity: Takegaki and Arimoto (1981).
 
     k_p [N m/rad], k_d [N m s/rad], one or one per joint. at: take g at q_ref, or at the estimate q^. An elastic joint is fed back
@@ -29,11 +36,17 @@ class GravityPD(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def build(self, model: System) -> Controller:
         """The controller for the model of an arm, continuous or sampled. Raises InputError, ShapeError, StepError."""
         if (flat := model.flat) is None:
-            raise InputError("controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use 'state_feedback' or 'lqr'")
+            raise InputError(
+                "controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use 'state_feedback' or 'lqr'"
+            )
         n, m, half = model.n, model.m, model.n // 2
-        K = np.zeros((m, n))  # of x = [motors; links; their speeds], motors and links being one in a rigid arm
+        K = np.zeros(
+            (m, n)
+        )  # of x = [motors; links; their speeds], motors and links being one in a rigid arm
         for gain, first in ((self.k_p, 0), (self.k_d, half)):
-            K[:, first : first + m] = np.diag(positive(f"controller.{'k_d' if first else 'k_p'}", gain, m, "one per joint"))
+            K[:, first : first + m] = np.diag(
+                positive(f"controller.{'k_d' if first else 'k_p'}", gain, m, "one per joint")
+            )
         if model.Ts is not None:
             _require_fine_step(model, K)
         at_rest = ca.SX.zeros(m, flat.order)
@@ -57,4 +70,6 @@ def _require_fine_step(model: System, K: Floats) -> None:
     """Raise StepError where the sampled loop grows with alternating sign, which no loop does that is sampled finely."""
     poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)
     if ((np.abs(poles) > 1) & (poles.real < 0)).any():
-        raise StepError(f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample to sample the arm swings ever more; lower them")
+        raise StepError(
+            f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample to sample the arm swings ever more; lower them"
+        )

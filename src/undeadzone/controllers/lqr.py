@@ -17,7 +17,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats
 
 
-class LQR(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="lqr"):
+class LQR(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="lqr",
+):
     """u = u_ff - K(t) (x^ - x_ref), K(t) such that the sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff.
 
     e follows the linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore (1990).
@@ -33,11 +40,19 @@ class LQR(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def build(self, model: System) -> Controller:
         """The controller for a sampled model. Raises InputError, ShapeError; its plan raises StructureError."""
         if model.Ts is None:
-            raise InputError("controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" (simulation.step is the sample time)")
+            raise InputError(
+                "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" (simulation.step is the sample time)"
+            )
         if self.stride < 1:
-            raise InputError(f"controller.stride: expected a number of samples, at least 1, found {self.stride}")
+            raise InputError(
+                f"controller.stride: expected a number of samples, at least 1, found {self.stride}"
+            )
         n, m = model.n, model.m
-        params = Params(weight("controller.Q", self.Q, n), weight("controller.R", self.R, m, "inputs x inputs"), self.stride)
+        params = Params(
+            weight("controller.Q", self.Q, n),
+            weight("controller.R", self.R, m, "inputs x inputs"),
+            self.stride,
+        )
 
         def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             return s, target.u_ff - ca.reshape(target.plan, m, n) @ (estimate.x - target.x_ref)
@@ -60,7 +75,9 @@ def gains(model: System, params: Params, target: Target) -> Floats:
     """K (instants x m x n) along a trajectory, whose end is taken for a steady state. Raises StructureError where that has no gain."""
     Q, R, stride = params
     if not model.nonlinear:
-        return np.broadcast_to(riccati(model.linear, Q, R, model.Ts).K, (len(target.u_ff), model.m, model.n))
+        return np.broadcast_to(
+            riccati(model.linear, Q, R, model.Ts).K, (len(target.u_ff), model.m, model.n)
+        )
     A, B = linearised(model, target, stride)
     last = riccati(Matrices(A[-1], B[-1], model.linear.C), Q, R, model.Ts)
     return riccati_along(A, B, Q, R, last.P)
@@ -73,7 +90,9 @@ def linearised(model: System, target: Target, stride: int) -> tuple[Floats, Floa
     instants = np.arange(len(target.u_ff))
     chosen = np.unique(np.append(instants[::stride], instants[-1]))
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
-    jacobian = ca.Function("jacobian", [x, u], [ca.jacobian(model.move(ca.SX(model.params), x, u), ca.vertcat(x, u))])
+    jacobian = ca.Function(
+        "jacobian", [x, u], [ca.jacobian(model.move(ca.SX(model.params), x, u), ca.vertcat(x, u))]
+    )
     found = jacobian.map(chosen.size)(target.x_ref[chosen].T, target.u_ff[chosen].T).full()
     both = found.reshape(model.n, chosen.size, -1).swapaxes(0, 1)
     if stride > 1:

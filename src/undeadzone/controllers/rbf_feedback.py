@@ -11,7 +11,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, scalar
 
 
-class RBFFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="rbf_feedback"):
+class RBFFeedback(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="rbf_feedback",
+):
     """Sanner and Slotine (1992), Lewis, Yesildirek and Liu (1996): b u = r^(n) - W'phi(x^) - feedback, phi Gaussians at `centres` places per axis.
 
     It makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the wrong output.

@@ -19,7 +19,14 @@ from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 
-class SlidingMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="sliding_mode"):
+class SlidingMode(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="sliding_mode",
+):
     """u = u_ff - G (f(x^, u_ff) - f(x_ref, u_ff)) - rate s - gain sat(s / boundary), s = G (x^ - x_ref), G B = I: Slotine and Li (1991).
 
     gain [u], one or one per input: exceeds the input disturbances that it is to suppress. poles [1/s] (n - m of them): of the
@@ -41,8 +48,15 @@ class SlidingMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
         gain = nonnegative("controller.gain", self.gain, m, "one per input")
         if not gain.all():
-            raise InputError("controller.gain: must be positive, found 0; without it the law is a state feedback")
-        boundary = vector("controller.boundary", gain / (2 * rate) if self.boundary is None else self.boundary, m, "one per input")
+            raise InputError(
+                "controller.gain: must be positive, found 0; without it the law is a state feedback"
+            )
+        boundary = vector(
+            "controller.boundary",
+            gain / (2 * rate) if self.boundary is None else self.boundary,
+            m,
+            "one per input",
+        )
         if (boundary <= 0).any():
             raise InputError(f"controller.boundary: must be positive, found {boundary.min():g}")
         if Ts is not None and (gain * Ts > boundary).any():
@@ -54,7 +68,9 @@ class SlidingMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         params = Params(model.params, surface(model, poles), np.float64(keep), gain, boundary)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
-            apart = model.move(p.model, estimate.x, target.u_ff) - model.move(p.model, target.x_ref, target.u_ff)
+            apart = model.move(p.model, estimate.x, target.u_ff) - model.move(
+                p.model, target.x_ref, target.u_ff
+            )
             distance = p.G @ (estimate.x - target.x_ref)
             pull = p.gain * ca.fmax(ca.fmin(per_step * distance / p.boundary, 1.0), -1.0)
             return s, target.u_ff - p.G @ apart + p.keep * distance - pull
@@ -79,11 +95,15 @@ def surface(model: System, poles: Array) -> Floats:
     size = sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
     A, B = A * size / size[:, None], B / size[:, None]
     if np.linalg.matrix_rank(B) < m:
-        raise StructureError(f"controller.method: 'sliding_mode' needs inputs that move independent states, B has rank {np.linalg.matrix_rank(B)}, not {m}")
+        raise StructureError(
+            f"controller.method: 'sliding_mode' needs inputs that move independent states, B has rank {np.linalg.matrix_rank(B)}, not {m}"
+        )
     Q = np.linalg.qr(B, mode="complete")[0]
     moved, free = Q[:, :m], Q[:, m:]  # what inputs move, and what they do not
     M: Floats = np.zeros((m, 0))
     if n > m or np.size(poles):
-        M = state_gain(Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m))), poles, model.Ts)
+        M = state_gain(
+            Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m))), poles, model.Ts
+        )
     G = moved.T + M @ free.T
     return np.asarray(np.linalg.solve(G @ B, G / size))

@@ -24,7 +24,14 @@ class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     width: float = 0.1
 
 
-class StateFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="state_feedback"):
+class StateFeedback(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="state_feedback",
+):
     """u = u_ff - K (x^ - x_ref) with exactly one of: K (m x n); poles of A - B K [1/s]; alpha and Q of (34).
 
     With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of A - L C. Sampled models
@@ -44,7 +51,9 @@ class StateFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """The controller for a model, continuous or sampled. Raises InputError, StructureError."""
         given = [name for name in ("K", "poles", "alpha") if getattr(self, name) is not None]
         if len(given) != 1:
-            raise InputError(f"controller: state_feedback needs exactly one of K, poles, alpha; found {' and '.join(given) or 'none'}")
+            raise InputError(
+                f"controller: state_feedback needs exactly one of K, poles, alpha; found {' and '.join(given) or 'none'}"
+            )
         Q = weight("controller.Q", self.Q, model.n)
         if self.K is not None:
             K = np.atleast_2d(array("controller.K", self.K))
@@ -52,20 +61,30 @@ class StateFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         elif self.poles is not None:
             K = state_gain(model.linear, self.poles, model.Ts)
         else:
-            K = feedback(model.linear, scalar("controller.alpha", self.alpha, above=0.0), Q, model.Ts)
+            K = feedback(
+                model.linear, scalar("controller.alpha", self.alpha, above=0.0), Q, model.Ts
+            )
         counter = np.hstack([K, np.eye(model.m)]) @ rest(model)
         params = Params(K, np.zeros((model.m, model.n)), np.float64(0.0), np.float64(1.0), counter)
         if self.robust is not None:
             P = lyapunov(model.linear, K, Q, model.Ts)
             rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
-            params = Params(K, model.linear.B.T @ P, np.float64(rho), np.float64(scalar("controller.robust.width", self.robust.width, above=0.0)), counter)
+            params = Params(
+                K,
+                model.linear.B.T @ P,
+                np.float64(rho),
+                np.float64(scalar("controller.robust.width", self.robust.width, above=0.0)),
+                counter,
+            )
         robust = self.robust is not None
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             u = (target.u_ff + p.K @ target.x_ref) - p.K @ estimate.x
             if self.reject and estimate.w.shape[0]:
                 u = u + p.counter @ estimate.w
-            return s, u - p.rho * ca.tanh(p.BtP @ (estimate.x - target.x_ref) / p.width) if robust else u
+            return s, u - p.rho * ca.tanh(
+                p.BtP @ (estimate.x - target.x_ref) / p.width
+            ) if robust else u
 
         return Controller(params, lambda p: None, step)
 
@@ -74,7 +93,9 @@ def rest(model: System) -> Floats:
     """[x; u] per unit of a constant w, for which x' = A x + B u + w and the first m outputs are at rest at 0 ((n + m) x n)."""
     A, B, C = model.linear if model.flow is None else model.flow
     C = C[: model.m]
-    return -np.linalg.pinv(np.block([[A, B], [C, np.zeros((len(C), model.m))]]), rcond=1e-10)[:, : model.n]
+    return -np.linalg.pinv(np.block([[A, B], [C, np.zeros((len(C), model.m))]]), rcond=1e-10)[
+        :, : model.n
+    ]
 
 
 class Params(NamedTuple):

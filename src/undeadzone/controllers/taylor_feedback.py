@@ -11,7 +11,14 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array
 
 
-class TaylorFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="taylor_feedback"):
+class TaylorFeedback(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="taylor_feedback",
+):
     """Multidimensional Taylor network (Yan and Kang 2017): b u = r^(n) - W'phi(x^) - feedback, phi the monomials of x^ / reach up to `degree`.
 
     It makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the wrong output.
@@ -29,5 +36,11 @@ class TaylorFeedback(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def build(self, model: System) -> Controller:
         """The controller for a linear model of one input and one output. Raises InputError, ShapeError, StructureError."""
         return approximating(
-            model, self.reach, lambda reach: monomials("controller.degree", reach, self.degree), self.speed, self.bandwidth, self.gain, self.leak
+            model,
+            self.reach,
+            lambda reach: monomials("controller.degree", reach, self.degree),
+            self.speed,
+            self.bandwidth,
+            self.gain,
+            self.leak,
         )

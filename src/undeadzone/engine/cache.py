@@ -19,7 +19,11 @@ import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.support.files import replacing
 
-NUMBERS: Final[dict[str, Any]] = {"int64": ctypes.c_int64, "uint64": ctypes.c_uint64, "float64": ctypes.c_double}
+NUMBERS: Final[dict[str, Any]] = {
+    "int64": ctypes.c_int64,
+    "uint64": ctypes.c_uint64,
+    "float64": ctypes.c_double,
+}
 
 
 class Compiled(NamedTuple):
@@ -43,7 +47,12 @@ class Block(NamedTuple):
 
     def __call__(self, *given: Any) -> None:
         """Raises TypeError for an array of other entries or that is not contiguous."""
-        self.function(*(value if kind is None else _address(value, kind) for value, kind in zip(given, self.arrays, strict=True)))
+        self.function(
+            *(
+                value if kind is None else _address(value, kind)
+                for value, kind in zip(given, self.arrays, strict=True)
+            )
+        )
 
 
 def folder() -> Path | None:
@@ -66,7 +75,11 @@ def load(source: str, kinds: tuple[str, ...]) -> Block:
     """
     name = hashlib.sha256("\n".join((_machine(), *kinds, source)).encode()).hexdigest()[:32]
     path = None if (kernels := folder()) is None else kernels / f"{name}.kernel"
-    if path is not None and (kept := _read(path)) is not None and (block := _linked(kept, kinds)) is not None:
+    if (
+        path is not None
+        and (kept := _read(path)) is not None
+        and (block := _linked(kept, kinds)) is not None
+    ):
         return block
     compiled, text = _compiled(source, kinds)
     if path is not None:
@@ -78,7 +91,9 @@ def load(source: str, kinds: tuple[str, ...]) -> Block:
 
 def _address(array: Any, kind: np.dtype[Any]) -> int:
     if array.dtype != kind or not array.flags.c_contiguous:
-        raise TypeError(f"expected a contiguous array of {kind}, found one of {array.dtype} with strides {array.strides}")
+        raise TypeError(
+            f"expected a contiguous array of {kind}, found one of {array.dtype} with strides {array.strides}"
+        )
     return int(array.ctypes.data)
 
 
@@ -123,7 +138,9 @@ def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
 
     namespace: dict[str, Any] = {"__name__": "kernel"}
     exec(compile(source, "<kernel>", "exec"), namespace)
-    arguments = ", ".join(f"CPointer({kind[:-1]})" if kind.endswith("*") else kind for kind in kinds)
+    arguments = ", ".join(
+        f"CPointer({kind[:-1]})" if kind.endswith("*") else kind for kind in kinds
+    )
     made = cfunc(f"void({arguments})", error_model="numpy")(namespace["block"])
     module, target = binding.parse_assembly(made.inspect_llvm()), _target()
     for part in (*module.functions, *module.global_variables):
@@ -131,14 +148,24 @@ def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
             part.name = "block"
         elif not part.is_declaration:
             part.linkage = "internal"
-    passes = binding.create_new_module_pass_manager()  # nothing raises: what would report it to Python goes
+    passes = (
+        binding.create_new_module_pass_manager()
+    )  # nothing raises: what would report it to Python goes
     passes.add_ipsccp_pass()
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(module, binding.create_pass_builder(target, binding.create_pipeline_tuning_options(0)))
-    declared = [part.name for part in (*module.functions, *module.global_variables) if part.is_declaration]
-    intrinsic = {name.split(".")[1] for name in declared if name.startswith("llvm.")}  # such as llvm.sin.v8f64, which may become a call of sin
-    calls = {name for name in declared if not name.startswith("llvm.")} | {name for name in intrinsic if hasattr(_library(), name)}
+    passes.run(
+        module, binding.create_pass_builder(target, binding.create_pipeline_tuning_options(0))
+    )
+    declared = [
+        part.name for part in (*module.functions, *module.global_variables) if part.is_declaration
+    ]
+    intrinsic = {
+        name.split(".")[1] for name in declared if name.startswith("llvm.")
+    }  # such as llvm.sin.v8f64, which may become a call of sin
+    calls = {name for name in declared if not name.startswith("llvm.")} | {
+        name for name in intrinsic if hasattr(_library(), name)
+    }
     return Compiled(sorted(calls), target.emit_object(module)), str(module)
 
 
@@ -156,7 +183,9 @@ def _target() -> Any:
     target = binding.Target.from_triple(binding.get_process_triple())
     cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     reloc = "static" if target.name.startswith("x86") else "default"
-    return target.create_target_machine(cpu=cpu, features=features, opt=3, reloc=reloc, codemodel="jitdefault", jit=True)
+    return target.create_target_machine(
+        cpu=cpu, features=features, opt=3, reloc=reloc, codemodel="jitdefault", jit=True
+    )
 
 
 def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
@@ -166,11 +195,16 @@ def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
     """
     from llvmlite import binding
 
-    library, names = _library(), binding.parse_assembly("\n".join(f"declare void @{name}()" for name in compiled.calls))
+    library, names = (
+        _library(),
+        binding.parse_assembly("\n".join(f"declare void @{name}()" for name in compiled.calls)),
+    )
     engine = binding.create_mcjit_compiler(names, _target())
     for name in compiled.calls:
         if (found := getattr(library, name, None)) is not None:
-            engine.add_global_mapping(names.get_function(name), ctypes.cast(found, ctypes.c_void_p).value)
+            engine.add_global_mapping(
+                names.get_function(name), ctypes.cast(found, ctypes.c_void_p).value
+            )
         elif binding.address_of_symbol(name) is None:
             return None
     engine.add_object_file(binding.ObjectFileRef.from_data(compiled.code))

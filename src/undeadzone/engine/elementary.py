@@ -33,15 +33,33 @@ if TYPE_CHECKING:  # from `emit`
 FUNCTIONS = ("sin", "cos", "exp", "log", "erf", "tanh")
 COMPILED = ("power", "turned", "raised", "lost", "signed", *FUNCTIONS)
 
-SHIFT = 1.5 * 2.0**52  # a number to which it is added becomes an integer, in two's complement in the last bits of the sum
+SHIFT = (
+    1.5 * 2.0**52
+)  # a number to which it is added becomes an integer, in two's complement in the last bits of the sum
 MANTISSA, SIGN = np.uint64(52), np.uint64(1 << 63)
 ODD, HALF_TURN, TO_SIGN = np.uint64(1), np.uint64(2), np.uint64(62)
-ONE, LEAST, FRACTION = (np.uint64(number) for number in (0x3FF << 52, 0x3FE6A09E667F3BCD, (1 << 52) - 1))  # bits of 1, sqrt(1/2), a mantissa
-COUNT, COUNTED = np.uint64(0x433 << 52), 2.0**52 + 1023  # bits of 2^52: with an integer in its mantissa it is 2^52 more than that
+ONE, LEAST, FRACTION = (
+    np.uint64(number) for number in (0x3FF << 52, 0x3FE6A09E667F3BCD, (1 << 52) - 1)
+)  # bits of 1, sqrt(1/2), a mantissa
+COUNT, COUNTED = (
+    np.uint64(0x433 << 52),
+    2.0**52 + 1023,
+)  # bits of 2^52: with an integer in its mantissa it is 2^52 more than that
 
 # pi/2 in three parts; weights 1/sin and 1/cos: (sin r - r) / r^3 and (cos r - 1 + r^2/2) / r^4 by r^2, |r| <= 1.005 pi/4, 2^-58 and 2^-64.
-FAR, TURNS, QUARTER = 2.0**45, 0.6366197723675814, (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
-SIN = (-0.1666666666666663, 0.008333333333321867, -0.00019841269829351657, 2.7557313527695806e-06, -2.505073154586686e-08, 1.5895209746055687e-10)
+FAR, TURNS, QUARTER = (
+    2.0**45,
+    0.6366197723675814,
+    (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33),
+)
+SIN = (
+    -0.1666666666666663,
+    0.008333333333321867,
+    -0.00019841269829351657,
+    2.7557313527695806e-06,
+    -2.505073154586686e-08,
+    1.5895209746055687e-10,
+)
 COS = (
     0.041666666666666595, -0.0013888888888873385, 2.480158728900059e-05, -2.7557314207741605e-07, 2.0875702934427074e-09, -1.135856184094998e-11,
 )  # fmt: skip
@@ -135,7 +153,9 @@ def log(x: Any) -> Any:
     z = s * s
     whole = n * LN2_SHORT[0]
     high = whole + f
-    value = high + ((f - (high - whole)) + fma(n, LN2_SHORT[1], -s * fma(-z, polynomial(z, LOG), f)))
+    value = high + (
+        (f - (high - whole)) + fma(n, LN2_SHORT[1], -s * fma(-z, polynomial(z, LOG), f))
+    )
     value = select(x > 0.0, value, select(x == 0.0, -np.inf, np.nan))
     return select(x < np.inf, value, x)
 

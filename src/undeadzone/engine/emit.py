@@ -101,7 +101,15 @@ _SIGNS = {
 _SAME = {ca.OP_EQ: "{0} ^ {1} ^ True", ca.OP_NE: "{0} ^ {1}"}
 
 
-_PRINTED = {*_FORMS, *_CONDITIONS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_INPUT, ca.OP_CONST}
+_PRINTED = {
+    *_FORMS,
+    *_CONDITIONS,
+    ca.OP_FMIN,
+    ca.OP_FMAX,
+    ca.OP_IF_ELSE_ZERO,
+    ca.OP_INPUT,
+    ca.OP_CONST,
+}
 
 
 class Code(NamedTuple):
@@ -120,7 +128,10 @@ def helpers(fused: bool) -> str:
     """The text of what straight-line code calls."""
     if not fused:
         return HELPERS
-    inlined = (f'{name} = njit(forceinline=True, error_model="numpy")({name})' for name in elementary.COMPILED)
+    inlined = (
+        f'{name} = njit(forceinline=True, error_model="numpy")({name})'
+        for name in elementary.COMPILED
+    )
     return "\n".join([inspect.getsource(elementary), HELPERS, _ARITHMETIC, *inlined, ""])
 
 
@@ -133,8 +144,12 @@ def straight_line(function: ca.Function, fused: bool = False) -> Code:
     """
     graph = listed(function)
     if unknown := {node.op for node in graph.nodes} - _PRINTED:
-        missing = next(word for word in dir(ca) if word.startswith("OP_") and getattr(ca, word) in unknown)
-        raise InputError(f"{function.name()}: the lanes engine has no instruction {missing}; run this graph on the engine 'interpret'")
+        missing = next(
+            word for word in dir(ca) if word.startswith("OP_") and getattr(ca, word) in unknown
+        )
+        raise InputError(
+            f"{function.name()}: the lanes engine has no instruction {missing}; run this graph on the engine 'interpret'"
+        )
     graph = shortened(graph) if fused else graph
     lines = lines_of(graph)
     taken = taken_in(lines) if fused else set()
@@ -143,11 +158,18 @@ def straight_line(function: ca.Function, fused: bool = False) -> Code:
     for k, node in enumerate(graph.nodes):
         if node.operands and lines.uses[k] and k not in taken:
             if node.op in _CONDITIONS:
-                statements += [f"is_v{k} = {_condition(lines, node)}", f"v{k} = select(is_v{k}, 1.0, 0.0)"]
+                statements += [
+                    f"is_v{k} = {_condition(lines, node)}",
+                    f"v{k} = select(is_v{k}, 1.0, 0.0)",
+                ]
             elif not (fused and node.op in SUMS):
-                statements.append(f"v{k} = {_expression(lines, node, _FORMS | _FUSED if fused else _FORMS)}")
+                statements.append(
+                    f"v{k} = {_expression(lines, node, _FORMS | _FUSED if fused else _FORMS)}"
+                )
         statements += sums.get(k, [])
-    return Code(graph.reads, statements, [[name(lines, k) for k in result] for result in graph.results])
+    return Code(
+        graph.reads, statements, [[name(lines, k) for k in result] for result in graph.results]
+    )
 
 
 def _expression(lines: Lines, node: Node, forms: dict[int, str]) -> str:
@@ -159,13 +181,21 @@ def _expression(lines: Lines, node: Node, forms: dict[int, str]) -> str:
         a, b = names if _number(lines.nodes[node.operands[1]]) else names[::-1]
         compared = f"{a} {'<' if node.op == ca.OP_FMIN else '>'} {b}"
         known = any(_number(lines.nodes[operand]) for operand in node.operands)
-        return f"select({compared}, {a}, {b})" if known else f"select(({compared}) | ({b} != {b}), {a}, {b})"
+        return (
+            f"select({compared}, {a}, {b})"
+            if known
+            else f"select(({compared}) | ({b} != {b}), {a}, {b})"
+        )
     return forms[node.op].format(*names)
 
 
 def _number(node: Node) -> bool:
     """Whether a node cannot be NaN."""
-    return node.text.startswith("p") if node.op == ca.OP_INPUT else node.op == ca.OP_CONST and node.text != "nan"
+    return (
+        node.text.startswith("p")
+        if node.op == ca.OP_INPUT
+        else node.op == ca.OP_CONST and node.text != "nan"
+    )
 
 
 def _condition(lines: Lines, node: Node) -> str:
@@ -178,6 +208,10 @@ def _condition(lines: Lines, node: Node) -> str:
     if node.op == ca.OP_LT and a.text == "0.0" and b.op in _CONDITIONS:
         return truth(lines, node.operands[1])
     for place, zero, other in ((0, a, b), (1, b, a)):
-        if zero.text == "0.0" and other.op == ca.OP_SUB and all(lines.nodes[part].op in _CONDITIONS for part in other.operands):
+        if (
+            zero.text == "0.0"
+            and other.op == ca.OP_SUB
+            and all(lines.nodes[part].op in _CONDITIONS for part in other.operands)
+        ):
             return _SIGNS[node.op, place].format(*(truth(lines, part) for part in other.operands))
     return _CONDITIONS[node.op].format(*(name(lines, operand) for operand in node.operands))

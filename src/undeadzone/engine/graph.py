@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-CONDITIONS = frozenset((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR))  # instructions whose result is 1 or 0
+CONDITIONS = frozenset(
+    (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+)  # instructions whose result is 1 or 0
 
 
 class Node(NamedTuple):
@@ -32,7 +34,11 @@ def listed(function: ca.Function) -> Graph:
     reads: list[list[int]] = [[] for _ in range(function.n_in())]
     results = [[0] * function.nnz_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
-        op, sources, targets = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        op, sources, targets = (
+            function.instruction_id(k),
+            function.instruction_input(k),
+            function.instruction_output(k),
+        )
         if op == ca.OP_OUTPUT:
             results[targets[0]][targets[1]] = holds[sources[0]]
             continue
@@ -59,7 +65,11 @@ def steady(nodes: list[Node]) -> set[int]:
 
 def _is_steady(node: Node, found: set[int]) -> bool:
     """Whether a node is steady, `found` being those among its operands that are."""
-    return all(operand in found for operand in node.operands) if node.operands else node.op == ca.OP_CONST or node.text.startswith("p")
+    return (
+        all(operand in found for operand in node.operands)
+        if node.operands
+        else node.op == ca.OP_CONST or node.text.startswith("p")
+    )
 
 
 def shortened(graph: Graph) -> Graph:
@@ -67,7 +77,9 @@ def shortened(graph: Graph) -> Graph:
     rewriting = _Rewriting([], {}, set())
     places: list[int] = []
     for node in graph.nodes:
-        places.append(rewriting.made(node.op, tuple(places[operand] for operand in node.operands), node.text))
+        places.append(
+            rewriting.made(node.op, tuple(places[operand] for operand in node.operands), node.text)
+        )
     results = [[places[k] for k in result] for result in graph.results]
     return Graph(rewriting.nodes, results, graph.reads)
 
@@ -83,7 +95,9 @@ class _Rewriting(NamedTuple):
         """The node of an instruction, or of what does the same with fewer."""
         if op == ca.OP_IF_ELSE_ZERO:
             return self.gated(*operands)
-        if op == ca.OP_OR and "0.0" in (false := [self.nodes[operand].text for operand in operands]):
+        if op == ca.OP_OR and "0.0" in (
+            false := [self.nodes[operand].text for operand in operands]
+        ):
             return operands[1 - false.index("0.0")]
         if op == ca.OP_DIV and operands[1] in self.steady and operands[0] not in self.steady:
             return self.made(ca.OP_MUL, (self.made(ca.OP_INV, operands[1:]), operands[0]))
@@ -93,7 +107,9 @@ class _Rewriting(NamedTuple):
                     return self.gated(factor, value)
                 if factor in self.steady and value not in self.steady:
                     within, rest = self.factors(value)
-                    return self.kept(op, (factor if within is None else self.made(op, (factor, within)), rest))
+                    return self.kept(
+                        op, (factor if within is None else self.made(op, (factor, within)), rest)
+                    )
         return self.kept(op, operands, text)
 
     def gated(self, condition: int, value: int) -> int:
@@ -107,14 +123,20 @@ class _Rewriting(NamedTuple):
         if node.op == ca.OP_NEG:
             return self.kept(ca.OP_NEG, (self.gated(condition, node.operands[0]),))
         if node.op == ca.OP_IF_ELSE_ZERO:
-            both = condition if self.implies(condition, node.operands[0]) else self.kept(ca.OP_AND, (condition, node.operands[0]))
+            both = (
+                condition
+                if self.implies(condition, node.operands[0])
+                else self.kept(ca.OP_AND, (condition, node.operands[0]))
+            )
             return self.gated(both, node.operands[1])
         return self.kept(ca.OP_IF_ELSE_ZERO, (condition, value))
 
     def implies(self, condition: int, other: int) -> bool:
         """Whether a condition holds only where another does: they are the same, or a < 0 or 0 < a and a != 0."""
         this, that = self.nodes[condition], self.nodes[other]
-        return condition == other or (this.op == ca.OP_LT and that.op == ca.OP_NE and set(this.operands) == set(that.operands))
+        return condition == other or (
+            this.op == ca.OP_LT and that.op == ca.OP_NE and set(this.operands) == set(that.operands)
+        )
 
     def factors(self, value: int) -> tuple[int | None, int]:
         """(the steady factor, the rest) of a product that has one."""

@@ -12,7 +12,13 @@ from undeadzone.support.arrays import Floats
 CHUNK = 500
 
 
-def run(step: ca.Function, state: Floats, exogenous: Floats, params: Floats, progress: Callable[[int], None] | None = None) -> tuple[Floats, Floats]:
+def run(
+    step: ca.Function,
+    state: Floats,
+    exogenous: Floats,
+    params: Floats,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Floats, Floats]:
     """(outputs (N x outputs), final state) of `step` along exogenous (N x inputs); progress is told of steps done."""
     total = exogenous.shape[0]
     outputs = np.empty((total, step.size1_out(1)))
@@ -42,7 +48,11 @@ def mapped(function: ca.Function, count: int) -> Callable[[Floats, Floats], Floa
     buffer, evaluate = function.map(count).buffer()
 
     def values(rows: Floats, params: Floats) -> Floats:
-        given, repeated, found = np.ascontiguousarray(rows, float), np.tile(params, (count, 1)), np.empty((count, function.size1_out(0)))
+        given, repeated, found = (
+            np.ascontiguousarray(rows, float),
+            np.tile(params, (count, 1)),
+            np.empty((count, function.size1_out(0))),
+        )
         buffer.set_arg(0, given.data)
         buffer.set_arg(1, repeated.data)
         buffer.set_res(0, found.data)

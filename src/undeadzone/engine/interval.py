@@ -32,8 +32,16 @@ def enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], list[Inte
     Raises InputError for instructions without bounds, and in the call where a condition or a kink is not decided on a whole box.
     """
     graph = listed(function)
-    inputs = {function.name_in(i) + str(k): (i, k) for i in range(function.n_in()) for k in range(function.nnz_in(i))}
-    if unknown := [node.op for node in graph.nodes if node.op not in _BOUNDS and node.op not in (ca.OP_INPUT, ca.OP_CONST)]:
+    inputs = {
+        function.name_in(i) + str(k): (i, k)
+        for i in range(function.n_in())
+        for k in range(function.nnz_in(i))
+    }
+    if unknown := [
+        node.op
+        for node in graph.nodes
+        if node.op not in _BOUNDS and node.op not in (ca.OP_INPUT, ca.OP_CONST)
+    ]:
         raise InputError(f"no bounds are known for the function {_name(unknown[0])}")
 
     def bounds(given: Sequence[Interval]) -> list[Interval]:
@@ -48,13 +56,25 @@ def enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], list[Inte
                     found.append(Interval(np.array(float(node.text)), np.array(float(node.text))))
                 else:
                     found.append(_BOUNDS[node.op](*(found[operand] for operand in node.operands)))
-        return [Interval(*(np.stack([np.broadcast_to(found[k][side], shape) for k in row]) for side in range(2))) for row in graph.results]
+        return [
+            Interval(
+                *(
+                    np.stack([np.broadcast_to(found[k][side], shape) for k in row])
+                    for side in range(2)
+                )
+            )
+            for row in graph.results
+        ]
 
     return bounds
 
 
 def _name(op: int) -> str:
-    return next(name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op)
+    return next(
+        name.removeprefix("OP_").lower()
+        for name in dir(ca)
+        if name.startswith("OP_") and getattr(ca, name) == op
+    )
 
 
 def _outward(low: Floats, high: Floats) -> Interval:
@@ -82,8 +102,13 @@ def _negative(a: Interval) -> Interval:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    ends = [x * y for x in a for y in b]  # 0 times infinity is no number, but then another end is 0, or both infinities are
-    found = _outward(np.fmin(np.fmin(*ends[:2]), np.fmin(*ends[2:])), np.fmax(np.fmax(*ends[:2]), np.fmax(*ends[2:])))
+    ends = [
+        x * y for x in a for y in b
+    ]  # 0 times infinity is no number, but then another end is 0, or both infinities are
+    found = _outward(
+        np.fmin(np.fmin(*ends[:2]), np.fmin(*ends[2:])),
+        np.fmax(np.fmax(*ends[:2]), np.fmax(*ends[2:])),
+    )
     something = ~(((a.low == 0) & (a.high == 0)) | ((b.low == 0) & (b.high == 0)))
     return Interval(np.where(something, found.low, 0.0), np.where(something, found.high, 0.0))
 
@@ -96,7 +121,9 @@ def _inverse(a: Interval) -> Interval:
 
 def _square(a: Interval) -> Interval:
     size = _size(a)
-    return Interval(np.maximum(np.nextafter(size.low**2, -np.inf), 0.0), np.nextafter(size.high**2, np.inf))
+    return Interval(
+        np.maximum(np.nextafter(size.low**2, -np.inf), 0.0), np.nextafter(size.high**2, np.inf)
+    )
 
 
 def _size(a: Interval) -> Interval:
@@ -105,7 +132,9 @@ def _size(a: Interval) -> Interval:
     return Interval(least, np.maximum(-a.low, a.high))
 
 
-def _rising(function: Callable[[Floats], Floats], least: float = -np.inf, greatest: float = np.inf) -> Bound:
+def _rising(
+    function: Callable[[Floats], Floats], least: float = -np.inf, greatest: float = np.inf
+) -> Bound:
     """Bounds of a function that rises on its domain [least, greatest]; none beyond."""
 
     def bound(a: Interval) -> Interval:
@@ -126,12 +155,16 @@ def _periodic(function: Callable[[Floats], Floats], top: float) -> Bound:
 
     def reaches(a: Interval, at: float) -> np.ndarray:
         slack = 1e-12 * (1 + np.maximum(np.abs(a.low), np.abs(a.high)))
-        return np.floor((a.high + slack - at) / (2 * np.pi)) >= np.ceil((a.low - slack - at) / (2 * np.pi))
+        return np.floor((a.high + slack - at) / (2 * np.pi)) >= np.ceil(
+            (a.low - slack - at) / (2 * np.pi)
+        )
 
     def bound(a: Interval) -> Interval:
         ends = function(a.low), function(a.high)
         endless = ~(np.isfinite(a.low) & np.isfinite(a.high))
-        low = np.where(reaches(a, top + np.pi) | endless, -1.0, np.maximum(np.minimum(*ends) - PAD, -1.0))
+        low = np.where(
+            reaches(a, top + np.pi) | endless, -1.0, np.maximum(np.minimum(*ends) - PAD, -1.0)
+        )
         high = np.where(reaches(a, top) | endless, 1.0, np.minimum(np.maximum(*ends) + PAD, 1.0))
         return Interval(low, high)
 
@@ -149,7 +182,11 @@ def _tan(a: Interval) -> Interval:
 def _power(a: Interval, b: Interval) -> Interval:
     """a^b: whole numbers b by products, others as exp(b log a)."""
     number = float(np.ravel(b.low)[0])
-    if not ((b.low == number) & (b.high == number)).all() or number != round(number) or not 1 <= abs(number) <= 16:
+    if (
+        not ((b.low == number) & (b.high == number)).all()
+        or number != round(number)
+        or not 1 <= abs(number) <= 16
+    ):
         return _exp(_product(b, _log(a)))
     found = _whole(a, round(abs(number)))
     return found if number > 0 else _inverse(found)
@@ -174,7 +211,9 @@ def _decided(yes: np.ndarray, no: np.ndarray) -> Interval:
 
 
 def _equal(a: Interval, b: Interval) -> tuple[np.ndarray, np.ndarray]:
-    return (a.low == a.high) & (b.low == b.high) & (a.low == b.low), (a.high < b.low) | (a.low > b.high)
+    return (a.low == a.high) & (b.low == b.high) & (a.low == b.low), (a.high < b.low) | (
+        a.low > b.high
+    )
 
 
 def _sign(a: Interval) -> Interval:

@@ -52,16 +52,35 @@ def stride(width: int) -> int:
     return width + 8 if width > 1 else 1
 
 
-def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapping[int, float], p: Mapping[int, float], fused: bool) -> tuple[str, int]:
+def source(
+    step: ca.Function,
+    rare: Sequence[ca.Function],
+    shape: Shape,
+    w: Mapping[int, float],
+    p: Mapping[int, float],
+    fused: bool,
+) -> tuple[str, int]:
     """(the text of the kernel, the rows of its work array), w and p being what is known of its inputs."""
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
-    given = [columns[0], *(ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel()))) for column, known in zip(columns[1:], (w, p), strict=True))]
+    given = [
+        columns[0],
+        *(
+            ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
+            for column, known in zip(columns[1:], (w, p), strict=True)
+        ),
+    ]
     following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*given))
     usual = straight_line(_graph(columns, [following, out[list(shape.record)], *flag]), fused)
-    codes = [straight_line(_graph(columns, [ca.densify(ca.SX(value)) for value in part(*given)]), fused) for part in rare]
+    codes = [
+        straight_line(_graph(columns, [ca.densify(ca.SX(value)) for value in part(*given)]), fused)
+        for part in rare
+    ]
     saved = max((1 + max(code.reads[0], default=-1) for code in codes), default=0)
     sizes = [shape.sizes[0], len(shape.params), len(shape.exogenous), len(shape.record), saved]
-    rows = Rows(shape.width, *itertools.accumulate([*sizes, *((1, 1, sum(sizes) + 1) if codes else (0, 0, 0))]))
+    rows = Rows(
+        shape.width,
+        *itertools.accumulate([*sizes, *((1, 1, sum(sizes) + 1) if codes else (0, 0, 0))]),
+    )
     lane = [
         *_inputs(usual, shape, rows, 0),
         *usual.statements,
@@ -69,7 +88,11 @@ def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapp
         *(f"{rows.at(i)} = {name}" for i, name in enumerate(usual.results[0])),
         *(f"{rows.at(rows.out + i)} = {name}" for i, name in enumerate(usual.results[1])),
     ]
-    loop = [*_shared(usual, shape), *_copied(shape, rows.own, "own", len(shape.exogenous)), f"for j in range({shape.width}):"]
+    loop = [
+        *_shared(usual, shape),
+        *_copied(shape, rows.own, "own", len(shape.exogenous)),
+        f"for j in range({shape.width}):",
+    ]
     arrays = {
         "work": rows.end * stride(shape.width),
         "exogenous": f"steps * {shape.sizes[1]}",
@@ -78,12 +101,22 @@ def source(step: ca.Function, rare: Sequence[ca.Function], shape: Shape, w: Mapp
         "outputs": f"steps * {len(shape.record) * shape.width}",
     }
     shaped = [f"{name} = carray({name}, {size})" for name, size in arrays.items()]
-    head = [f"def block(steps, {', '.join(arrays)}):", *_indented([*shaped, *_steady(usual, shape)])]
+    head = [
+        f"def block(steps, {', '.join(arrays)}):",
+        *_indented([*shaped, *_steady(usual, shape)]),
+    ]
     texts = [helpers(fused)]
     if codes:
-        numbers = rows._asdict() | {"apart": stride(shape.width), "group": min(shape.width, GROUP), "next": len(codes[0].results[0])}
+        numbers = rows._asdict() | {
+            "apart": stride(shape.width),
+            "group": min(shape.width, GROUP),
+            "next": len(codes[0].results[0]),
+        }
         texts += [_rare(k, code, shape, rows) for k, code in enumerate(codes)]
-        calls = [_AGAIN.format(part=k, **numbers) if k else f"        rare{k}(k, few, exogenous, params)" for k in range(len(codes))]
+        calls = [
+            _AGAIN.format(part=k, **numbers) if k else f"        rare{k}(k, few, exogenous, params)"
+            for k in range(len(codes))
+        ]
         texts.append(_FINISH.format(calls="\n".join(calls), **numbers))
         lane.append(f"{rows.at(rows.flag)} = {usual.results[2][0]}")
     loop += _indented(lane)
@@ -133,15 +166,31 @@ _AGAIN = """        again = 0
 
 def _rare(part: int, code: Code, shape: Shape, rows: Rows) -> str:
     """A rare part of the step, of those of the first lanes of a work array whose flag is set."""
-    (following, (flag,)), lane = code.results, [*_inputs(code, shape, rows, rows.before), *code.statements]
-    chosen = [f"flagged = {rows.at(rows.flag)} != 0.0", *(f"{rows.at(i)} = select(flagged, {name}, {rows.at(i)})" for i, name in enumerate(following))]
+    (following, (flag,)), lane = (
+        code.results,
+        [*_inputs(code, shape, rows, rows.before), *code.statements],
+    )
+    chosen = [
+        f"flagged = {rows.at(rows.flag)} != 0.0",
+        *(
+            f"{rows.at(i)} = select(flagged, {name}, {rows.at(i)})"
+            for i, name in enumerate(following)
+        ),
+    ]
     body = [
         *_steady(code, shape),
         *_shared(code, shape),
         f"for j in range({min(shape.width, GROUP)}):",
         *_indented([*lane, *chosen, f"{rows.at(rows.flag)} = {flag}"]),
     ]
-    return "\n".join(['@njit(error_model="numpy")', f"def rare{part}(k, work, exogenous, params):", *_indented(body), ""])
+    return "\n".join(
+        [
+            '@njit(error_model="numpy")',
+            f"def rare{part}(k, work, exogenous, params):",
+            *_indented(body),
+            "",
+        ]
+    )
 
 
 def _steady(code: Code, shape: Shape) -> list[str]:
@@ -151,7 +200,11 @@ def _steady(code: Code, shape: Shape) -> list[str]:
 
 def _shared(code: Code, shape: Shape) -> list[str]:
     """The exogenous inputs of step k that all lanes share."""
-    return [f"w{i} = exogenous[k * {shape.sizes[1]} + {i}]" for i in code.reads[1] if i not in shape.exogenous]
+    return [
+        f"w{i} = exogenous[k * {shape.sizes[1]} + {i}]"
+        for i in code.reads[1]
+        if i not in shape.exogenous
+    ]
 
 
 def _inputs(code: Code, shape: Shape, rows: Rows, states: int) -> list[str]:
@@ -159,7 +212,11 @@ def _inputs(code: Code, shape: Shape, rows: Rows, states: int) -> list[str]:
     s, w, p = code.reads
     return [
         *(f"s{i} = {rows.at(states + i)}" for i in s),
-        *(f"w{i} = {rows.at(rows.own + shape.exogenous.index(i))}" for i in w if i in shape.exogenous),
+        *(
+            f"w{i} = {rows.at(rows.own + shape.exogenous.index(i))}"
+            for i in w
+            if i in shape.exogenous
+        ),
         *(f"p{i} = {rows.at(rows.params + shape.params.index(i))}" for i in p if i in shape.params),
     ]
 
@@ -169,7 +226,10 @@ def _copied(shape: Shape, row: int, array: str, count: int) -> list[str]:
 
     Of indices into a part, unlike those that k multiplies, LLVM knows the sign, and so vectorises.
     """
-    inside, outside = f"work[({row} + i) * {stride(shape.width)} + j]", f"part[i * {shape.width} + j]"
+    inside, outside = (
+        f"work[({row} + i) * {stride(shape.width)} + j]",
+        f"part[i * {shape.width} + j]",
+    )
     size = count * shape.width
     return [
         f"part = {array}[k * {size} : (k + 1) * {size}]",
@@ -180,7 +240,9 @@ def _copied(shape: Shape, row: int, array: str, count: int) -> list[str]:
 
 
 def _graph(columns: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    return ca.Function("graph", columns, results, ["s", "w", "p"], [f"result{i}" for i in range(len(results))])
+    return ca.Function(
+        "graph", columns, results, ["s", "w", "p"], [f"result{i}" for i in range(len(results))]
+    )
 
 
 def _indented(lines: list[str], depth: int = 1) -> list[str]:

@@ -21,9 +21,13 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 128
-BUFFER = 2**17  # numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB, which stays in L2
+BUFFER = (
+    2**17
+)  # numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB, which stays in L2
 
-Source = Callable[[int, int], Floats]  # (first step, steps), asked for in order -> steps x own inputs x lanes
+Source = Callable[
+    [int, int], Floats
+]  # (first step, steps), asked for in order -> steps x own inputs x lanes
 Supply = Callable[[Integers], Source]  # lane numbers -> their source
 
 
@@ -96,22 +100,48 @@ def run(
     """
     shape = kernel.shape
     given = None if callable(lane_exogenous) else lane_exogenous
-    lanes = _lanes(("states", states, 2, 0), ("lane_exogenous", given, 3, 2), ("lane_params", lane_params, 2, 0))
+    lanes = _lanes(
+        ("states", states, 2, 0),
+        ("lane_exogenous", given, 3, 2),
+        ("lane_params", lane_params, 2, 0),
+    )
     total = len(exogenous)
     states_each, inputs, numbers = shape.sizes
-    states = np.broadcast_to(_shaped("states", states, *((lanes, states_each) if np.ndim(states) > 1 else (states_each,))), (lanes, states_each))
+    states = np.broadcast_to(
+        _shaped(
+            "states", states, *((lanes, states_each) if np.ndim(states) > 1 else (states_each,))
+        ),
+        (lanes, states_each),
+    )
     exogenous = np.array(_shaped("exogenous", exogenous, total, inputs), order="C")
     params = np.array(_shaped("params", params, numbers), order="C")
-    own_params = _shaped("lane_params", np.empty((lanes, 0)) if lane_params is None else lane_params, lanes, len(shape.params))
+    own_params = _shaped(
+        "lane_params",
+        np.empty((lanes, 0)) if lane_params is None else lane_params,
+        lanes,
+        len(shape.params),
+    )
     own_inputs = np.empty((total, 0, lanes)) if given is None else given
-    supply = lane_exogenous if callable(lane_exogenous) else _held(_shaped("lane_exogenous", own_inputs, total, len(shape.exogenous), lanes))
-    outputs, finals = np.empty((lanes, -(-total // every), len(shape.record))), np.empty((lanes, states_each))
+    supply = (
+        lane_exogenous
+        if callable(lane_exogenous)
+        else _held(_shaped("lane_exogenous", own_inputs, total, len(shape.exogenous), lanes))
+    )
+    outputs, finals = (
+        np.empty((lanes, -(-total // every), len(shape.record))),
+        np.empty((lanes, states_each)),
+    )
     unit = math.lcm(4, every)
-    chunk = max(1, BUFFER // (shape.width * max(1, len(shape.record), len(shape.exogenous))) // unit) * unit
+    chunk = (
+        max(1, BUFFER // (shape.width * max(1, len(shape.record), len(shape.exogenous))) // unit)
+        * unit
+    )
 
     def block(start: int) -> None:
         end = min(start + shape.width, lanes)
-        spread = np.minimum(np.arange(start, start + shape.width), lanes - 1)  # places beyond the last lane repeat it
+        spread = np.minimum(
+            np.arange(start, start + shape.width), lanes - 1
+        )  # places beyond the last lane repeat it
         work = _aligned(kernel.rows, stride(shape.width))
         work[:states_each, : shape.width] = states[spread].T
         work[states_each : states_each + len(shape.params), : shape.width] = own_params[spread].T
@@ -119,8 +149,17 @@ def run(
         buffer = np.empty((min(chunk, total), len(shape.record), shape.width))
         for first in range(0, total, chunk):
             count = min(chunk, total - first)
-            kernel.block(count, work.reshape(-1), exogenous[first : first + count].ravel(), params, source(first, count).ravel(), buffer.reshape(-1))
-            outputs[start:end, first // every : first // every - (-count // every)] = buffer[:count:every, :, : end - start].transpose(2, 0, 1)
+            kernel.block(
+                count,
+                work.reshape(-1),
+                exogenous[first : first + count].ravel(),
+                params,
+                source(first, count).ravel(),
+                buffer.reshape(-1),
+            )
+            outputs[start:end, first // every : first // every - (-count // every)] = buffer[
+                :count:every, :, : end - start
+            ].transpose(2, 0, 1)
             if progress is not None:
                 progress(count * (end - start))
         finals[start:end] = work[:states_each, : end - start].T
@@ -130,7 +169,9 @@ def run(
         block(0)  # a pool of threads would cost more than a short run
     else:
         with ThreadPoolExecutor(min(threads or os.cpu_count() or 1, len(starts))) as pool:
-            for _ in pool.map(block, starts):  # a failure or Ctrl-C here drops the blocks that have not begun
+            for _ in pool.map(
+                block, starts
+            ):  # a failure or Ctrl-C here drops the blocks that have not begun
                 pass
     return outputs, finals
 
@@ -150,14 +191,22 @@ def _held(inputs: Floats) -> Supply:
 
 def _lanes(*sources: tuple[str, Any, int, int]) -> int:
     """The number of lanes that arrays agree on, each given by name, value, dimensions when it has lanes, axis of lanes."""
-    counts = {name: np.shape(value)[axis] for name, value, dimensions, axis in sources if np.ndim(value) == dimensions}
+    counts = {
+        name: np.shape(value)[axis]
+        for name, value, dimensions, axis in sources
+        if np.ndim(value) == dimensions
+    }
     if len(set(counts.values())) > 1 or 0 in counts.values():
-        raise ShapeError(f"lanes: expected one number of lanes, 1 or more, found {', '.join(f'{count} in {name}' for name, count in counts.items())}")
+        raise ShapeError(
+            f"lanes: expected one number of lanes, 1 or more, found {', '.join(f'{count} in {name}' for name, count in counts.items())}"
+        )
     return next(iter(counts.values()), 1)
 
 
 def _shaped(name: str, value: Floats, *shape: int) -> Floats:
     found = np.asarray(value, float)
     if found.shape != shape:
-        raise ShapeError(f"{name}: expected {' x '.join(map(str, shape))}, found {' x '.join(map(str, found.shape)) or 'one number'}")
+        raise ShapeError(
+            f"{name}: expected {' x '.join(map(str, shape))}, found {' x '.join(map(str, found.shape)) or 'one number'}"
+        )
     return found

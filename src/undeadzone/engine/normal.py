@@ -81,19 +81,33 @@ def block(steps, channels, coloured, numbers, state, first, start, memory, drive
 )
 
 
-def fill(numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Sequence[int] | Integers) -> None:
+def fill(
+    numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Sequence[int] | Integers
+) -> None:
     """Write standard normal numbers into `numbers` (steps x channels x lanes, contiguous), those of steps first, first + 1, ...
 
     words: `noise.word` of each channel; runs: the run's number in each lane. Raises ShapeError.
     """
     found = len(words), len(runs)
     if numbers.shape[1:] != found:
-        raise ShapeError(f"numbers: expected steps x {found[0]} channels x {found[1]} lanes, found {' x '.join(map(str, numbers.shape))}")
+        raise ShapeError(
+            f"numbers: expected steps x {found[0]} channels x {found[1]} lanes, found {' x '.join(map(str, numbers.shape))}"
+        )
     scratch = np.empty((2, len(runs)), np.uint32), np.empty((4, len(runs)), np.float32)
-    _kernel(_FILL, len(runs))(*numbers.shape[:2], numbers, first, seed, np.asarray(words, np.uint32), np.asarray(runs, np.uint64), *scratch)
+    _kernel(_FILL, len(runs))(
+        *numbers.shape[:2],
+        numbers,
+        first,
+        seed,
+        np.asarray(words, np.uint32),
+        np.asarray(runs, np.uint64),
+        *scratch,
+    )
 
 
-def colour(numbers: Floats, state: Floats, first: int, start: int, memory: float, drive: float) -> None:
+def colour(
+    numbers: Floats, state: Floats, first: int, start: int, memory: float, drive: float
+) -> None:
     """Make first-order noise, in place, of white noise in channels start, start + 1, ... of `numbers`, as `fill` left them.
 
     state: the last numbers (coloured channels x lanes), overwritten; at step 0 it is not read. memory, drive: `noise.colour`.
@@ -101,10 +115,16 @@ def colour(numbers: Floats, state: Floats, first: int, start: int, memory: float
     """
     steps, channels, width = numbers.shape
     if state.shape[1:] != (width,) or not 0 <= start <= start + len(state) <= channels:
-        raise ShapeError(f"state: expected at most {channels - start} channels x {width} lanes, found {' x '.join(map(str, state.shape))}")
-    _kernel(_COLOUR, width)(steps, channels, len(state), numbers, state, first, start, memory, drive)
+        raise ShapeError(
+            f"state: expected at most {channels - start} channels x {width} lanes, found {' x '.join(map(str, state.shape))}"
+        )
+    _kernel(_COLOUR, width)(
+        steps, channels, len(state), numbers, state, first, start, memory, drive
+    )
 
 
 @functools.lru_cache(maxsize=16)
 def _kernel(template: Template, width: int) -> cache.Block:
-    return cache.load(template.text.format(width=width, philox=inspect.getsource(philox)), template.kinds)
+    return cache.load(
+        template.text.format(width=width, philox=inspect.getsource(philox)), template.kinds
+    )

@@ -20,12 +20,29 @@ UNIT = np.float32(2.0**-32)  # of a word, and of a quarter turn
 HALVE = np.float32(0.5)
 ONE = np.float32(1.0)
 UPPER = np.uint32(0xC0000000)  # words from 3/4 on
-THREE_QUARTERS, EXPONENT = np.int32(0x3F400000), np.int32(-0x800000)  # bits of 0.75 and where an exponent is in a float
+THREE_QUARTERS, EXPONENT = (
+    np.int32(0x3F400000),
+    np.int32(-0x800000),
+)  # bits of 0.75 and where an exponent is in a float
 DOUBLING = np.float32(-1.3862943611198906 * 2.0**-23)  # -2 log 2, of an exponent where it is
 SIGN, SWAP = np.uint32(0x80000000), np.uint32(0x40000000)
 
 # Of least relative error (Remez): -2 log(1 + f) / f for f in [-1/4, 1/2], 1.7e-7; sin(pi t / 2) / t and cos(pi t / 2) for |t| <= 1/2, 3e-8.
-LOG = tuple(map(np.float32, (-2.000000294, 1.000004305, -0.6665952924, 0.4995358186, -0.4021606699, 0.3474444435, -0.2826373141, 0.1329212015)))
+LOG = tuple(
+    map(
+        np.float32,
+        (
+            -2.000000294,
+            1.000004305,
+            -0.6665952924,
+            0.4995358186,
+            -0.4021606699,
+            0.3474444435,
+            -0.2826373141,
+            0.1329212015,
+        ),
+    )
+)
 SIN = tuple(map(np.float32, (1.570796322, -0.6459634602, 0.07968003277, -0.004601657887)))
 COS = tuple(map(np.float32, (1.0, -1.233696662, 0.2535949467, -0.02039858178)))
 
@@ -50,7 +67,10 @@ def box_muller(a: Any, b: Any) -> Any:
     x = np.float32((np.float32(select(upper, np.uint32(~a), a)) + HALVE) * UNIT)
     exponent = select(upper, np.int32(0), np.int32(x.view(np.int32) - THREE_QUARTERS) & EXPONENT)
     f = select(upper, -x, np.int32(x.view(np.int32) - exponent).view(np.float32) - ONE)
-    log = ((((((LOG[7] * f + LOG[6]) * f + LOG[5]) * f + LOG[4]) * f + LOG[3]) * f + LOG[2]) * f + LOG[1]) * f + LOG[0]
+    log = (
+        (((((LOG[7] * f + LOG[6]) * f + LOG[5]) * f + LOG[4]) * f + LOG[3]) * f + LOG[2]) * f
+        + LOG[1]
+    ) * f + LOG[0]
     radius = np.sqrt(log * f + DOUBLING * np.float32(exponent))
     t = np.float32(np.uint32((b << np.uint32(2)) | np.uint32(2)).view(np.int32)) * UNIT
     q = t * t

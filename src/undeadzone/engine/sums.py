@@ -46,9 +46,19 @@ def taken_in(lines: Lines) -> set[int]:
     taken: set[int] = set()
     for k in reversed(range(len(lines.nodes))):
         node = lines.nodes[k]
-        if lines.uses[k] and k not in lines.steady and (node.op in SUMS or (k in taken and node.op == ca.OP_MUL)):
+        if (
+            lines.uses[k]
+            and k not in lines.steady
+            and (node.op in SUMS or (k in taken and node.op == ca.OP_MUL))
+        ):
             parts = _PARTS if node.op in SUMS else (ca.OP_IF_ELSE_ZERO,)
-            taken.update(part for part in node.operands if lines.uses[part] == 1 and lines.nodes[part].op in parts and part not in lines.steady)
+            taken.update(
+                part
+                for part in node.operands
+                if lines.uses[part] == 1
+                and lines.nodes[part].op in parts
+                and part not in lines.steady
+            )
     return taken
 
 
@@ -85,9 +95,15 @@ def summed(lines: Lines, taken: set[int]) -> dict[int, list[str]]:
             if term.condition:
                 found.setdefault(max(place, term.place), []).append(f"t{k}_{i} = {text}")
                 text = f"t{k}_{i}"
-            more = f"fma({term.factor}, {sign}{term.value}, {text})" if term.factor else f"{text} {sign or '+'} {term.value}"
+            more = (
+                f"fma({term.factor}, {sign}{term.value}, {text})"
+                if term.factor
+                else f"{text} {sign or '+'} {term.value}"
+            )
             place = max(place, term.place)
-            found.setdefault(place, []).append(f"u{k}_{i} = {f'select({term.condition}, {more}, {text})' if term.condition else more}")
+            found.setdefault(place, []).append(
+                f"u{k}_{i} = {f'select({term.condition}, {more}, {text})' if term.condition else more}"
+            )
             text = f"u{k}_{i}"
         found.setdefault(k, []).append(f"v{k} = {text}")
     return found
@@ -104,10 +120,24 @@ def _terms(lines: Lines, taken: set[int], k: int, minus: bool) -> Iterator[Term]
         elif inner.op in SUMS:
             yield from _terms(lines, taken, part, negative)
         else:
-            factor = "2.0" if inner.op == ca.OP_TWICE else "" if inner.op == ca.OP_IF_ELSE_ZERO else name(lines, inner.operands[0])
+            factor = (
+                "2.0"
+                if inner.op == ca.OP_TWICE
+                else ""
+                if inner.op == ca.OP_IF_ELSE_ZERO
+                else name(lines, inner.operands[0])
+            )
             gate = part if inner.op == ca.OP_IF_ELSE_ZERO else inner.operands[-1]
             if gate in taken and lines.nodes[gate].op == ca.OP_IF_ELSE_ZERO:
                 condition, value = lines.nodes[gate].operands
-                yield Term(max(*inner.operands, condition, value), negative, factor, name(lines, value), truth(lines, condition))
+                yield Term(
+                    max(*inner.operands, condition, value),
+                    negative,
+                    factor,
+                    name(lines, value),
+                    truth(lines, condition),
+                )
             else:
-                yield Term(max(inner.operands), negative, factor, name(lines, inner.operands[-1]), "")
+                yield Term(
+                    max(inner.operands), negative, factor, name(lines, inner.operands[-1]), ""
+                )

@@ -20,7 +20,18 @@ from undeadzone.support.arrays import Floats
 
 PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
 LEAST: Final = {
-    **dict.fromkeys(("sensor.right", "sensor.left", "sensor.threshold", "sensor.noise", "sensor.noise_before", "disturbance.rms", "observer.gamma"), 0.0),
+    **dict.fromkeys(
+        (
+            "sensor.right",
+            "sensor.left",
+            "sensor.threshold",
+            "sensor.noise",
+            "sensor.noise_before",
+            "disturbance.rms",
+            "observer.gamma",
+        ),
+        0.0,
+    ),
     "sensor.slope": POSITIVE,
 }
 SCALES: Final = {
@@ -56,10 +67,19 @@ def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
         gain, floor = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0, -np.inf
         if key in ("plant", "observer.model", "controller.model"):
             name = f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
-            floor = 0.0 if problem.plant.arm is not None and signless(problem.plant.names[int(index[1:-1])]) else floor
+            floor = (
+                0.0
+                if problem.plant.arm is not None and signless(problem.plant.names[int(index[1:-1])])
+                else floor
+            )
         name = SCALES[key] + index if key in SCALES else name
-        found[name] = Quantity(value / gain, (slot, *_told(problem, name, slots)), gain, LEAST.get(stem(name), floor))
-    found |= {f"plant.x0[{i}]": Quantity(x, (tree.size(loop.params) + i,)) for i, x in enumerate(problem.x0)}
+        found[name] = Quantity(
+            value / gain, (slot, *_told(problem, name, slots)), gain, LEAST.get(stem(name), floor)
+        )
+    found |= {
+        f"plant.x0[{i}]": Quantity(x, (tree.size(loop.params) + i,))
+        for i, x in enumerate(problem.x0)
+    }
     return found | dict(_amplitudes(problem, found))
 
 
@@ -77,7 +97,9 @@ def _flow(system: System) -> Any:
 
 def _absent(problem: Problem) -> list[str]:
     """Scales that mean nothing here: the targets of a nonlinear model are not proportional to the reference."""
-    return ["scale.reference"] * problem.model.nonlinear + ["scale.disturbance"] * (problem.scenario.disturbance is None)
+    return ["scale.reference"] * problem.model.nonlinear + ["scale.disturbance"] * (
+        problem.scenario.disturbance is None
+    )
 
 
 def _told(problem: Problem, name: str, slots: dict[str, int]) -> list[int]:
@@ -93,18 +115,28 @@ def _amplitudes(problem: Problem, found: dict[str, Quantity]) -> Iterator[tuple[
     """The amplitudes of reference and disturbance that have one size, which is not 0."""
     reference = sizes(problem.scenario.reference, len(problem.tracked))
     if "reference.scale" in found and reference.size and reference.all() and np.ptp(reference) == 0:
-        yield "reference.amplitude", Quantity(reference[0], found["reference.scale"].slots, 1 / reference[0])
+        yield (
+            "reference.amplitude",
+            Quantity(reference[0], found["reference.scale"].slots, 1 / reference[0]),
+        )
     signal = problem.scenario.disturbance
     name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
     for i, size in enumerate(sizes(signal, problem.plant.m)):
         if size:
-            yield f"{name}[{i}]", Quantity(size, found[f"disturbance.scale[{i}]"].slots, 1 / size, LEAST.get(name, -np.inf))
+            yield (
+                f"{name}[{i}]",
+                Quantity(
+                    size, found[f"disturbance.scale[{i}]"].slots, 1 / size, LEAST.get(name, -np.inf)
+                ),
+            )
 
 
 def sizes(signal: Signal | Random | None, channels: int) -> Floats:
     """The amplitude (or rms) of each channel that a signal is proportional to; none where it has none."""
     match signal:
-        case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest) if not np.any(rest):
+        case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest) if not np.any(
+            rest
+        ):
             pass
         case Trapezoid(amplitude=size) | Random(rms=size):
             pass

@@ -21,14 +21,25 @@ class Bands(NamedTuple):
     quantiles: dict[str, Floats]
 
 
-def bands(t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]) -> Bands:
+def bands(
+    t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]
+) -> Bands:
     """Of recorded runs: z (lanes x N x p), r (lanes x N x k), d_hat (lanes x N x 2p) against the true widths (lanes x 2p).
 
     A signal that is no number any more counts as infinitely far off, so that a band is one of all runs.
     """
     found = {f"tracking[{i}]": np.abs(z[:, :, i] - r[:, :, k]) for k, i in enumerate(tracked)}
-    found |= {f"d_{EDGES[j % 2]}[{j // 2}]": d_hat[:, :, j] - widths[:, None, j] for j in range(d_hat.shape[2])}
-    return Bands(t, {name: _quantiles(np.where(np.isnan(values), np.inf, values)) for name, values in found.items()})
+    found |= {
+        f"d_{EDGES[j % 2]}[{j // 2}]": d_hat[:, :, j] - widths[:, None, j]
+        for j in range(d_hat.shape[2])
+    }
+    return Bands(
+        t,
+        {
+            name: _quantiles(np.where(np.isnan(values), np.inf, values))
+            for name, values in found.items()
+        },
+    )
 
 
 def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:

@@ -50,7 +50,9 @@ class Fleet(NamedTuple):
         """The rows of one block, on that many threads (default: one per processor)."""
         within = self.layout.within(index)
         runs = np.arange(within.start, within.stop)
-        return self.rows(runs, self.binding.draw(int(runs[0]), runs.size, self.layout.runs), threads)
+        return self.rows(
+            runs, self.binding.draw(int(runs[0]), runs.size, self.layout.runs), threads
+        )
 
     def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
         """The values and metrics (a row each) of runs given by number, with these values (runs x columns)."""
@@ -58,9 +60,24 @@ class Fleet(NamedTuple):
 
     def measure(self, runs: Integers, given: Lanes, threads: int | None = None) -> Floats:
         """The metrics (a row each) of lanes; runs: the number of the run whose noise each of them has."""
-        _, finals = lanes.run(self.kernel, self.started(given.states), self.exogenous, self.params, self.own.supply(runs), given.params, threads=threads)
+        _, finals = lanes.run(
+            self.kernel,
+            self.started(given.states),
+            self.exogenous,
+            self.params,
+            self.own.supply(runs),
+            given.params,
+            threads=threads,
+        )
         plain, tallied = np.split(finals, [given.states.shape[1]], axis=1)
-        tally: Tally = tree.rebuild(self.measured.tally, iter(np.split(tallied, np.cumsum([np.size(part) for part in self.measured.tally])[:-1], axis=1)))
+        tally: Tally = tree.rebuild(
+            self.measured.tally,
+            iter(
+                np.split(
+                    tallied, np.cumsum([np.size(part) for part in self.measured.tally])[:-1], axis=1
+                )
+            ),
+        )
         return metrics.rows(tally, plain, len(self.exogenous), self.tail, len(self.problem.tracked))
 
     def started(self, states: Floats) -> Floats:
@@ -97,7 +114,9 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
     exogenous = np.column_stack([shared, t, tail])
     digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
     layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})
-    return Fleet(layout, problem, loop, binding, measured, kernel, exogenous, params, own, int(tail.sum()))
+    return Fleet(
+        layout, problem, loop, binding, measured, kernel, exogenous, params, own, int(tail.sum())
+    )
 
 
 def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
@@ -107,4 +126,6 @@ def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
 
 def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
     """The zeros and ones among the params that do not vary: likewise."""
-    return {i: float(value) for i, value in enumerate(params) if value in (0.0, 1.0) and i not in varied}
+    return {
+        i: float(value) for i, value in enumerate(params) if value in (0.0, 1.0) and i not in varied
+    }

@@ -75,12 +75,23 @@ class Binding(NamedTuple):
     def draw(self, first: int, count: int, runs: int) -> Floats:
         """The values (count x columns) of the runs first .. first + count of `runs`. Raises InputError."""
         u = sampling.points(self.sampling, self.seed, first, count, len(self.columns), runs)
-        return np.stack([column.spread.quantile(u[:, i].copy()) for i, column in enumerate(self.columns)], axis=1) if self.columns else u
+        return (
+            np.stack(
+                [column.spread.quantile(u[:, i].copy()) for i, column in enumerate(self.columns)],
+                axis=1,
+            )
+            if self.columns
+            else u
+        )
 
     def lanes(self, values: Floats) -> Lanes:
         """The states and params of runs with these values (count x columns)."""
         count, size = len(values), self.params.size
-        own = {slot: factor * values[:, i] for i, column in enumerate(self.columns) for slot, factor in column.slots}
+        own = {
+            slot: factor * values[:, i]
+            for i, column in enumerate(self.columns)
+            for slot, factor in column.slots
+        }
         for system in self.sampled:
             own |= system.values(own, count)
         states = np.repeat(self.state[None], count, axis=0)
@@ -90,7 +101,9 @@ class Binding(NamedTuple):
             if slot >= size:
                 states[:, slot - size] = own[slot]
         numbers = [own[i] if i in own else np.full(count, self.params[i]) for i in self.indices]
-        return Lanes(states, self.indices, np.stack(numbers, axis=1) if numbers else np.empty((count, 0)))
+        return Lanes(
+            states, self.indices, np.stack(numbers, axis=1) if numbers else np.empty((count, 0))
+        )
 
     def packed(self, values: Floats) -> tuple[Floats, Floats]:
         """(initial state, params), packed, of one run with these values (columns): the numbers of its lane, for any engine."""
@@ -103,20 +116,28 @@ def bind(problem: Problem, loop: Loop) -> Binding:
     """The scenario's [ensemble] bound to the loop of its problem (`simulation.prepare`). Raises InputError by key."""
     vary = problem.scenario.ensemble
     if vary is None:
-        raise InputError('ensemble: missing; add a table [ensemble] with what varies, such as "sensor.right" = { uniform = [0.3, 2.0] }')
+        raise InputError(
+            'ensemble: missing; add a table [ensemble] with what varies, such as "sensor.right" = { uniform = [0.3, 2.0] }'
+        )
     seed = _checked(vary, problem)
     drawn = columns(vary.entries, quantities(problem, loop), problem)
     params, state = tree.pack(loop.params), tree.pack(loop.state._replace(plant=problem.x0))
     varied = {slot for column in drawn for slot, _ in column.slots if slot < params.size}
     sampled = tuple(system for system in _sampled(problem, loop) if varied & set(system.slots))
     varied = varied.union(*(system.slots for system in sampled))
-    copies = tuple((entry, source) for entry, source in initial_copies(problem, loop) if source in varied)
-    return Binding(drawn, vary.sampling, seed, state, params, tuple(sorted(varied)), sampled, copies)
+    copies = tuple(
+        (entry, source) for entry, source in initial_copies(problem, loop) if source in varied
+    )
+    return Binding(
+        drawn, vary.sampling, seed, state, params, tuple(sorted(varied)), sampled, copies
+    )
 
 
 def require_bound(scenario: Scenario) -> None:
     """Raise InputError for an [ensemble] that names what this scenario does not have."""
-    if scenario.ensemble is not None and not isinstance((problem := resolve_scenario(scenario)).observer, NumericObserver):
+    if scenario.ensemble is not None and not isinstance(
+        (problem := resolve_scenario(scenario)).observer, NumericObserver
+    ):
         bind(problem, closed(problem))
 
 
@@ -134,15 +155,25 @@ def _checked(vary: Vary, problem: Problem) -> int:
 def _sampled(problem: Problem, loop: Loop) -> list[Sampled]:
     """The linear plants that the loop holds in sampled form."""
     names, found = tree.names(loop.params), []
-    for first, system in (("plant.A[0,0]", problem.plant), ("observer.model.A[0,0]", problem.model)):
+    for first, system in (
+        ("plant.A[0,0]", problem.plant),
+        ("observer.model.A[0,0]", problem.model),
+    ):
         if first in names and system.flow is not None and system.Ts is not None:
-            found.append(Sampled(names.index(first), np.hstack([system.flow.A, system.flow.B]), system.Ts))
+            found.append(
+                Sampled(names.index(first), np.hstack([system.flow.A, system.flow.B]), system.Ts)
+            )
     return found
 
 
 def initial_copies(problem: Problem, loop: Loop) -> list[tuple[int, int]]:
     """(entry of the packed state, entry of the packed params) for each number of the state that starts as one of the params."""
     column, p = tree.symbols(loop.params, "p")
-    state = tree.stack(loop.state._replace(observer=graph_of(problem.observer).init(p.observer), controller=problem.controller.init(p.controller)))
+    state = tree.stack(
+        loop.state._replace(
+            observer=graph_of(problem.observer).init(p.observer),
+            controller=problem.controller.init(p.controller),
+        )
+    )
     where = {column[i].name(): i for i in range(column.shape[0])}
     return [(i, where[state[i].name()]) for i in range(state.shape[0]) if state[i].is_symbolic()]

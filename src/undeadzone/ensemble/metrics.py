@@ -48,18 +48,33 @@ def measured(loop: Loop, problem: Problem) -> Measured:
     """The loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
     one, each = np.zeros(1), np.zeros(problem.plant.p)
-    zero = Tally(one, one, one, one, one, one, each, each, np.zeros(0 if problem.plant.arm is None else 1))
+    zero = Tally(
+        one, one, one, one, one, one, each, each, np.zeros(0 if problem.plant.arm is None else 1)
+    )
     kept = tree.size(zero)
-    s, w, p = (ca.SX.sym(name, step.size1_in(i) + more) for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1))))
+    s, w, p = (
+        ca.SX.sym(name, step.size1_in(i) + more)
+        for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1)))
+    )
     given = (s[:-kept], w[:-2], p[:-1])
     following, out, *flag = step(*given)
     outputs: Outputs = tree.unpack(loop.outputs, out)
     instant: Exogenous = tree.unpack(loop.instant, w[: tree.size(loop.instant)])
     params: Params = tree.unpack(loop.params, given[2])
     error = outputs.z[problem.tracked] - params.scale.reference * instant.target.r
-    tally = _add(tree.unpack(zero, s[-kept:]), outputs, error, w[-2], w[-1], p[-1] * ca.fabs(params.scale.reference))
+    tally = _add(
+        tree.unpack(zero, s[-kept:]),
+        outputs,
+        error,
+        w[-2],
+        w[-1],
+        p[-1] * ca.fabs(params.scale.reference),
+    )
     if problem.plant.arm is not None:
-        tally = tally._replace(tip=tally.tip + w[-1] * ca.sumsqr(_astray(problem.plant.arm, problem.model, params, outputs, instant)))
+        tally = tally._replace(
+            tip=tally.tip
+            + w[-1] * ca.sumsqr(_astray(problem.plant.arm, problem.model, params, outputs, instant))
+        )
     results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
     parts = tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)
     return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
@@ -71,7 +86,9 @@ def _astray(body: Arm, model: System, params: Params, out: Outputs, instant: Exo
     return body.tip(params.plant, out.x[: body.size]) - body.tip(model.params, x_ref[: body.size])
 
 
-def _add(tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX) -> Tally:
+def _add(
+    tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX
+) -> Tally:
     """The tally with one sample more, but for the tip."""
     worst = ca.norm_inf(error)
     return tally._replace(
@@ -90,7 +107,17 @@ def columns(plant: System) -> tuple[str, ...]:
     """The names of the metrics of a plant."""
     widths = (f"d_{edge}[{i}]" for edge in ("right", "left") for i in range(plant.p))
     tip = () if plant.arm is None else ("rms_tip",)
-    return ("rms_tracking", "rms_estimation", "peak_tracking", "settling_time", "silent_fraction", "rms_input", *widths, *tip, "diverged")
+    return (
+        "rms_tracking",
+        "rms_estimation",
+        "peak_tracking",
+        "settling_time",
+        "silent_fraction",
+        "rms_input",
+        *widths,
+        *tip,
+        "diverged",
+    )
 
 
 def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) -> Floats:
@@ -106,4 +133,6 @@ def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) ->
             tally.silent / (samples * p),
             np.sqrt(tally.effort / samples),
         )
-    return np.hstack([*found, tally.right, tally.left, np.sqrt(tally.tip / tail), diverged[:, None]])
+    return np.hstack(
+        [*found, tally.right, tally.left, np.sqrt(tally.tip / tail), diverged[:, None]]
+    )

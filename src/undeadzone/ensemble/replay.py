@@ -31,8 +31,12 @@ def replay(fleet: Fleet, run: int) -> Run:
         raise InputError(f"run {run}: this ensemble has runs 0 to {fleet.layout.runs - 1}")
     began = time.perf_counter()
     values = fleet.binding.draw(run, 1, fleet.layout.runs)
-    outputs = _recorded(fleet, np.array([run]), values, list(range(tree.size(fleet.loop.outputs))), 1)
-    return collect(_problem(fleet, values[0], f"run {run}"), named(fleet.loop, outputs[0]), None, began)
+    outputs = _recorded(
+        fleet, np.array([run]), values, list(range(tree.size(fleet.loop.outputs))), 1
+    )
+    return collect(
+        _problem(fleet, values[0], f"run {run}"), named(fleet.loop, outputs[0]), None, began
+    )
 
 
 def recorded_bands(fleet: Fleet, runs: int, threads: int | None = None) -> Bands:
@@ -40,27 +44,48 @@ def recorded_bands(fleet: Fleet, runs: int, threads: int | None = None) -> Bands
     p = fleet.problem.plant.p
     values = fleet.binding.draw(0, runs, fleet.layout.runs)
     places = {name: i for i, name in enumerate(tree.names(fleet.loop.outputs))}
-    wanted = [places[f"z[{i}]"] for i in range(p)] + [places[f"{edge}[{i}]"] for i in range(p) for edge in ("right", "left")]
+    wanted = [places[f"z[{i}]"] for i in range(p)] + [
+        places[f"{edge}[{i}]"] for i in range(p) for edge in ("right", "left")
+    ]
     every = max(1, len(fleet.exogenous) // POINTS)
     outputs = _recorded(fleet, np.arange(runs), values, wanted, every, threads)
     t = fleet.exogenous[::every, -2]
     params = np.array([fleet.binding.packed(row)[1] for row in values])
     slots = {name: i for i, name in enumerate(tree.names(fleet.loop.params))}
-    widths = params[:, [slots[f"sensor.{edge}[{i}]"] for i in range(p) for edge in ("right", "left")]]
+    widths = params[
+        :, [slots[f"sensor.{edge}[{i}]"] for i in range(p) for edge in ("right", "left")]
+    ]
     r = params[:, slots["scale.reference"], None, None] * fleet.problem.reference.value(t)
     return bands(t, outputs[:, :, :p], r, outputs[:, :, p:], widths, fleet.problem.tracked)
 
 
-def _recorded(fleet: Fleet, runs: Integers, values: Floats, outputs: list[int], every: int, threads: int | None = None) -> Floats:
+def _recorded(
+    fleet: Fleet,
+    runs: Integers,
+    values: Floats,
+    outputs: list[int],
+    every: int,
+    threads: int | None = None,
+) -> Floats:
     """Some outputs (runs x N x chosen) of runs with these values: of their states, on CasADi's virtual machine."""
     given, kernel = fleet.binding.lanes(values), _watched(fleet.kernel, every)
     start, shared, supply = fleet.started(given.states), fleet.exogenous, fleet.own.supply(runs)
-    found, _ = lanes.run(kernel, start, shared, fleet.params, supply, given.params, every=every, threads=threads)
-    instants, params, step = shared[::every, :-2].copy(), fleet.binding.params.copy(), fleet.loop.step
+    found, _ = lanes.run(
+        kernel, start, shared, fleet.params, supply, given.params, every=every, threads=threads
+    )
+    instants, params, step = (
+        shared[::every, :-2].copy(),
+        fleet.binding.params.copy(),
+        fleet.loop.step,
+    )
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
-    show = interpret.mapped(ca.Function("show", [ca.vertcat(s, w), p], [step(s, w, p)[1][outputs]]), len(instants))
+    show = interpret.mapped(
+        ca.Function("show", [ca.vertcat(s, w), p], [step(s, w, p)[1][outputs]]), len(instants)
+    )
     shown = np.empty((len(runs), len(instants), len(outputs)))
-    for lane, (states, _, own) in enumerate(np.split(trail, [s.numel(), start.shape[1]], axis=1) for trail in found):
+    for lane, (states, _, own) in enumerate(
+        np.split(trail, [s.numel(), start.shape[1]], axis=1) for trail in found
+    ):
         instants[:, fleet.own.entries] = own
         params[list(given.indices)] = given.params[lane]
         shown[lane] = show(np.hstack([states, instants]), params)
@@ -72,29 +97,55 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     shape = kernel.shape
     states, own, width = shape.sizes[0], len(shape.exogenous), shape.width
 
-    def block(steps: int, work: Floats, exogenous: Floats, params: Floats, inputs: Floats, outputs: Floats) -> None:
+    def block(
+        steps: int, work: Floats, exogenous: Floats, params: Floats, inputs: Floats, outputs: Floats
+    ) -> None:
         now, nothing = work.reshape(kernel.rows, -1)[:states, :width], np.empty(0)
-        exogenous, inputs, outputs = exogenous.reshape(steps, -1), inputs.reshape(steps, own, width), outputs.reshape(-1, states + own, width)
+        exogenous, inputs, outputs = (
+            exogenous.reshape(steps, -1),
+            inputs.reshape(steps, own, width),
+            outputs.reshape(-1, states + own, width),
+        )
         for k in range(0, steps, every):
             outputs[k, :states], outputs[k, states:] = now, inputs[k]
-            kernel.block(min(every, steps - k), work, exogenous[k : k + every].ravel(), params, inputs[k : k + every].ravel(), nothing)
+            kernel.block(
+                min(every, steps - k),
+                work,
+                exogenous[k : k + every].ravel(),
+                params,
+                inputs[k : k + every].ravel(),
+                nothing,
+            )
 
     return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))
 
 
 def _problem(fleet: Fleet, values: Floats, what: str) -> Problem:
     """The problem as one run had it: its sensor and the size of its reference."""
-    numbers: Params = tree.rebuild(fleet.loop.params, _unpacked(fleet.loop.params, fleet.binding.packed(values)[1]))
+    numbers: Params = tree.rebuild(
+        fleet.loop.params, _unpacked(fleet.loop.params, fleet.binding.packed(values)[1])
+    )
     sensor = msgspec.structs.replace(
         fleet.problem.sensor,
-        **{name: getattr(numbers.sensor, name) for name in numbers.sensor._fields if getattr(numbers.sensor, name).size},
+        **{
+            name: getattr(numbers.sensor, name)
+            for name in numbers.sensor._fields
+            if getattr(numbers.sensor, name).size
+        },
         noise=numbers.scale.after,
         noise_before=numbers.scale.before,
     )
     reference = fleet.problem.reference
-    scenario = msgspec.structs.replace(fleet.problem.scenario, title=f"{fleet.problem.scenario.title}, {what}")
+    scenario = msgspec.structs.replace(
+        fleet.problem.scenario, title=f"{fleet.problem.scenario.title}, {what}"
+    )
     plant = fleet.problem.plant._replace(params=numbers.plant)
-    return fleet.problem._replace(scenario=scenario, plant=plant, sensor=sensor, reference=reference._replace(Q=reference.Q * numbers.scale.reference))
+    return fleet.problem._replace(
+        scenario=scenario,
+        plant=plant,
+        sensor=sensor,
+        reference=reference._replace(Q=reference.Q * numbers.scale.reference),
+    )
 
 
 def _unpacked(like: Any, numbers: Floats) -> Iterator[Floats]:

@@ -25,7 +25,15 @@ from undeadzone.support.arrays import Floats, finite
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
 JUDGED: Final = 2**16  # runs from which sensitivities are found
-_OUTPUT: Final = ("rms_", "peak_", "d_", "sensor.right", "sensor.left", "sensor.noise", "reference.amplitude")  # in the unit of the output
+_OUTPUT: Final = (
+    "rms_",
+    "peak_",
+    "d_",
+    "sensor.right",
+    "sensor.left",
+    "sensor.noise",
+    "reference.amplitude",
+)  # in the unit of the output
 SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
 
 
@@ -101,20 +109,30 @@ class Ensemble:
     @property
     def errors(self) -> list[str]:
         """The errors of the widths, by name."""
-        return [name.replace("[", "_error[") for name in self.metrics if name.startswith(("d_right[", "d_left["))]
+        return [
+            name.replace("[", "_error[")
+            for name in self.metrics
+            if name.startswith(("d_right[", "d_left["))
+        ]
 
     def column(self, name: str) -> Floats:
         """A varied entry, metric or error of widths by name (runs). Raises InputError."""
         if name == WIDTHS:
-            return functools.reduce(np.maximum, (np.abs(self.column(error)) for error in self.errors))
+            return functools.reduce(
+                np.maximum, (np.abs(self.column(error)) for error in self.errors)
+            )
         known = {**self.varied, **self.metrics}
         if name in known:
             return known[name]
         edge, _, index = name.partition("_error[")
         if f"{edge}[{index}" not in self.metrics:
-            raise InputError(f"{name}: is not a column of this ensemble; there are {', '.join([*self.varied, *self.quantities])}")
+            raise InputError(
+                f"{name}: is not a column of this ensemble; there are {', '.join([*self.varied, *self.quantities])}"
+            )
         nominal = self.info.widths[2 * int(index.rstrip("]")) + (edge == "d_left")]
-        return self.metrics[f"{edge}[{index}"] - true_width(f"{edge.removeprefix('d_')}[{index}", nominal, self.varied)
+        return self.metrics[f"{edge}[{index}"] - true_width(
+            f"{edge.removeprefix('d_')}[{index}", nominal, self.varied
+        )
 
     def sample(self, name: str) -> Floats:
         """What the statistics of a quantity take in: independent runs that did not diverge; a run that did not settle takes for ever."""
@@ -134,7 +152,9 @@ class Ensemble:
         units, stem = self.info.units, name.partition("[")[0]
         if name.endswith("(relative)"):
             return "1"
-        return {"settling_time": "s", "rms_input": units.input, "rms_tip": "m"}.get(stem, units.output if stem.startswith(_OUTPUT) else "1")
+        return {"settling_time": "s", "rms_input": units.input, "rms_tip": "m"}.get(
+            stem, units.output if stem.startswith(_OUTPUT) else "1"
+        )
 
     def worst(self, metric: str = MAIN, count: int = SHOWN) -> list[int]:
         """The numbers of the worst runs, worst first: those that diverged, then the largest in size. Raises InputError."""
@@ -149,7 +169,11 @@ class Ensemble:
         if not sample.size:
             return None
         middle = np.partition(sample, sample.size // 2)[sample.size // 2]
-        return int(np.flatnonzero(~self.diverged & (self.column(metric) == middle))[0]) if np.isfinite(middle) else None
+        return (
+            int(np.flatnonzero(~self.diverged & (self.column(metric) == middle))[0])
+            if np.isfinite(middle)
+            else None
+        )
 
     def sensitivities(self, metric: str = MAIN) -> dict[str, Sensitivity]:
         """By varied entry, the most influential first; none for too few runs. Raises InputError."""
@@ -157,10 +181,15 @@ class Ensemble:
             return {}
         values = np.where(self.diverged, np.nan, self.column(metric))
         kept = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
-        found = given(np.column_stack([column[kept] for column in self.varied.values()]), values[kept])
+        found = given(
+            np.column_stack([column[kept] for column in self.varied.values()]), values[kept]
+        )
         if self.info.sampling == "saltelli":
             designed = saltelli(values.reshape(len(self.varied) + 2, -1)[:, :JUDGED])
-            judged = [Sensitivity(g.spearman, g.partial, d.first, None, d.total) for g, d in zip(found, designed, strict=False)]
+            judged = [
+                Sensitivity(g.spearman, g.partial, d.first, None, d.total)
+                for g, d in zip(found, designed, strict=False)
+            ]
         else:
             judged = [Sensitivity(*g, None) for g in found]
         pairs = zip(self.varied, judged, strict=False)
@@ -170,19 +199,35 @@ class Ensemble:
         """One run: its number, its values, what came of it. Raises InputError."""
         if not 0 <= run < self.info.runs:
             raise InputError(f"run {run}: expected 0 to {self.info.runs - 1}")
-        values = {kind: {name: float(column[run]) for name, column in getattr(self, kind).items()} for kind in ("varied", "metrics")}
+        values = {
+            kind: {name: float(column[run]) for name, column in getattr(self, kind).items()}
+            for kind in ("varied", "metrics")
+        }
         return {"run": run, "diverged": bool(self.diverged[run])} | values
 
     def summary(self) -> dict[str, Any]:
         """Everything found, ready for JSON: shares, distributions, sensitivities, worst runs; null where the runs give no bound."""
-        diverged, settled = (getattr(self, name)[self.independent] for name in ("diverged", "settled"))
+        diverged, settled = (
+            getattr(self, name)[self.independent] for name in ("diverged", "settled")
+        )
         found = {
-            **{name: value for name, value in msgspec.structs.asdict(self.info).items() if name not in ("scenario", "units")},
+            **{
+                name: value
+                for name, value in msgspec.structs.asdict(self.info).items()
+                if name not in ("scenario", "units")
+            },
             "confidence": LEVEL,
-            "diverged": proportion(int(diverged.sum()), diverged.size)._asdict() | {"runs": np.flatnonzero(self.diverged)[:SHOWN].tolist()},
+            "diverged": proportion(int(diverged.sum()), diverged.size)._asdict()
+            | {"runs": np.flatnonzero(self.diverged)[:SHOWN].tolist()},
             "settled": proportion(int(settled.sum()), settled.size)._asdict(),
-            "metrics": {name: _plain(describe(self.sample(name))) for name in self.quantities if not diverged.all()},
-            "sensitivities": {name: _plain(value._asdict()) for name, value in self.sensitivities().items()},
+            "metrics": {
+                name: _plain(describe(self.sample(name)))
+                for name in self.quantities
+                if not diverged.all()
+            },
+            "sensitivities": {
+                name: _plain(value._asdict()) for name, value in self.sensitivities().items()
+            },
             "typical": self.typical(),
             "worst": [self.row(run) for run in self.worst()],
         }
@@ -192,7 +237,9 @@ class Ensemble:
         """Write `.npz`, or `.parquet` with pyarrow (a row for each run). Raises FileError, InputError."""
         header = msgspec.json.encode({"info": self.info, "varied": list(self.varied)}).decode()
         attached = {"t": self.bands.t, **self.bands.quantiles} if self.bands is not None else {}
-        return storage.save(storage.Table(header, {**self.varied, **self.metrics}, attached), Path(path))
+        return storage.save(
+            storage.Table(header, {**self.varied, **self.metrics}, attached), Path(path)
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ensemble:
@@ -204,8 +251,24 @@ class Ensemble:
         except (KeyError, msgspec.DecodeError) as error:
             raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
         t = table.attached.get("t")
-        bands = None if t is None else Bands(t, {name: values.reshape(t.size, -1) for name, values in table.attached.items() if name != "t"})
-        return cls(varied, {name: column for name, column in table.columns.items() if name not in varied}, header.info, bands)
+        bands = (
+            None
+            if t is None
+            else Bands(
+                t,
+                {
+                    name: values.reshape(t.size, -1)
+                    for name, values in table.attached.items()
+                    if name != "t"
+                },
+            )
+        )
+        return cls(
+            varied,
+            {name: column for name, column in table.columns.items() if name not in varied},
+            header.info,
+            bands,
+        )
 
 
 class _Header(msgspec.Struct, frozen=True):
@@ -214,4 +277,7 @@ class _Header(msgspec.Struct, frozen=True):
 
 
 def _plain(found: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in found.items()}
+    return {
+        name: value._asdict() if hasattr(value, "_asdict") else value
+        for name, value in found.items()
+    }

@@ -46,19 +46,34 @@ def run_ensemble(
         storage.require(Path(path))
     scenario = anchored(scenario, Path.cwd())  # for workers, and for replays from elsewhere
     fleet = prepare(scenario)
-    make = (lambda: fleet) if workers is None and cluster is None else functools.partial(prepare, scenario)
+    make = (
+        (lambda: fleet)
+        if workers is None and cluster is None
+        else functools.partial(prepare, scenario)
+    )
     if path is None:
         with tempfile.TemporaryDirectory() as folder:
-            store = execute.run(make, Path(folder) / "runs.partial", workers=workers, cluster=cluster, progress=progress)
+            store = execute.run(
+                make,
+                Path(folder) / "runs.partial",
+                workers=workers,
+                cluster=cluster,
+                progress=progress,
+            )
             found = _result(fleet, store)
-            varied, kept = ({name: np.array(column) for name, column in part.items()} for part in (found.varied, found.metrics))
+            varied, kept = (
+                {name: np.array(column) for name, column in part.items()}
+                for part in (found.varied, found.metrics)
+            )
             store.remove()
             return dataclasses.replace(found, varied=varied, metrics=kept)
     path = Path(path)
     partial = path.with_name(f"{path.name}.partial")
     if resume and not partial.exists() and (finished := _finished(path, fleet)) is not None:
         return finished
-    store = execute.run(make, partial, resume=resume, workers=workers, cluster=cluster, progress=progress)
+    store = execute.run(
+        make, partial, resume=resume, workers=workers, cluster=cluster, progress=progress
+    )
     with execute.keeping(store):
         _result(fleet, store).save(path)
     store.remove()

@@ -67,10 +67,23 @@ def drawn(problem: Problem, loop: Loop, binding: Binding) -> Drawn:
     wind = None
     if (random := inputs.random_disturbance(problem)) is not None:
         rms, correlation = random
-        wind = Wind(rms, noise.colour(correlation, problem.scenario.simulation.step), _weights(problem))
-        entries += [k * len(places) + places[f"w[{i}]"] for k in range(len(wind.weights)) for i in range(rms.size)]
+        wind = Wind(
+            rms, noise.colour(correlation, problem.scenario.simulation.step), _weights(problem)
+        )
+        entries += [
+            k * len(places) + places[f"w[{i}]"]
+            for k in range(len(wind.weights))
+            for i in range(rms.size)
+        ]
     strides = inputs.strides(problem)
-    return Drawn(tuple(entries), tuple(words), strides[strides > 0], sensor.dropout[sensor.dropout > 0], wind, binding.seed)
+    return Drawn(
+        tuple(entries),
+        tuple(words),
+        strides[strides > 0],
+        sensor.dropout[sensor.dropout > 0],
+        wind,
+        binding.seed,
+    )
 
 
 def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
@@ -104,7 +117,9 @@ def _source(own: Drawn, runs: Integers) -> Source:
         last[:] = knots[-1]
         knots = knots * wind.rms[:, None]
         for k, (first_weight, last_weight) in enumerate(wind.weights):
-            numbers[:, channels + k * m : channels + (k + 1) * m] = knots[:-1] * first_weight + knots[1:] * last_weight
+            numbers[:, channels + k * m : channels + (k + 1) * m] = (
+                knots[:-1] * first_weight + knots[1:] * last_weight
+            )
         return numbers
 
     return windy
@@ -113,7 +128,10 @@ def _source(own: Drawn, runs: Integers) -> Source:
 def _held(own: Drawn, runs: Integers) -> Source:
     """The entries made of the numbers of `words`, as `inputs.exogenous` makes them for one run."""
     channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
-    wear, missing = slice(channels - losses - edges, channels - losses), slice(channels - losses, channels)
+    wear, missing = (
+        slice(channels - losses - edges, channels - losses),
+        slice(channels - losses, channels),
+    )
     walk = np.zeros((edges, runs.size))
 
     def held(first: int, count: int) -> Floats:
@@ -126,7 +144,9 @@ def _held(own: Drawn, runs: Integers) -> Source:
             walk[:] = moves[-1]
             numbers[:, wear] = inputs.worn(moves)
         if losses:
-            numbers[:, missing] = inputs.lost(numbers[:, missing].swapaxes(1, 2), own.dropout).swapaxes(1, 2)
+            numbers[:, missing] = inputs.lost(
+                numbers[:, missing].swapaxes(1, 2), own.dropout
+            ).swapaxes(1, 2)
         return numbers
 
     return held

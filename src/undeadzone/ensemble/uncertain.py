@@ -21,35 +21,60 @@ class Column(NamedTuple):
     slots: tuple[tuple[int, float], ...]
 
 
-def columns(entries: dict[str, Distribution], known: dict[str, Quantity], problem: Problem) -> tuple[Column, ...]:
+def columns(
+    entries: dict[str, Distribution], known: dict[str, Quantity], problem: Problem
+) -> tuple[Column, ...]:
     """What the entries of [ensemble] draw. Raises InputError."""
-    found = tuple(column for address, given in entries.items() for column in _drawn(address, given, known, problem))
+    found = tuple(
+        column
+        for address, given in entries.items()
+        for column in _drawn(address, given, known, problem)
+    )
     owners: dict[int, str] = {}
     for column in found:
         for slot, _ in column.slots:
             if slot in owners:
-                raise InputError(f"{place(column.name)}: varies what {owners[slot]} varies already; keep one of them")
+                raise InputError(
+                    f"{place(column.name)}: varies what {owners[slot]} varies already; keep one of them"
+                )
             owners[slot] = column.name
     return found
 
 
-def _drawn(address: str, given: Distribution, known: dict[str, Quantity], problem: Problem) -> list[Column]:
+def _drawn(
+    address: str, given: Distribution, known: dict[str, Quantity], problem: Problem
+) -> list[Column]:
     parts = re.sub(r"\s+", "", address).split("+")
     names = [name for part in parts for name in _named(address, part, known, problem)]
     if given.relative:
-        fixed = [name for name in names if known[name].nominal == 0 or not math.isfinite(known[name].nominal)]
+        fixed = [
+            name
+            for name in names
+            if known[name].nominal == 0 or not math.isfinite(known[name].nominal)
+        ]
         if fixed and (len(fixed) == len(names) or set(fixed) & set(parts)):
-            raise InputError(f"{place(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor changes; leave out relative and give values")
+            raise InputError(
+                f"{place(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor changes; leave out relative and give values"
+            )
         names = [name for name in names if name not in fixed]
     suffix = " (relative)" if given.relative else ""
     groups = [(" + ".join(parts), names)] if given.shared else [(name, [name]) for name in names]
-    return [_column(address, given, title + suffix, {name: known[name] for name in members}) for title, members in groups]
+    return [
+        _column(address, given, title + suffix, {name: known[name] for name in members})
+        for title, members in groups
+    ]
 
 
 def _column(address: str, given: Distribution, title: str, members: dict[str, Quantity]) -> Column:
-    sizes = {name: quantity.nominal if given.relative else 1.0 for name, quantity in members.items()}
+    sizes = {
+        name: quantity.nominal if given.relative else 1.0 for name, quantity in members.items()
+    }
     floor = max(members[name].least / abs(size) for name, size in sizes.items())
-    slots = tuple((slot, quantity.gain * sizes[name]) for name, quantity in members.items() for slot in quantity.slots)
+    slots = tuple(
+        (slot, quantity.gain * sizes[name])
+        for name, quantity in members.items()
+        for slot in quantity.slots
+    )
     return Column(title, spread(address, given, floor), slots)
 
 
@@ -60,7 +85,9 @@ def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem
     stems = sorted({stem(name) for name in known})
     if stem(part) in stems:
         there = [name for name in known if stem(name) == stem(part)]
-        raise InputError(f"{place(address)}: no entry {part}; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}")
+        raise InputError(
+            f"{place(address)}: no entry {part}; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}"
+        )
     if advice := _advice(part, problem):
         raise InputError(f"{place(address)}: {advice}")
     near = difflib.get_close_matches(stem(part), stems, 1)
@@ -85,5 +112,7 @@ def _advice(part: str, problem: Problem) -> str | None:
         case ["model", *_]:
             return "the design stays as it is for the nominal [model]; vary plant.A, the truth, or observer.model.A, what the observer believes"
         case ["plant", "second_order" | "companion" | "transfer_function" | "integrators", *_]:
-            return "vary the entries of the matrices that this form gives: plant.A, plant.B, plant.C"
+            return (
+                "vary the entries of the matrices that this form gives: plant.A, plant.B, plant.C"
+            )
     return None

@@ -34,10 +34,20 @@ class _Equations(NamedTuple):
 
     def goals(self, positions: Floats) -> Floats:
         """The goals (N x joints) for positions of the tip (N x 2 or 3), or for their derivatives."""
-        return np.pad(positions / self.reach, ((0, 0), (0, self.place.size1_in(0) - positions.shape[1])))
+        return np.pad(
+            positions / self.reach, ((0, 0), (0, self.place.size1_in(0) - positions.shape[1]))
+        )
 
 
-def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step: float, start: Floats, key: str = "reference") -> Exosystem:
+def joint_path(
+    arm: Arm,
+    params: Floats,
+    task: Exosystem,
+    duration: float,
+    step: float,
+    start: Floats,
+    key: str = "reference",
+) -> Exosystem:
     """The joints' path q, with two derivatives, that moves the tip along `task`, for 0 <= t <= duration + step [s].
 
     start: joint angles near which it begins, which choose among elbow up and down. An arm in space with six joints or more keeps the orientation that its
@@ -53,9 +63,15 @@ def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step:
     found, J = _mapped(equations.place, q)
     missed = ~(np.abs(found[:, :, 0] - goals).max(axis=1) < REACHED)
     if (stops := np.flatnonzero(missed | _singular(np.nan_to_num(J)))).size:
-        raise _blocked(equations, task, t[stops[0] :], q[max(stops[0] - 1, 0)], bool(missed[stops[0]]), key)
+        raise _blocked(
+            equations, task, t[stops[0] :], q[max(stops[0] - 1, 0)], bool(missed[stops[0]]), key
+        )
     v = _solved(J, equations.goals(task.value(t, 1)))
-    if (jumps := np.flatnonzero(np.abs(np.diff(q, axis=0) - step / 2 * (v[:-1] + v[1:])).max(axis=1) > JUMP)).size:
+    if (
+        jumps := np.flatnonzero(
+            np.abs(np.diff(q, axis=0) - step / 2 * (v[:-1] + v[1:])).max(axis=1) > JUMP
+        )
+    ).size:
         raise _blocked(equations, task, t[jumps[0] :], q[jumps[0]], False, key)
     require_range(arm.chain, t, q, v, key)
     nearby = CubicHermiteSpline(t, q, v)
@@ -64,7 +80,9 @@ def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step:
         if at.size == 0:
             return np.empty((0, 3, arm.size))
         if at.max() > t[-1]:
-            raise TrackingError(f"{key}: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s")
+            raise TrackingError(
+                f"{key}: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
+            )
         q, goals = nearby(at), equations.goals(task.value(at))
         for _ in range(NEWTON):
             found, J = _mapped(equations.place, q)
@@ -72,18 +90,34 @@ def joint_path(arm: Arm, params: Floats, task: Exosystem, duration: float, step:
         _, J = _mapped(equations.place, q)
         v = _solved(J, equations.goals(task.value(at, 1)))
         (swing,) = _mapped(equations.swing, q, v)
-        return np.stack([q, v, _solved(J, equations.goals(task.value(at, 2)) - swing[:, :, 0])], axis=1)
+        return np.stack(
+            [q, v, _solved(J, equations.goals(task.value(at, 2)) - swing[:, :, 0])], axis=1
+        )
 
     path = piecewise(derivatives, arm.size)._replace(corners=task.corners)
-    closes = task.period is not None and task.period <= t[-1] and np.ptp(path.value(np.array([0.0, task.period])), axis=0).max() < 1e-6
+    closes = (
+        task.period is not None
+        and task.period <= t[-1]
+        and np.ptp(path.value(np.array([0.0, task.period])), axis=0).max() < 1e-6
+    )
     return path._replace(period=task.period if closes else None)
 
 
 def require_range(chain: Chain, t: Floats, q: Floats, v: Floats, key: str = "reference") -> None:
     """Raise TrackingError where positions or speeds of the joints (N x joints) at times t [s] lie beyond what the joints allow."""
     advice = "move the path, or let the arm start from another configuration (plant.x0)"
-    _require_within(f"{key}: the path needs a position", "rad or m", t, q, chain.limits, chain.joints, advice)
-    _require_within(f"{key}: the path needs a speed", "rad/s or m/s", t, v, np.outer(chain.speed, [-1, 1]), chain.joints, "slow the path down")
+    _require_within(
+        f"{key}: the path needs a position", "rad or m", t, q, chain.limits, chain.joints, advice
+    )
+    _require_within(
+        f"{key}: the path needs a speed",
+        "rad/s or m/s",
+        t,
+        v,
+        np.outer(chain.speed, [-1, 1]),
+        chain.joints,
+        "slow the path down",
+    )
 
 
 def require_torque(model: System, path: Exosystem, t: Floats, key: str = "reference") -> None:
@@ -92,7 +126,15 @@ def require_torque(model: System, path: Exosystem, t: Floats, key: str = "refere
     assert model.limit is not None
     needed = flat_targets(model, path, [0], t).u_ff
     advice = "slow the path down, lighten the arm, or raise the limit"
-    _require_within(f"{key}: the path needs a torque", "N m or N", t, needed, np.outer(model.limit, [-1, 1]), model.arm.chain.joints, advice)
+    _require_within(
+        f"{key}: the path needs a torque",
+        "N m or N",
+        t,
+        needed,
+        np.outer(model.limit, [-1, 1]),
+        model.arm.chain.joints,
+        advice,
+    )
 
 
 def _equations(arm: Arm, params: Floats, start: Floats, key: str) -> _Equations:
@@ -108,7 +150,9 @@ def _equations(arm: Arm, params: Floats, start: Floats, key: str) -> _Equations:
     place = tip / reach
     if tip.numel() == 3 and arm.size >= 6:
         W = ca.DM(arm.turn(params, start)).T @ arm.turn(numbers, q)
-        place = ca.vertcat(place, 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T))  # 2 tan(angle / 2) about the axis: 0 at W = I alone
+        place = ca.vertcat(
+            place, 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
+        )  # 2 tan(angle / 2) about the axis: 0 at W = I alone
     (_, J), free = _mapped(_with_jacobian(q, place), start[None]), arm.size - place.numel()
     if _singular(J).any():
         raise TrackingError(
@@ -117,7 +161,12 @@ def _equations(arm: Arm, params: Floats, start: Floats, key: str) -> _Equations:
         )
     place = ca.vertcat(place, np.linalg.svd(J[0])[2][arm.size - free :] @ (q - start))
     swing = ca.jtimes(ca.jtimes(place, q, v), q, v)
-    return _Equations(_with_jacobian(q, place), ca.Function("swing", [q, v], [swing], {"cse": True}), _with_jacobian(q, tip / reach), reach)
+    return _Equations(
+        _with_jacobian(q, place),
+        ca.Function("swing", [q, v], [swing], {"cse": True}),
+        _with_jacobian(q, tip / reach),
+        reach,
+    )
 
 
 def _with_jacobian(q: ca.SX, value: ca.SX) -> ca.Function:
@@ -128,7 +177,10 @@ def _mapped(function: ca.Function, *columns: Floats) -> list[Floats]:
     """The function's values (N x rows x columns each) at N inputs (N x size each)."""
     count = len(columns[0])
     values = function.map(count)(*(column.T for column in columns))
-    return [value.full().reshape(value.shape[0], count, -1).swapaxes(0, 1) for value in (values if isinstance(values, tuple) else (values,))]
+    return [
+        value.full().reshape(value.shape[0], count, -1).swapaxes(0, 1)
+        for value in (values if isinstance(values, tuple) else (values,))
+    ]
 
 
 def _solved(J: Floats, goals: Floats) -> Floats:
@@ -152,7 +204,9 @@ def _followed(equations: _Equations, goals: Floats, start: Floats) -> Floats:
         after = after - ca.ldl_solve(J.T @ (found - goal), D, L, order)
     follow = ca.Function("follow", [q, goal], [after], {"cse": True})
     here = equations.place(start)[0].full().ravel()
-    arrived = follow.mapaccum(LOOKS)(start, np.linspace(here, goals[0], LOOKS).T).full()[:, -1]  # in a straight line, where there is no gap
+    arrived = follow.mapaccum(LOOKS)(start, np.linspace(here, goals[0], LOOKS).T).full()[
+        :, -1
+    ]  # in a straight line, where there is no gap
     straight = np.abs(equations.place(arrived)[0].full().ravel() - goals[0]).max() < REACHED
     first = arrived if straight else _nearest(equations.place, goals[0], start)
     return follow.mapaccum(len(goals))(first, goals.T).full().T
@@ -163,16 +217,25 @@ def _nearest(function: ca.Function, goal: Floats, start: Floats) -> Floats:
     from scipy.optimize import least_squares
 
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-14)
-    return least_squares(lambda q: function(q)[0].full().ravel() - goal, start, lambda q: function(q)[1].full(), **tight).x
+    return least_squares(
+        lambda q: function(q)[0].full().ravel() - goal,
+        start,
+        lambda q: function(q)[1].full(),
+        **tight,
+    ).x
 
 
-def _blocked(equations: _Equations, task: Exosystem, t: Floats, before: Floats, missed: bool, key: str) -> TrackingError:
+def _blocked(
+    equations: _Equations, task: Exosystem, t: Floats, before: Floats, missed: bool, key: str
+) -> TrackingError:
     """What keeps the tip from following the path from t[0] on, after joint angles `before`."""
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
     positions, short, angles = task.value(looks), np.zeros(looks.size), before
     for i, position in enumerate(positions):
         angles = _nearest(equations.tip, position / equations.reach, angles)
-        short[i] = equations.reach * np.linalg.norm(equations.tip(angles)[0].full().ravel() - position / equations.reach)
+        short[i] = equations.reach * np.linalg.norm(
+            equations.tip(angles)[0].full().ravel() - position / equations.reach
+        )
     worst = int(short.argmax())
     if short[worst] > 1e-6 * equations.reach:
         return TrackingError(
@@ -190,7 +253,15 @@ def _blocked(equations: _Equations, task: Exosystem, t: Floats, before: Floats, 
     )
 
 
-def _require_within(does: str, unit: str, t: Floats, values: Floats, bounds: Floats, joints: tuple[str, ...], advice: str) -> None:
+def _require_within(
+    does: str,
+    unit: str,
+    t: Floats,
+    values: Floats,
+    bounds: Floats,
+    joints: tuple[str, ...],
+    advice: str,
+) -> None:
     """Raise TrackingError where values (N x joints) lie beyond the bounds (joints x 2), for the joint and the first instant that are farthest off."""
     excess = np.round(np.maximum(values - bounds[:, 1], bounds[:, 0] - values), 6)
     node, joint = np.unravel_index(int(excess.argmax()), excess.shape)

@@ -40,14 +40,22 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
         ]
     )
     wanted = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
-    scale = np.concatenate([*(sizes(A, B, float(np.linalg.norm(column))) for column in S.T), np.ones(m * k)])
+    scale = np.concatenate(
+        [*(sizes(A, B, float(np.linalg.norm(column))) for column in S.T), np.ones(m * k)]
+    )
     rows = np.abs(equations * scale).max(axis=1)
     rows[rows == 0] = 1.0
     scaled, goal = equations * scale / rows[:, None], wanted / rows
     solution = np.linalg.lstsq(scaled, goal, rcond=None)[0]
-    residual = float(np.linalg.norm(scaled @ solution - goal) / max(float(np.linalg.norm(goal)), 1e-300))
+    residual = float(
+        np.linalg.norm(scaled @ solution - goal) / max(float(np.linalg.norm(goal)), 1e-300)
+    )
     solution = solution * scale
-    return solution[: n * k].reshape(n, k, order="F"), solution[n * k :].reshape(m, k, order="F"), residual
+    return (
+        solution[: n * k].reshape(n, k, order="F"),
+        solution[n * k :].reshape(m, k, order="F"),
+        residual,
+    )
 
 
 def _blocking(linear: Matrices, S: Floats) -> complex:
@@ -57,7 +65,11 @@ def _blocking(linear: Matrices, S: Floats) -> complex:
 
     def gap(s: complex) -> float:
         rosenbrock = np.block([[A - s * np.eye(A.shape[0]), B], [C, zero]])
-        return float(np.linalg.svd(rosenbrock, compute_uv=False)[-1 if rosenbrock.shape[0] <= rosenbrock.shape[1] else 0])
+        return float(
+            np.linalg.svd(rosenbrock, compute_uv=False)[
+                -1 if rosenbrock.shape[0] <= rosenbrock.shape[1] else 0
+            ]
+        )
 
     poles = np.linalg.eigvals(S)
     return complex(min(poles[poles.imag >= 0], key=gap))
@@ -90,7 +102,9 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
     return Pi, Gamma
 
 
-def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats, derivative: int = 0) -> Target:
+def linear_targets(
+    model: System, exo: Exosystem, tracked: list[int], t: Floats, derivative: int = 0
+) -> Target:
     """Targets, or their derivatives of the given order, at times t [s] for a linear model, continuous or sampled.
 
     Raises TrackingError where none exists.
@@ -100,14 +114,18 @@ def linear_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats,
     return Target(w @ exo.Q.T, w @ Pi.T, w @ Gamma.T)
 
 
-def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats) -> Target:
+def inverted_targets(
+    model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats
+) -> Target:
     """Targets for a nonlinear model without zero dynamics: r and its derivatives inverted for x and u by Newton.
 
     Needs one input per tracked output and relative degrees that add up to n. Raises TrackingError otherwise.
     """
     if len(tracked) != model.m:
         many = "s" * (model.m != 1)
-        raise TrackingError(f"tracked: a nonlinear plant with {model.m} input{many} needs {model.m} tracked output{many}, found {len(tracked)}")
+        raise TrackingError(
+            f"tracked: a nonlinear plant with {model.m} input{many} needs {model.m} tracked output{many}, found {len(tracked)}"
+        )
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     params = ca.SX(model.params)
     dx = model.move(params, x, u)
@@ -127,18 +145,30 @@ def inverted_targets(model: System, exo: Exosystem, tracked: list[int], t: Float
     channel = np.repeat(np.arange(len(tracked)), [order for _, order in tops])
     derivatives = [exo.value(t, order) for order in range(max(order for _, order in tops) + 1)]
     goals = np.stack(
-        [derivatives[order][:, c] for c, order in zip(channel, orders, strict=True)] + [derivatives[order][:, c] for c, (_, order) in enumerate(tops)],
+        [derivatives[order][:, c] for c, order in zip(channel, orders, strict=True)]
+        + [derivatives[order][:, c] for c, (_, order) in enumerate(tops)],
         axis=1,
     )
     unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])
-    gap = (ca.vertcat(*values, *(value for value, _ in tops)) - goal) / (1 + np.abs(goals).max(axis=0))
-    solve = ca.rootfinder("invert", "newton", {"x": unknown, "p": goal, "g": gap}, {"error_on_fail": False, "abstol": 1e-12, "max_iter": 25})
+    gap = (ca.vertcat(*values, *(value for value, _ in tops)) - goal) / (
+        1 + np.abs(goals).max(axis=0)
+    )
+    solve = ca.rootfinder(
+        "invert",
+        "newton",
+        {"x": unknown, "p": goal, "g": gap},
+        {"error_on_fail": False, "abstol": 1e-12, "max_iter": 25},
+    )
     # Each instant starts from the solution of the one before.
     found = solve.mapaccum(t.size)(np.concatenate([x_eq, np.zeros(model.m)]), goals.T)
-    gaps = np.abs(ca.Function("gap", [unknown, goal], [gap]).map(t.size)(found, goals.T).full()).max(axis=0)
+    gaps = np.abs(
+        ca.Function("gap", [unknown, goal], [gap]).map(t.size)(found, goals.T).full()
+    ).max(axis=0)
     if (failed := np.flatnonzero(~(gaps < 1e-9))).size:
         when = round(float(t[failed[0]]), 6)
-        raise TrackingError(f"reference: the nonlinear plant cannot follow it at t = {when:g} s (Newton's method finds no state and input)")
+        raise TrackingError(
+            f"reference: the nonlinear plant cannot follow it at t = {when:g} s (Newton's method finds no state and input)"
+        )
     solution = found.full().T
     return Target(exo.value(t), solution[:, : model.n], solution[:, model.n :])
 

@@ -57,7 +57,11 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
             K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
             terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
         off = sum(terms[1:], terms[0])
-        return float(np.linalg.norm(off) / max(sum(np.linalg.norm(term) for term in terms), 1e-300)), off, K
+        return (
+            float(np.linalg.norm(off) / max(sum(np.linalg.norm(term) for term in terms), 1e-300)),
+            off,
+            K,
+        )
 
     relative, off, K = judge(P)
     for _ in range(10):
@@ -106,7 +110,9 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
     K = riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
     radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
     if radius >= 1:
-        raise StructureError(f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius {radius:.4g}); use a smaller step or poles")
+        raise StructureError(
+            f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius {radius:.4g}); use a smaller step or poles"
+        )
     return np.asarray(K)
 
 
@@ -126,4 +132,6 @@ def _stable(poles: np.ndarray, Ts: float | None) -> bool:
 def _lyapunov(A: Floats, Q: Floats, Ts: float | None) -> Floats:
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    return np.asarray(solve_continuous_lyapunov(A.T, -Q) if Ts is None else solve_discrete_lyapunov(A.T, Q))
+    return np.asarray(
+        solve_continuous_lyapunov(A.T, -Q) if Ts is None else solve_discrete_lyapunov(A.T, Q)
+    )

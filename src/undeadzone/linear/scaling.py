@@ -14,7 +14,9 @@ def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
     get the least size of the others.
     """
     rate = omega or float(np.abs(np.linalg.eigvals(A)).max()) or float(np.abs(A).max()) or 1.0
-    found = np.linalg.norm(np.linalg.solve((1 + 1j) * rate * np.eye(A.shape[0]) - A, B.astype(complex)), axis=1)
+    found = np.linalg.norm(
+        np.linalg.solve((1 + 1j) * rate * np.eye(A.shape[0]) - A, B.astype(complex)), axis=1
+    )
     if not (np.isfinite(found).all() and found.any()):
         return np.ones_like(found)
     reached = np.maximum(found, found.max() / LARGEST**2)

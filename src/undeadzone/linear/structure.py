@@ -22,7 +22,12 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
     scale = max(float(np.linalg.norm(A, 2)), 1e-300)
     C = _rows(C * unit) * scale
     n = A.shape[0]
-    return [complex(s) for s in np.linalg.eigvals(A) if np.linalg.svd(np.vstack([A - s * np.eye(n), C]), compute_uv=False)[-1] < TOLERANCE * scale]
+    return [
+        complex(s)
+        for s in np.linalg.eigvals(A)
+        if np.linalg.svd(np.vstack([A - s * np.eye(n), C]), compute_uv=False)[-1]
+        < TOLERANCE * scale
+    ]
 
 
 def _rows(C: Floats) -> Floats:
@@ -39,11 +44,23 @@ def uncontrollable_modes(A: Floats, B: Floats) -> list[complex]:
 def require_structure(linear: Matrices, key: str) -> None:
     """Raise StructureError if the pair (A, C) is unobservable or (A, B) uncontrollable, naming the mode."""
     for modes, pair, what, fix in (
-        (unobservable_modes(linear.A, linear.C), "(A, C)", "unobservable", "measure another output"),
-        (uncontrollable_modes(linear.A, linear.B), "(A, B)", "uncontrollable", "add an input or remove the state"),
+        (
+            unobservable_modes(linear.A, linear.C),
+            "(A, C)",
+            "unobservable",
+            "measure another output",
+        ),
+        (
+            uncontrollable_modes(linear.A, linear.B),
+            "(A, B)",
+            "uncontrollable",
+            "add an input or remove the state",
+        ),
     ):
         if modes:
-            raise StructureError(f"{key}: the pair {pair} is {what}: mode{'s' * (len(modes) > 1)} {listed(modes)}; {fix}")
+            raise StructureError(
+                f"{key}: the pair {pair} is {what}: mode{'s' * (len(modes) > 1)} {listed(modes)}; {fix}"
+            )
 
 
 class Chains(NamedTuple):
@@ -65,15 +82,23 @@ def output_chains(A: Floats, C: Floats) -> Chains:
     kept: list[Floats] = []
     basis = np.zeros((0, n))
     rows: list[list[int]] = [[] for _ in range(p)]
-    last = list(zip(C, _rows(C * unit), strict=True))  # each output's latest derivative, in the plant's units and in even ones
+    last = list(
+        zip(C, _rows(C * unit), strict=True)
+    )  # each output's latest derivative, in the plant's units and in even ones
     for k in range(n):
         for i, (plain, even) in enumerate(last):
             fresh = even - basis.T @ (basis @ even)
-            if len(rows[i]) == k and np.linalg.norm(fresh) > TOLERANCE * max(1.0, float(np.linalg.norm(even))) and len(kept) < n:
+            if (
+                len(rows[i]) == k
+                and np.linalg.norm(fresh) > TOLERANCE * max(1.0, float(np.linalg.norm(even)))
+                and len(kept) < n
+            ):
                 rows[i].append(len(kept))
                 kept.append(plain)
                 basis = np.vstack([basis, fresh / np.linalg.norm(fresh)])
         last = [(plain @ A, even @ scaled / rate) for plain, even in last]
     if len(kept) < n or not all(rows):
-        raise StructureError(f"plant: the outputs and their derivatives tell {len(kept)} of {n} states, or one of {p} outputs tells nothing new")
+        raise StructureError(
+            f"plant: the outputs and their derivatives tell {len(kept)} of {n} states, or one of {p} outputs tells nothing new"
+        )
     return Chains(np.array(kept), rows)

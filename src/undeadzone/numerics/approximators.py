@@ -45,21 +45,31 @@ def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: b
     def phi(p: Grid, v: Any) -> Any:
         spacing = 2 / (count - 1)
         scaled = _inside(v / p.reach) if normalised else v / p.reach
-        axes = [ca.exp(-(((x - p.centres) / (spacing * p.overlap)) ** 2) / 2) for x in ca.vertsplit(scaled)]
+        axes = [
+            ca.exp(-(((x - p.centres) / (spacing * p.overlap)) ** 2) / 2)
+            for x in ca.vertsplit(scaled)
+        ]
         return reduce(ca.kron, [axis / ca.sum1(axis) if normalised else axis for axis in axes])
 
-    return _checked(key, Basis(Grid(reach, np.linspace(-1, 1, count), np.float64(overlap)), phi, count**reach.size))
+    return _checked(
+        key,
+        Basis(Grid(reach, np.linspace(-1, 1, count), np.float64(overlap)), phi, count**reach.size),
+    )
 
 
 def monomials(key: str, reach: Floats, degree: int) -> Basis:
     """Every product of powers of v_i / reach_i of total degree up to `degree`, brought into the box first (Taylor network). Raises InputError."""
     if degree < 1:
         raise InputError(f"{key}: the degree must be at least 1, found {degree}")
-    powers = [power for power in product(range(degree + 1), repeat=reach.size) if sum(power) <= degree]
+    powers = [
+        power for power in product(range(degree + 1), repeat=reach.size) if sum(power) <= degree
+    ]
 
     def phi(reach: Any, v: Any) -> Any:
         scaled = ca.vertsplit(_inside(v / reach))
-        return ca.vertcat(*(_product(x**k for x, k in zip(scaled, power, strict=True)) for power in powers))
+        return ca.vertcat(
+            *(_product(x**k for x, k in zip(scaled, power, strict=True)) for power in powers)
+        )
 
     return _checked(key, Basis(reach, phi, len(powers)))
 
@@ -87,5 +97,7 @@ def _product(factors: Any) -> Any:
 
 def _checked(key: str, basis: Basis) -> Basis:
     if basis.size > LARGEST:
-        raise InputError(f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; use fewer per axis")
+        raise InputError(
+            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; use fewer per axis"
+        )
     return basis

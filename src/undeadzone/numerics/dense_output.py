@@ -25,10 +25,20 @@ class Arc(NamedTuple):
     slope: Callable[[Any], ca.SX]
 
 
-def runge_kutta(rate: Callable[[ca.SX, Any, Any], ca.SX], output: Callable[[ca.SX], ca.SX], states: int, h: ca.SX) -> Callable[[ca.SX, Any, Any], Arc]:
+def runge_kutta(
+    rate: Callable[[ca.SX, Any, Any], ca.SX],
+    output: Callable[[ca.SX], ca.SX],
+    states: int,
+    h: ca.SX,
+) -> Callable[[ca.SX, Any, Any], Arc]:
     """Arcs (x, start c, mode) of x' = rate(x, c, mode) by RK4 with cubic dense output; z = output(x)."""
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
-    slope = ca.Function("slope", [point, direction], [ca.jtimes(output(point), point, direction)], {"allow_free": True})
+    slope = ca.Function(
+        "slope",
+        [point, direction],
+        [ca.jtimes(output(point), point, direction)],
+        {"allow_free": True},
+    )
 
     def arc(x: ca.SX, start: Any, mode: Any) -> Arc:
         rest = 1.0 - start
@@ -37,14 +47,23 @@ def runge_kutta(rate: Callable[[ca.SX, Any, Any], ca.SX], output: Callable[[ca.S
         k5 = rate(end, 1.0, mode)
         z = (output(x), slope(x, k1), output(end), slope(end, k5), h * rest)
         return Arc(
-            end, z[2], output(x + h * rest / 2 * k1), lambda c: hermite(x, k1, end, k5, h * rest, c), lambda c: hermite(*z, c), lambda c: hermite_slope(*z, c)
+            end,
+            z[2],
+            output(x + h * rest / 2 * k1),
+            lambda c: hermite(x, k1, end, k5, h * rest, c),
+            lambda c: hermite(*z, c),
+            lambda c: hermite_slope(*z, c),
         )
 
     return arc
 
 
 def taylor(
-    rate: Callable[[ca.SX, ca.SX, Any], ca.SX], output: Callable[[ca.SX], ca.SX], inputs: list[ca.SX], states: int, h: ca.SX
+    rate: Callable[[ca.SX, ca.SX, Any], ca.SX],
+    output: Callable[[ca.SX], ca.SX],
+    inputs: list[ca.SX],
+    states: int,
+    h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], Arc]:
     """Arcs (x, start c, mode) of x' = rate(x, w, mode), affine in x and w, by Taylor series of as many terms as there are `inputs`.
 
@@ -57,8 +76,17 @@ def taylor(
 
     def arc(start: ca.SX, begin: Any, mode: Any) -> Arc:
         rest = 1.0 - begin
-        follow = ca.Function("follow", [x, w, dx, dw], [ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))], {"allow_free": True})
-        own = inputs if isinstance(begin, float) else [_moved(inputs, k, begin, rest) for k in range(len(inputs))]
+        follow = ca.Function(
+            "follow",
+            [x, w, dx, dw],
+            [ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))],
+            {"allow_free": True},
+        )
+        own = (
+            inputs
+            if isinstance(begin, float)
+            else [_moved(inputs, k, begin, rest) for k in range(len(inputs))]
+        )
         terms = [start, h * rest * rate(start, own[0], mode)]
         for k in range(1, len(inputs)):
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
@@ -66,7 +94,12 @@ def taylor(
         steep = [k * term for k, term in enumerate(z)][1:]
         end = _polynomial(terms, 1.0)
         return Arc(
-            end, output(end), output(start + terms[1] / 2), lambda c: _polynomial(terms, c), lambda c: _polynomial(z, c), lambda c: _polynomial(steep, c)
+            end,
+            output(end),
+            output(start + terms[1] / 2),
+            lambda c: _polynomial(terms, c),
+            lambda c: _polynomial(z, c),
+            lambda c: _polynomial(steep, c),
         )
 
     return arc
@@ -74,7 +107,9 @@ def taylor(
 
 def _moved(inputs: list[ca.SX], k: int, begin: Any, rest: Any) -> ca.SX:
     """Coefficient k of the inputs over what is left of the step after the fraction `begin`."""
-    return rest**k * _polynomial([math.comb(j, k) * inputs[j] for j in range(k, len(inputs))], begin)
+    return rest**k * _polynomial(
+        [math.comb(j, k) * inputs[j] for j in range(k, len(inputs))], begin
+    )
 
 
 def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:

@@ -62,7 +62,9 @@ def located_step(
         for _ in range(changes):
             crossing, c = _earliest(now, levels, mode.side, full)
             split = ca.mmin(c)
-            mode = second(mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split)))
+            mode = second(
+                mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split))
+            )
             begin = begin + (1.0 - begin) * split
             now = arc(now.at(split), begin, mode)
             found = ca.sum1(crossing.changed) > 0
@@ -71,14 +73,19 @@ def located_step(
             more = ca.SX(0.0)
         else:
             turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
-            more = ca.logic_or(ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side)))
+            more = ca.logic_or(
+                ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side))
+            )
         attempts.append(Attempt(end, more))
     return attempts
 
 
 def _perhaps(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
     """Whether the side may change on an arc: it is another at the end, or would be if z went on as it sets out for half of it."""
-    return ca.sum1(ca.logic_or(_beyond(arc.final, levels, side), _beyond(arc.onward, levels, side))) > 0
+    return (
+        ca.sum1(ca.logic_or(_beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)))
+        > 0
+    )
 
 
 def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
@@ -87,7 +94,9 @@ def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
     return ca.logic_or((z > above) != (side > 0), (z < below) != (side < 0))
 
 
-def _earliest(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool) -> tuple[Crossing, ca.SX]:
+def _earliest(
+    arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool
+) -> tuple[Crossing, ca.SX]:
     """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none.
 
     full: mind where z turns; else it is taken to move one way.
@@ -101,22 +110,39 @@ def _earliest(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool) ->
     excursion = ca.logic_and(turns, ca.logic_and(ca.logic_not(ends), _beyond(peak, levels, side)))
     far = ca.if_else(excursion, peak, z1)
 
-    enters_right, enters_left = ca.logic_and(side <= 0, far > above), ca.logic_and(side >= 0, far < below)
-    leaves_right, leaves_left = ca.logic_and(side > 0, far < above), ca.logic_and(side < 0, far > below)
+    enters_right, enters_left = (
+        ca.logic_and(side <= 0, far > above),
+        ca.logic_and(side >= 0, far < below),
+    )
+    leaves_right, leaves_left = (
+        ca.logic_and(side > 0, far < above),
+        ca.logic_and(side < 0, far > below),
+    )
     silent = side == 0
     upper = ca.logic_or(leaves_right, ca.logic_and(silent, enters_right))
     changed = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
     rising = ca.logic_or(leaves_left, ca.logic_and(silent, enters_right))
     through = above <= below  # nothing silent lies between
-    entered = 1.0 * ca.logic_or(ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through))
-    entered -= 1.0 * ca.logic_or(ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through))
+    entered = 1.0 * ca.logic_or(
+        ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through)
+    )
+    entered -= 1.0 * ca.logic_or(
+        ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through)
+    )
 
     level = ca.if_else(upper, above, below)
     before = (s0 > 0) == rising  # z moves through the level as it does at first: ahead of the turn
-    low, high = ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0), ca.if_else(ca.logic_and(turns, before), turn, 1.0)
+    low, high = (
+        ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0),
+        ca.if_else(ca.logic_and(turns, before), turn, 1.0),
+    )
     # Between a turn and an end z is nearly a parabola, else nearly a line.
     part = ca.sqrt(ca.fmax((peak - level) / (peak - ca.if_else(before, z0, z1)), 0.0))
-    guess = ca.if_else(turns, ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part), (level - z0) / (z1 - z0))
+    guess = ca.if_else(
+        turns,
+        ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part),
+        (level - z0) / (z1 - z0),
+    )
     c = _within(guess, low, high)
     for _ in range(NEWTON):
         c = _within(c - (arc.output(c) - level) / arc.slope(c), low, high)

@@ -34,7 +34,13 @@ def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
     return found, slope
 
 
-def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.0, bend: Callable[[Any], tuple[Any, Any]] | None = None) -> Gaussian:
+def predict(
+    belief: Gaussian,
+    f: Callable[[Any], Any],
+    Q: Any,
+    lasting: Any = 1.0,
+    bend: Callable[[Any], tuple[Any, Any]] | None = None,
+) -> Gaussian:
     """The belief after x+ = f(x) + w, cov w = Q (N x N), to second order; exact for f of degree 2, lasting = 1.
 
     What f bends beyond its mean is not white: it keeps its sign for about `lasting` steps and counts that much more.
@@ -44,14 +50,20 @@ def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, lasting: Any = 1.
     value = f(X)
     spread, bent = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
     rows = [row for row, nonlinear in enumerate(ca.which_depends(bent, X, 2, True)) if nonlinear]
-    mean, F, *curvatures = ca.substitute([value, ca.jacobian(value, X), *(ca.hessian(bent[row], X)[0] for row in rows)], [X], [belief.mean])
+    mean, F, *curvatures = ca.substitute(
+        [value, ca.jacobian(value, X), *(ca.hessian(bent[row], X)[0] for row in rows)],
+        [X],
+        [belief.mean],
+    )
     products = [H @ P for H in curvatures]
     shift, excess = ca.SX(bent.shape[0], 1), ca.SX(bent.shape[0], bent.shape[0])
     for row, M in zip(rows, products, strict=True):
         shift[row] = ca.trace(M) / 2
         for column, other in zip(rows, products, strict=True):
             excess[row, column] = lasting * ca.dot(M, other.T) / 2
-    return Gaussian(mean + spread @ shift, _from_upper(F @ P @ F.T + Q + spread @ excess @ spread.T))
+    return Gaussian(
+        mean + spread @ shift, _from_upper(F @ P @ F.T + Q + spread @ excess @ spread.T)
+    )
 
 
 def advance(belief: Gaussian, f: Callable[[Any], Any], Q: Any, F: Any = None) -> Gaussian:
@@ -69,10 +81,14 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     S = h @ P @ h.T + R
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
-    return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(half - (half @ h.T) @ K.T + R * (K @ K.T))), S
+    return Gaussian(
+        mean + K @ ca.if_else(use, e, 0.0), _from_upper(half - (half @ h.T) @ K.T + R * (K @ K.T))
+    ), S
 
 
-def cut(belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float) -> tuple[Gaussian, Any]:
+def cut(
+    belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float
+) -> tuple[Gaussian, Any]:
     """(the belief given that excess + h (x - x^) + v <= 0, 1 where that was used), by matching mean and covariance.
 
     Used where `use` holds and the belief does not say so already: where its probability is below Phi(limit).
@@ -83,7 +99,9 @@ def cut(belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float) -
     used = ca.logic_and(use, alpha < limit)
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
-    return Gaussian(mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))), used
+    return Gaussian(
+        mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))
+    ), used
 
 
 def within(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:

@@ -14,7 +14,14 @@ TILT = 0.05  # part of the sum in the scalar cost, so that no objective is negle
 
 
 def evolve(
-    cost: Callable[[Floats], Floats], low: Floats, high: Floats, seed: int, size: int, rounds: int, start: Floats | None = None, spread: float = 0.05
+    cost: Callable[[Floats], Floats],
+    low: Floats,
+    high: Floats,
+    seed: int,
+    size: int,
+    rounds: int,
+    start: Floats | None = None,
+    spread: float = 0.05,
 ) -> tuple[Floats, float]:
     """(x, cost) of the least cost found in the box by CMA-ES, Hansen and Ostermeier (2001); cost takes (size, d) and gives (size).
 
@@ -23,7 +30,11 @@ def evolve(
     from cmaes import CMA
 
     d, span = low.size, high - low
-    mean, sigma = (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3) if start is None else ((start - low) / span, spread)
+    mean, sigma = (
+        (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3)
+        if start is None
+        else ((start - low) / span, spread)
+    )
     search = CMA(mean=mean, sigma=sigma, seed=seed, population_size=size)
     best, least = mean, np.inf
     for _ in range(rounds):
@@ -67,21 +78,43 @@ def pareto(
     first = scalar(found, *frame, weights).argmin(axis=1)
     points, found = points[first], found[first]
     for turn in range(rounds):
-        one, two = (np.where(rng.uniform(size=size) < 0.1, rng.integers(0, size, size), near[every, rng.integers(0, mates, size)]) for _ in range(2))
-        children = np.where(rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5), points + 0.6 * (points[one] - points[two]), points)
-        jump = (rng.uniform(size=(size, d)) < 1 / d) * rng.normal(size=(size, d)) * rng.uniform(size=(size, 1)) ** 3
+        one, two = (
+            np.where(
+                rng.uniform(size=size) < 0.1,
+                rng.integers(0, size, size),
+                near[every, rng.integers(0, mates, size)],
+            )
+            for _ in range(2)
+        )
+        children = np.where(
+            rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5),
+            points + 0.6 * (points[one] - points[two]),
+            points,
+        )
+        jump = (
+            (rng.uniform(size=(size, d)) < 1 / d)
+            * rng.normal(size=(size, d))
+            * rng.uniform(size=(size, 1)) ** 3
+        )
         children = np.clip(children + 0.03 * span * jump, low, high)
         given = costs(children)
         if turn % 5 == 0:
             frame = _frame(np.vstack([found, given]))
         offers = np.full((size, size), np.inf)
-        np.put_along_axis(offers, near, np.take_along_axis(scalar(given, *frame, weights), near, axis=1), axis=1)
+        np.put_along_axis(
+            offers, near, np.take_along_axis(scalar(given, *frame, weights), near, axis=1), axis=1
+        )
         best = offers.argmin(axis=1)
         better = offers[every, best] < scalar(found, *frame, weights)[every, every]
-        points, found = np.where(better[:, None], children[best], points), np.where(better[:, None], given[best], found)
+        points, found = (
+            np.where(better[:, None], children[best], points),
+            np.where(better[:, None], given[best], found),
+        )
         tick()
     keep = undominated(found) & np.isfinite(found).all(axis=1)
-    keep[keep] = np.isin(np.arange(keep.sum()), np.unique(found[keep].round(9), axis=0, return_index=True)[1])
+    keep[keep] = np.isin(
+        np.arange(keep.sum()), np.unique(found[keep].round(9), axis=0, return_index=True)[1]
+    )
     return points[keep], found[keep]
 
 
@@ -106,4 +139,13 @@ def _frame(found: Floats) -> tuple[Floats, Floats]:
 
 def _grid(k: int, divisions: int) -> Floats:
     """All k-tuples of multiples of 1 / divisions that add up to 1."""
-    return np.array([parts for parts in itertools.product(range(divisions + 1), repeat=k) if sum(parts) == divisions]) / divisions
+    return (
+        np.array(
+            [
+                parts
+                for parts in itertools.product(range(divisions + 1), repeat=k)
+                if sum(parts) == divisions
+            ]
+        )
+        / divisions
+    )

@@ -21,14 +21,32 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
     size = cost.size
     constant = blocks(np.zeros(size))
     right = np.concatenate([_vector(block) for block in constant])
-    columns = [right - np.concatenate([_vector(block) for block in blocks(unit)]) for unit in np.eye(size)]
-    cones = [clarabel.NonnegativeConeT(block.size) if block.ndim == 1 else clarabel.PSDTriangleConeT(block.shape[0]) for block in constant]
+    columns = [
+        right - np.concatenate([_vector(block) for block in blocks(unit)]) for unit in np.eye(size)
+    ]
+    cones = [
+        clarabel.NonnegativeConeT(block.size)
+        if block.ndim == 1
+        else clarabel.PSDTriangleConeT(block.shape[0])
+        for block in constant
+    ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    problem = (sparse.csc_matrix((size, size)), cost, sparse.csc_matrix(np.stack(columns, axis=1)), right, cones, settings)
+    problem = (
+        sparse.csc_matrix((size, size)),
+        cost,
+        sparse.csc_matrix(np.stack(columns, axis=1)),
+        right,
+        cones,
+        settings,
+    )
     solution = clarabel.DefaultSolver(*problem).solve()
     x = np.asarray(solution.x)
-    if "Infeasible" in str(solution.status) or x.size != size or not max(solution.r_prim, solution.r_dual) < 0.1:
+    if (
+        "Infeasible" in str(solution.status)
+        or x.size != size
+        or not max(solution.r_prim, solution.r_dual) < 0.1
+    ):
         return None
     return x
 

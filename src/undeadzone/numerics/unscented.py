@@ -43,7 +43,11 @@ def factor(cov: Any) -> Any:
 def points(belief: Gaussian, w: Weights) -> list[Any]:
     """The mean, then a point on either side of it along every column of the factor."""
     steps = ca.horzsplit(math.sqrt(w.spread) * factor(belief.cov))
-    return [belief.mean, *(belief.mean + step for step in steps), *(belief.mean - step for step in steps)]
+    return [
+        belief.mean,
+        *(belief.mean + step for step in steps),
+        *(belief.mean - step for step in steps),
+    ]
 
 
 def mean(values: list[Any], w: Weights) -> Any:
@@ -54,7 +58,9 @@ def mean(values: list[Any], w: Weights) -> Any:
 def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
     """The weighted covariance of deviations from two means."""
     others = zip(first[1:], second[1:], strict=True)
-    return w.cov * first[0] @ second[0].T + w.other * sum((a @ b.T for a, b in others), ca.SX(first[0].shape[0], second[0].shape[0]))
+    return w.cov * first[0] @ second[0].T + w.other * sum(
+        (a @ b.T for a, b in others), ca.SX(first[0].shape[0], second[0].shape[0])
+    )
 
 
 def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
@@ -65,7 +71,9 @@ def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, w: Weights) -> Ga
     return Gaussian(centre, _symmetric(covariance(off, off, w) + Q))
 
 
-def update(belief: Gaussian, h: Callable[[Any], Any], y: Any, R: Any, use: Any, w: Weights) -> tuple[Gaussian, Any, Any]:
+def update(
+    belief: Gaussian, h: Callable[[Any], Any], y: Any, R: Any, use: Any, w: Weights
+) -> tuple[Gaussian, Any, Any]:
     """(the belief after one reading y = h(x) + v, var v = R, its innovation, the variance of that); unchanged where `use` is 0."""
     spread = points(belief, w)
     read = [h(point) for point in spread]

@@ -19,7 +19,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array
 
 
-class AdaptiveInverse(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="adaptive_inverse"):
+class AdaptiveInverse(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="adaptive_inverse",
+):
     """Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996), here as an observer.
 
     L, poles [1/s] or speed [1/s]: of A - L C (default: a speed of 30 mean poles of the plant, fewer beyond second order). law: normalised
@@ -48,6 +55,12 @@ class AdaptiveInverse(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         def psi(params: Any, y: Any, side: Any, z: Any) -> Any:
             return ca.vertcat(side > 0, -(side < 0))
 
-        law = gradient(model, gain, 0.0, 2) if self.law == "gradient" else least_squares(model, gain, self.forgetting, 2)
+        law = (
+            gradient(model, gain, 0.0, 2)
+            if self.law == "gradient"
+            else least_squares(model, gain, self.forgetting, 2)
+        )
         compensator = Compensator(None, psi, 2, self.silent == "hold", np.ones(p))
-        return learning(model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit)
+        return learning(
+            model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
+        )

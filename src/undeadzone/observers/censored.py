@@ -10,7 +10,13 @@ from undeadzone.observers.parts.augmented_state import presumed
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.observers.parts.measured_kalman import Params, measured_filter, prior
 from undeadzone.observers.parts.model_bank import bank
-from undeadzone.observers.parts.unknown_inputs import coloured, correlation_time, span, tolerances, unknowns
+from undeadzone.observers.parts.unknown_inputs import (
+    coloured,
+    correlation_time,
+    span,
+    tolerances,
+    unknowns,
+)
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import nonnegative, scalar
@@ -20,7 +26,14 @@ WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is given
 FALL = 4.0  # from one level of the disturbance to the next
 
 
-class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="censored"):
+class Censored(
+    Claims,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="censored",
+):
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong; sampled time.
 
     right, left, noise, x_std, drift: as for `Kalman`. disturbance: rms that a coloured input disturbance may have [u], one
@@ -39,7 +52,9 @@ class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
-        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR)
+        believed = prior(
+            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR
+        )
         Ts = model.Ts
         assert Ts is not None
         assert model.flow is not None
@@ -49,18 +64,33 @@ class Censored(Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
             raise InputError(f"observer.levels: expected 1 to 10, found {self.levels}")
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:
-            raise InputError(f"observer.calibrated: must be a probability below 1, found {calibrated:g}")
+            raise InputError(
+                f"observer.calibrated: must be a probability below 1, found {calibrated:g}"
+            )
         usual = presumed(model, believed.ranges.max(), correlation)
         rms, bias = (
-            default if given is None else nonnegative(f"observer.{key}", given, model.m, "one per input")
-            for key, given, default in (("disturbance", self.disturbance, usual), ("bias", self.bias, OFFSET * usual))
+            default
+            if given is None
+            else nonnegative(f"observer.{key}", given, model.m, "one per input")
+            for key, given, default in (
+                ("disturbance", self.disturbance, usual),
+                ("bias", self.bias, OFFSET * usual),
+            )
         )
         colour, tolerance = coloured(correlation, washout, Ts), tolerances(model, self.tolerance)
         extension = unknowns(model, colour, rms, bias, calibrated, tolerance)
-        found = measured_filter(model, sensor, believed, extension, max(1.0, correlation / Ts), self.silence)
-        return bank(found, [partial(weakened, level) for level in range(self.levels)]) if self.levels > 1 and rms.any() else found
+        found = measured_filter(
+            model, sensor, believed, extension, max(1.0, correlation / Ts), self.silence
+        )
+        return (
+            bank(found, [partial(weakened, level) for level in range(self.levels)])
+            if self.levels > 1 and rms.any()
+            else found
+        )
 
 
 def weakened(level: int, q: Params) -> Params:
     """The numbers of the filter with the disturbance at that level."""
-    return q._replace(extension=q.extension._replace(variance=q.extension.variance / FALL ** (2 * level)))
+    return q._replace(
+        extension=q.extension._replace(variance=q.extension.variance / FALL ** (2 * level))
+    )

@@ -18,7 +18,14 @@ from undeadzone.sensor import Zone, offset, present
 from undeadzone.support.arrays import Array, Floats, vector
 
 
-class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="certified"):
+class Certified(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="certified",
+):
     """Measured-side adaptive observer; replaces (16)-(25).
 
     L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a stable plant. gamma: adaptation
@@ -44,14 +51,26 @@ class Certified(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         given = (self.L, 1.0 if self.gamma is None else self.gamma)
         if self.design is not None:
             if self.L is not None or self.gamma is not None:
-                raise InputError("observer.design: it brings L and gamma; give either the design or these")
+                raise InputError(
+                    "observer.design: it brings L and gamma; give either the design or these"
+                )
             given = _designed(self.design, model)
         gamma = vector("observer.gamma", given[1], p, "one per output")
         if (gamma < 0).any():
             raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
         start = vector("observer.start", self.start, model.n, "one per state")
-        return measured_side(model, sensor, gains(given[0], model), gamma, start, widths, limit, self.silence, self.adaptation.law(model.Ts))
+        return measured_side(
+            model,
+            sensor,
+            gains(given[0], model),
+            gamma,
+            start,
+            widths,
+            limit,
+            self.silence,
+            self.adaptation.law(model.Ts),
+        )
 
 
 def _designed(path: str, model: System) -> tuple[Floats, Floats]:
@@ -88,14 +107,33 @@ class State(NamedTuple):
 
 
 def measured_side(
-    model: System, sensor: Zone, L: Floats, gamma: Floats, start: Floats, widths: Floats, limit: Floats, silence: bool, law: Law = GRADIENT
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    gamma: Floats,
+    start: Floats,
+    widths: Floats,
+    limit: Floats,
+    silence: bool,
+    law: Law = GRADIENT,
 ) -> Observer:
     """The observer itself; with gamma = 0 and true widths it is the known-width oracle."""
     jump = sensor.kind == "jump"
     Ts = model.Ts
     per_step = 1.0 if Ts is None else Ts
     keep = 0.0 if Ts is None else 1.0
-    params = Params(model.params, L * per_step, gamma * per_step, start, widths[:, 0], widths[:, 1], limit, sensor.slope, sensor.threshold, law.numbers)
+    params = Params(
+        model.params,
+        L * per_step,
+        gamma * per_step,
+        start,
+        widths[:, 0],
+        widths[:, 1],
+        limit,
+        sensor.slope,
+        sensor.threshold,
+        law.numbers,
+    )
 
     def init(p: Params) -> State:
         gain = p.gamma if law.gains else np.zeros(0)
@@ -103,7 +141,9 @@ def measured_side(
 
     def project(p: Params, s: State) -> State:
         widths = (ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left))
-        return State(s.x, *widths, *(law.reset(p.law, gain, p.gamma) for gain in (s.right_gain, s.left_gain)))
+        return State(
+            s.x, *widths, *(law.reset(p.law, gain, p.gamma) for gain in (s.right_gain, s.left_gain))
+        )
 
     def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         z, side, y = model.output(p.model, s.x), reading.side, reading.y / p.slope
@@ -111,7 +151,10 @@ def measured_side(
         # A silent sensor says -d_l <= z <= d_r (wider by the threshold); beyond an edge, that edge or z^ is wrong.
         slack = p.threshold / p.slope
         silent = ca.if_else(ca.logic_and(side == 0, present(y)), float(silence), 0.0)
-        over, under = silent * ca.fmax(z - s.right - slack, 0.0), silent * ca.fmin(z + s.left + slack, 0.0)
+        over, under = (
+            silent * ca.fmax(z - s.right - slack, 0.0),
+            silent * ca.fmin(z + s.left + slack, 0.0),
+        )
         if jump:
             e = ca.if_else(active, y - z, 0.0)
             push_right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
@@ -119,13 +162,22 @@ def measured_side(
             told_right, told_left = push_right != 0, push_left != 0
         else:
             e = ca.if_else(active, y - (z - offset(side, s.right, s.left)), -over - under)
-            told_right, told_left = ca.logic_or(side > 0, over > 0), ca.logic_or(side < 0, under < 0)
+            told_right, told_left = (
+                ca.logic_or(side > 0, over > 0),
+                ca.logic_or(side < 0, under < 0),
+            )
             push_right, push_left = ca.if_else(told_right, -e, 0.0), ca.if_else(told_left, e, 0.0)
         soft = law.soften(p.law, ca.if_else(active, y, 0.0))
-        change_right, gain_right = law.move(p.law, Edge(soft * push_right, told_right, s.right, p.right0, s.right_gain, p.gamma))
-        change_left, gain_left = law.move(p.law, Edge(soft * push_left, told_left, s.left, p.left0, s.left_gain, p.gamma))
+        change_right, gain_right = law.move(
+            p.law, Edge(soft * push_right, told_right, s.right, p.right0, s.right_gain, p.gamma)
+        )
+        change_left, gain_left = law.move(
+            p.law, Edge(soft * push_left, told_left, s.left, p.left0, s.left_gain, p.gamma)
+        )
         moved = model.move(p.model, s.x, u) + p.L @ (soft * e)
-        after = State(moved, keep * s.right + change_right, keep * s.left + change_left, gain_right, gain_left)
+        after = State(
+            moved, keep * s.right + change_right, keep * s.left + change_left, gain_right, gain_left
+        )
         if Ts is not None:
             after = project(p, after)
         return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)

@@ -17,7 +17,9 @@ from undeadzone.sensor import Zone, branch, zone
 HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)
 
 
-class EKF(Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="ekf"):
+class EKF(
+    Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="ekf"
+):
     """Extended Kalman filter on [x; d_r; d_l] (Smith, Schmidt, McGee 1962; joint with parameters: Cox 1964); sampled time.
 
     right, left, noise, x_std, disturbance, drift: as for `Kalman`, but by default noise is at least 1 % of the range, drift 0.5 % of the
@@ -32,10 +34,14 @@ class EKF(Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump":
-            raise InputError("observer.method: the slope of a jump sensor's reading says nothing of its widths, so that 'ekf' cannot find them; use 'censored'")
+            raise InputError(
+                "observer.method: the slope of a jump sensor's reading says nothing of its widths, so that 'ekf' cannot find them; use 'censored'"
+            )
         n, p = model.n, model.p
 
-        def correct(q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any) -> tuple[Gaussian, Any, Any]:
+        def correct(
+            q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any
+        ) -> tuple[Gaussian, Any, Any]:
             if self.mode == "predicted":
                 expected, h = linearise(sight, belief.mean)
                 use = seen
@@ -43,7 +49,17 @@ class EKF(Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
                 X = belief.mean
                 estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
                 taken = ca.if_else(side != 0, side, estimated if self.pseudo else 0.0)
-                expected, h = linearise(lambda X: branch(model.output(q.model, X[:n])[i], taken, X[n + i], X[n + p + i], 1.0, sensor.kind), X)
+                expected, h = linearise(
+                    lambda X: branch(
+                        model.output(q.model, X[:n])[i],
+                        taken,
+                        X[n + i],
+                        X[n + p + i],
+                        1.0,
+                        sensor.kind,
+                    ),
+                    X,
+                )
                 use = ca.logic_and(seen, taken != 0)
             e = ca.if_else(use, y - expected, 0.0)
             belief, S = update(belief, h, e, q.R[i], use)

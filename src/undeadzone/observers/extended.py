@@ -12,13 +12,26 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import presumed
 from undeadzone.observers.parts.measured_kalman import Extension, Params, measured_filter, prior
-from undeadzone.observers.parts.unknown_inputs import Colour, coloured, correlation_time, named, unknowns
+from undeadzone.observers.parts.unknown_inputs import (
+    Colour,
+    coloured,
+    correlation_time,
+    named,
+    unknowns,
+)
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
 
-class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="extended"):
+class Extended(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="extended",
+):
     """Kalman filter on the measured side whose model is linearised at the estimate, sample by sample; sampled time.
 
     right, left, noise, x_std, drift: as for `Kalman`. start: mean of x(0), one or one per state; with a small x_std, what homing tells.
@@ -46,14 +59,29 @@ class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump" and not (self.silence or self.blind):
-            raise InputError("observer.silence: readings of a jump sensor only bound its widths, so that without silence nothing tells of them")
-        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, start=self.start)
+            raise InputError(
+                "observer.silence: readings of a jump sensor only bound its widths, so that without silence nothing tells of them"
+            )
+        believed = prior(
+            model,
+            sensor,
+            self.right,
+            self.left,
+            self.noise,
+            self.x_std,
+            self.drift,
+            start=self.start,
+        )
         n, Ts, flow = model.n, model.Ts, model.flow
         assert Ts is not None
         assert flow is not None
         if self.blind:
             none = np.zeros(2 * model.p)
-            believed = believed._replace(mean=np.append(believed.mean[:n], none), std=np.append(believed.std[:n], none), drift=none)
+            believed = believed._replace(
+                mean=np.append(believed.mean[:n], none),
+                std=np.append(believed.std[:n], none),
+                drift=none,
+            )
         correlation = correlation_time(self.correlation_time, flow, Ts)
         if self.disturbance is None:
             rms = presumed(model, believed.ranges.max(), correlation)
@@ -62,13 +90,28 @@ class Extended(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         colour = coloured(correlation, None, Ts)
         if self.joints == "separate":
             if self.uncertain:
-                raise InputError('observer.uncertain: a parameter binds the joints together; use joints = "coupled"')
+                raise InputError(
+                    'observer.uncertain: a parameter binds the joints together; use joints = "coupled"'
+                )
             extension = separate(model, colour, rms)
         else:
-            extension = unknowns(model, colour, rms, np.zeros(model.m), 0.0, named(model, self.uncertain))
-            extension = extension._replace(parameters=tuple(model.names.index(name) for name in self.uncertain))
+            extension = unknowns(
+                model, colour, rms, np.zeros(model.m), 0.0, named(model, self.uncertain)
+            )
+            extension = extension._replace(
+                parameters=tuple(model.names.index(name) for name in self.uncertain)
+            )
         bounds = self.silence and not self.blind
-        return measured_filter(model, sensor, believed, extension, max(1.0, correlation / Ts), bounds, order=1, blind=self.blind)
+        return measured_filter(
+            model,
+            sensor,
+            believed,
+            extension,
+            max(1.0, correlation / Ts),
+            bounds,
+            order=1,
+            blind=self.blind,
+        )
 
 
 class Noise(NamedTuple):
@@ -87,10 +130,14 @@ def separate(model: System, colour: Colour, rms: Floats) -> Extension:
     """
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
     if rate is None or flow is None or Ts is None or not mechanical(model):
-        raise InputError("observer.joints: separate joints need a nonlinear model of states [q; q'] that measures each position, such as a rigid arm's")
+        raise InputError(
+            "observer.joints: separate joints need a nonlinear model of states [q; q'] that measures each position, such as a rigid arm's"
+        )
     variance = flow.B[N:] ** 2 @ rms**2
     if not variance.all():
-        raise InputError("observer.disturbance: must be positive for separate joints: it stands for what a joint does not know of the others")
+        raise InputError(
+            "observer.disturbance: must be positive for separate joints: it stands for what a joint does not know of the others"
+        )
 
     def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         position, v = x[:N], x[N:]
@@ -118,4 +165,6 @@ def mechanical(model: System) -> bool:
     if model.n != 2 * N or model.flow is None:
         return False
     A, B, C = model.flow
-    return bool((np.eye(N, 2 * N) == C).all() and (np.eye(N, 2 * N, N) == A[:N]).all() and not B[:N].any())
+    return bool(
+        (np.eye(N, 2 * N) == C).all() and (np.eye(N, 2 * N, N) == A[:N]).all() and not B[:N].any()
+    )

@@ -14,7 +14,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 
-class FullState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="full_state"):
+class FullState(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="full_state",
+):
     """State feedback on the true state, with the true widths; no observer: it exists in simulations only."""
 
     def build(self, model: System, sensor: Zone) -> Observer:
@@ -22,11 +29,17 @@ class FullState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
             if reading.x is None:
-                raise InputError("observer.method: 'full_state' is told the true state, which exists in a simulation only; choose an observer")
+                raise InputError(
+                    "observer.method: 'full_state' is told the true state, which exists in a simulation only; choose an observer"
+                )
             z = model.output(p.model, reading.x)
-            return s, estimate(reading.x, z, p.right, p.left, reading, p.slope, sensor.kind, ca.SX.zeros(model.p))
+            return s, estimate(
+                reading.x, z, p.right, p.left, reading, p.slope, sensor.kind, ca.SX.zeros(model.p)
+            )
 
-        return Observer(Params(model.params, sensor.right, sensor.left, sensor.slope), lambda p: None, step)
+        return Observer(
+            Params(model.params, sensor.right, sensor.left, sensor.slope), lambda p: None, step
+        )
 
 
 class Params(NamedTuple):

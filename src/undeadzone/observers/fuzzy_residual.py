@@ -13,7 +13,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, scalar
 
 
-class FuzzyResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="fuzzy_residual"):
+class FuzzyResidual(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="fuzzy_residual",
+):
     """Wang (1993): z - y / m = W'phi(z^), phi the firing strengths of `rules` fuzzy sets (a universal approximator, Wang and Mendel 1992).
 
     reach: |z| up to which they lie, one or one per output [z]; overlap: of neighbours, standard deviation in spacings.

@@ -17,7 +17,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, scalar
 
 
-class HighGain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="high_gain"):
+class HighGain(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="high_gain",
+):
     """Khalil and Praly (2014): in coordinates z_i, z_i', z_i'', ... the k-th derivative is corrected by binom(r, k) / epsilon^k e.
 
     epsilon [s]: all poles tend to -1 / epsilon (default: a tenth of the time of the plant's fastest pole, but at least four

@@ -24,7 +24,14 @@ from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 
 
-class Interval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="interval"):
+class Interval(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="interval",
+):
     """Gouze, Rapaport and Hadj-Sadok (2000); Mazenc and Bernard (2011): guaranteed bounds; their midpoints are the estimates.
 
     Declared bounds: right, left: ranges [lo, hi] of d_r and d_l [z], one or one per output (left: default that of right);
@@ -49,16 +56,30 @@ class Interval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a linear model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
         if model.nonlinear:
-            raise InputError("observer.method: 'interval' bounds linear plants only; use 'censored' for a nonlinear one")
+            raise InputError(
+                "observer.method: 'interval' bounds linear plants only; use 'censored' for a nonlinear one"
+            )
         n, p = model.n, model.p
         ranges: Floats = declared(self.right, self.left, p)
-        after = NOISE * sensor.noise if self.noise is None else nonnegative("observer.noise", self.noise, p, "one per output")
-        before = NOISE * sensor.noise_before if self.noise_before is None else nonnegative("observer.noise_before", self.noise_before, p, "one per output")
-        disturbance = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        after = (
+            NOISE * sensor.noise
+            if self.noise is None
+            else nonnegative("observer.noise", self.noise, p, "one per output")
+        )
+        before = (
+            NOISE * sensor.noise_before
+            if self.noise_before is None
+            else nonnegative("observer.noise_before", self.noise_before, p, "one per output")
+        )
+        disturbance = nonnegative(
+            "observer.disturbance", self.disturbance, model.m, "one per input"
+        )
         x_max = 5 * ranges.max() if self.x_max is None else self.x_max
         start = nonnegative("observer.x_max", x_max, n, "one per state")
         flow = model.linear if model.flow is None else model.flow
-        if self.L is self.poles is self.speed is None and np.linalg.eigvals(flow.A).real.max() < -1e-9 * np.linalg.norm(flow.A, 2):
+        if self.L is self.poles is self.speed is None and np.linalg.eigvals(
+            flow.A
+        ).real.max() < -1e-9 * np.linalg.norm(flow.A, 2):
             L: Floats = np.zeros((n, p))
         else:
             L = injection(model, self.L, self.poles, self.speed, 2.0)
@@ -69,7 +90,9 @@ class Interval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         else:
             pace = scalar("observer.contraction", self.contraction, least=0.0)
         seen = modes(model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts)
-        noise = after / sensor.slope + before + FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)
+        noise = (
+            after / sensor.slope + before + FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)
+        )
         sure = np.where(after > sensor.threshold, after, -FAR)
         slack = np.maximum(after, sensor.threshold) / sensor.slope + noise
         params = Params(
@@ -128,7 +151,10 @@ def interval(model: System, seen: Modes, params: Params, kind: str) -> Observer:
     def tightened(q: Params, boxes: Boxes, frame: Any, reading: Reading) -> tuple[Boxes, Bounds]:
         """(the boxes given a reading, bounds of z)."""
         y = reading.y / q.slope
-        on_right, on_left = ca.logic_and(reading.side > 0, reading.y > q.sure), ca.logic_and(reading.side < 0, -reading.y > q.sure)
+        on_right, on_left = (
+            ca.logic_and(reading.side > 0, reading.y > q.sure),
+            ca.logic_and(reading.side < 0, -reading.y > q.sure),
+        )
         active = ca.logic_or(on_right, on_left)
         silent = ca.logic_and(present(reading.y), ca.logic_not(active))
 
@@ -145,7 +171,9 @@ def interval(model: System, seen: Modes, params: Params, kind: str) -> Observer:
         right = meet(meet(boxes.right, right), Bounds(-at_most(on_right, lower[0] + q.noise), FAR))
         left = meet(meet(boxes.left, left), Bounds(-at_most(on_left, lower[1] + q.noise), FAR))
         if kind != "jump":  # what the sensor takes off z
-            off = Bounds(ca.if_else(on_right, right.lo, -left.hi), ca.if_else(on_right, right.hi, -left.lo))
+            off = Bounds(
+                ca.if_else(on_right, right.lo, -left.hi), ca.if_else(on_right, right.hi, -left.lo)
+            )
         told = Bounds(
             ca.if_else(active, y + off.lo - q.noise, -at_most(silent, left.hi + q.slack)),
             ca.if_else(active, y + off.hi + q.noise, at_most(silent, right.hi + q.slack)),
@@ -165,14 +193,23 @@ def interval(model: System, seen: Modes, params: Params, kind: str) -> Observer:
         e = (z.lo + z.hi) / 2 - q.model.C @ boxes.x
         x = model.move(q.model, boxes.x, u) + q.L @ e
         ahead = turned(seen.pairs, n, s.angle + q.turn) if sampled else phi
-        spread = ca.fabs(ahead.T @ q.inverse @ q.model.B) @ q.disturbance + ca.fabs(ahead.T @ q.inverse @ q.L) @ (z.hi - z.lo) / 2
+        spread = (
+            ca.fabs(ahead.T @ q.inverse @ q.model.B) @ q.disturbance
+            + ca.fabs(ahead.T @ q.inverse @ q.L) @ (z.hi - z.lo) / 2
+        )
         if sampled:
             radius = ca.fabs(ahead.T @ q.S @ phi) @ boxes.radius + spread
             after = State(boxes._replace(x=x, radius=radius), s.angle + q.turn)
         else:
-            radius = ca.fabs(ahead.T @ (coupling * q.S) @ phi) @ boxes.radius + ca.diag(q.S) * boxes.radius + spread
+            radius = (
+                ca.fabs(ahead.T @ (coupling * q.S) @ phi) @ boxes.radius
+                + ca.diag(q.S) * boxes.radius
+                + spread
+            )
             rate = Boxes(x, radius, Bounds(0.0, 0.0), Bounds(0.0, 0.0))
-            after = State(each(lambda rate, new, old: rate + q.pace * (new - old), rate, now, boxes), q.turn)
+            after = State(
+                each(lambda rate, new, old: rate + q.pace * (new - old), rate, now, boxes), q.turn
+            )
         return after, _read(q, shown, frame, reading, kind, e)
 
     return Observer(params, lambda q: State(q.start, np.zeros(len(seen.pairs))), step, project)
@@ -182,6 +219,8 @@ def _read(q: Params, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: A
     """Midpoints, and half-widths / sqrt(3)."""
     right, left = ((edge.lo + edge.hi) / 2 for edge in (boxes.right, boxes.left))
     half = [(edge.hi - edge.lo) / 2 for edge in (boxes.right, boxes.left)]
-    x_std, right_std, left_std, width_std = (size / math.sqrt(3) for size in (ca.fabs(frame) @ boxes.radius, *half, half[0] + half[1]))
+    x_std, right_std, left_std, width_std = (
+        size / math.sqrt(3) for size in (ca.fabs(frame) @ boxes.radius, *half, half[0] + half[1])
+    )
     found = estimate(boxes.x, q.model.C @ boxes.x, right, left, reading, q.slope, kind, e)
     return found._replace(x_std=x_std, right_std=right_std, left_std=left_std, width_std=width_std)

@@ -18,7 +18,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, positive
 
 
-class InverseNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="inverse_network"):
+class InverseNetwork(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="inverse_network",
+):
     """Selmic and Lewis, Deadzone compensation in motion control systems using neural networks (2000), turned to a sensor: z_I = y / m + W'phi(y).
 
     phi: `functions` jump functions (1 - e^(-|y| / scale))^k on each side; scale [z], one or one per output. L, poles
@@ -47,4 +54,11 @@ class InverseNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             return basis.phi(params, ca.vertcat(y, side))
 
         law = gradient(model, gain, self.leak, basis.size)
-        return learning(model, sensor, L, Compensator(basis.params, psi, basis.size, True, scale), law, filtered=self.filtered)
+        return learning(
+            model,
+            sensor,
+            L,
+            Compensator(basis.params, psi, basis.size, True, scale),
+            law,
+            filtered=self.filtered,
+        )

@@ -12,7 +12,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
 
 
-class Kalman(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="kalman"):
+class Kalman(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="kalman",
+):
     """Kalman filter on the measured side; sampled time. A nonlinear model is expanded to second order.
 
     right, left: declared ranges [lo, hi] of d_r and d_l [z], one or one per output (left: default that of right).
@@ -31,7 +38,11 @@ class Kalman(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump":
-            raise InputError("observer.method: readings of a jump sensor only bound its widths, which 'kalman' cannot use; use 'censored'")
+            raise InputError(
+                "observer.method: readings of a jump sensor only bound its widths, which 'kalman' cannot use; use 'censored'"
+            )
         believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
-        variance = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input") ** 2
+        variance = (
+            nonnegative("observer.disturbance", self.disturbance, model.m, "one per input") ** 2
+        )
         return measured_filter(model, sensor, believed, white(model, variance))

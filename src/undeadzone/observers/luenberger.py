@@ -17,7 +17,14 @@ from undeadzone.sensor import Zone, present
 from undeadzone.support.arrays import Array, Floats
 
 
-class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="luenberger"):
+class Luenberger(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="luenberger",
+):
     """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966): L (n x p) [1/s] as in `Certified`, or the poles of A - L C [1/s]."""
 
     L: Array | None = None
@@ -36,9 +43,13 @@ class Luenberger(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             z = model.output(p.model, s.x)
             e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
-            return State(model.move(p.model, s.x, u) + p.L @ e), estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
+            return State(model.move(p.model, s.x, u) + p.L @ e), estimate(
+                s.x, z, none, none, reading, p.slope, sensor.kind, e
+            )
 
-        return Observer(Params(model.params, L, sensor.slope), lambda p: State(np.zeros(model.n)), step)
+        return Observer(
+            Params(model.params, L, sensor.slope), lambda p: State(np.zeros(model.n)), step
+        )
 
 
 class Params(NamedTuple):

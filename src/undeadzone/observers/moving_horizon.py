@@ -10,7 +10,13 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
 from undeadzone.observers.parts import window as horizon
-from undeadzone.observers.parts.augmented_state import Claims, Declared, Habits, claims, quarter_period
+from undeadzone.observers.parts.augmented_state import (
+    Claims,
+    Declared,
+    Habits,
+    claims,
+    quarter_period,
+)
 from undeadzone.observers.parts.measured_kalman import sample_time
 from undeadzone.observers.parts.window import Weights, Window
 from undeadzone.plants.system import System
@@ -21,7 +27,14 @@ HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
-class MovingHorizon(Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="moving_horizon"):
+class MovingHorizon(
+    Declared,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="moving_horizon",
+):
     """Moving horizon estimation of [x; d_r; d_l], Rao, Rawlings, Mayne (2003); sampled time.
 
     right, left, noise, x_std, disturbance, swing, drift: as for `EKF`; the widths stay in their range. horizon: length [s] (default:
@@ -38,22 +51,50 @@ class MovingHorizon(Declared, frozen=True, kw_only=True, forbid_unknown_fields=T
     def build(self, model: System, sensor: Zone) -> NumericObserver:
         """The estimator for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump":
-            raise InputError("observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which that of a jump sensor is not; use 'censored'")
+            raise InputError(
+                "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which that of a jump sensor is not; use 'censored'"
+            )
         if not ca.has_conic(self.solver):
-            raise InputError(f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose another of daqp, osqp")
+            raise InputError(
+                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose another of daqp, osqp"
+            )
         Ts = sample_time(model)
-        length = quarter_period(model) if self.horizon is None else scalar("observer.horizon", self.horizon, above=0.0)
-        period = length / NODES if self.period is None else scalar("observer.period", self.period, above=0.0)
+        length = (
+            quarter_period(model)
+            if self.horizon is None
+            else scalar("observer.horizon", self.horizon, above=0.0)
+        )
+        period = (
+            length / NODES
+            if self.period is None
+            else scalar("observer.period", self.period, above=0.0)
+        )
         stride = max(1, round(period / Ts))
         nodes = max(1, round(length / (stride * Ts)))
         if nodes > 500:
-            raise InputError(f"observer.period: expected at most 500 periods in the horizon, found {nodes}")
+            raise InputError(
+                f"observer.period: expected at most 500 periods in the horizon, found {nodes}"
+            )
         given = claims(self, model, sensor, HABITS, stride)
         rms = np.sqrt(given.prior.R)
-        slack = rms if self.slack is None else nonnegative("observer.slack", self.slack, model.p, "one per output")
+        slack = (
+            rms
+            if self.slack is None
+            else nonnegative("observer.slack", self.slack, model.p, "one per output")
+        )
         if not slack.all():
-            raise InputError("observer.slack: must be positive, found 0: noise alone would leave no solution")
-        return moving(model, sensor, given, Weights(rms, slack, given.prior.gate / sensor.slope, given.ranges), nodes, stride, self.solver)
+            raise InputError(
+                "observer.slack: must be positive, found 0: noise alone would leave no solution"
+            )
+        return moving(
+            model,
+            sensor,
+            given,
+            Weights(rms, slack, given.prior.gate / sensor.slope, given.ranges),
+            nodes,
+            stride,
+            self.solver,
+        )
 
 
 class State(NamedTuple):
@@ -68,7 +109,15 @@ class State(NamedTuple):
     since: int
 
 
-def moving(model: System, sensor: Zone, given: Claims, weights: Weights, nodes: int, stride: int, plugin: str) -> NumericObserver:
+def moving(
+    model: System,
+    sensor: Zone,
+    given: Claims,
+    weights: Weights,
+    nodes: int,
+    stride: int,
+    plugin: str,
+) -> NumericObserver:
     """The estimator over `nodes` intervals of `stride` samples.
 
     Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active readings: what silence
@@ -76,15 +125,25 @@ def moving(model: System, sensor: Zone, given: Claims, weights: Weights, nodes: 
     """
     n, p, m = model.n, model.p, model.m
     believed = given.prior
-    rms = np.sqrt(given.variance / stride)  # held over a node's samples, it moves the state as far as white noise does
+    rms = np.sqrt(
+        given.variance / stride
+    )  # held over a node's samples, it moves the state as far as white noise does
     move, output = _tangents(model)
 
     def start(seed: int) -> State:
         here = np.eye(n), np.zeros(n), np.zeros((n, m))
         cov = np.diag(believed.std**2)
         C, offset = output(believed.mean[:n])
-        padding = Window(np.zeros(p), np.zeros(p), np.zeros(p), believed.mean, cov, C, offset, *here)
-        return State(Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding)), believed.mean, cov, *here, 0)
+        padding = Window(
+            np.zeros(p), np.zeros(p), np.zeros(p), believed.mean, cov, C, offset, *here
+        )
+        return State(
+            Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding)),
+            believed.mean,
+            cov,
+            *here,
+            0,
+        )
 
     solve = horizon.solver(plugin, *horizon.size(start(0).window))
 
@@ -97,21 +156,49 @@ def moving(model: System, sensor: Zone, given: Claims, weights: Weights, nodes: 
         cov[:n, :n] += s.G @ s.G.T
         C, offset = output(s.X[:n])
         y, side = np.where(seen, reading.y / sensor.slope, 0.0), np.where(seen, reading.side, 0.0)
-        newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, np.zeros((n, n)), np.zeros(n), np.zeros((n, m)))
-        left = s.window._replace(**{name: np.concatenate([getattr(s.window, name)[:-1], getattr(s, name)[None]]) for name in ("F", "f", "G")})
-        window = Window(*(np.concatenate([old[1:], new[None]]) for old, new in zip(left, newest, strict=True)))
+        newest = Window(
+            y,
+            side,
+            1.0 * seen,
+            s.X,
+            cov,
+            C,
+            offset,
+            np.zeros((n, n)),
+            np.zeros(n),
+            np.zeros((n, m)),
+        )
+        left = s.window._replace(
+            **{
+                name: np.concatenate([getattr(s.window, name)[:-1], getattr(s, name)[None]])
+                for name in ("F", "f", "G")
+            }
+        )
+        window = Window(
+            *(np.concatenate([old[1:], new[None]]) for old, new in zip(left, newest, strict=True))
+        )
         found = horizon.estimate(window, weights, solve)
         for i in range(p):
             if side[i] != 0:
                 cov = _read(cov, _row(C, i, side[i]), believed.R[i])
-        return State(window, s.X if found is None else found, cov, np.eye(n), np.zeros(n), np.zeros((n, m)), 0)
+        return State(
+            window,
+            s.X if found is None else found,
+            cov,
+            np.eye(n),
+            np.zeros(n),
+            np.zeros((n, m)),
+            0,
+        )
 
     def correct(s: State, reading: Reading) -> tuple[State, Any]:
         seen = np.isfinite(reading.y)
         side = np.where(seen, reading.side, 0.0)
         C, offset = output(s.X[:n])
         rows = np.stack([_row(C, i, side[i]) for i in range(p)])
-        e = np.where(side != 0, np.where(seen, reading.y / sensor.slope, 0.0) - rows @ s.X - offset, 0.0)
+        e = np.where(
+            side != 0, np.where(seen, reading.y / sensor.slope, 0.0) - rows @ s.X - offset, 0.0
+        )
         e_std = np.sqrt(np.einsum("ij,jk,ik->i", rows, s.cov, rows) + believed.R)
         if s.since % stride == 0:
             s = node(s, reading, seen)
@@ -123,7 +210,13 @@ def moving(model: System, sensor: Zone, given: Claims, weights: Weights, nodes: 
 
     def predict(s: State, u: Floats) -> State:
         x, A, B = move(s.X[:n], u)
-        return s._replace(X=np.concatenate([x, s.X[n:]]), F=A @ s.F, f=A @ s.f + x - A @ s.X[:n], G=A @ s.G + B * rms, since=s.since + 1)
+        return s._replace(
+            X=np.concatenate([x, s.X[n:]]),
+            F=A @ s.F,
+            f=A @ s.f + x - A @ s.X[:n],
+            G=A @ s.G + B * rms,
+            since=s.since + 1,
+        )
 
     return NumericObserver(believed, start, correct, predict)
 
@@ -152,7 +245,12 @@ def _tangents(model: System) -> tuple[Any, Any]:
     params = ca.SX(model.params)
     after, z = model.move(params, x, u), model.output(params, x)
     C = ca.densify(ca.jacobian(z, x))
-    moved = ca.Function("move", [x, u], [after, ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))], {"cse": True})
+    moved = ca.Function(
+        "move",
+        [x, u],
+        [after, ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))],
+        {"cse": True},
+    )
     seen = ca.Function("output", [x], [C, z - C @ x])
 
     def move(x: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:

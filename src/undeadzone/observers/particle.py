@@ -15,11 +15,20 @@ from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
-HABITS = Habits(noise=0.1, drift=0.1, x_std=0.5)  # a likelihood that few particles meet leaves copies of these few
+HABITS = Habits(
+    noise=0.1, drift=0.1, x_std=0.5
+)  # a likelihood that few particles meet leaves copies of these few
 STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise and disturbance
 
 
-class ParticleFilter(Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="particle_filter"):
+class ParticleFilter(
+    Declared,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="particle_filter",
+):
     """Bootstrap filter of Gordon, Salmond, Smith (1993) on [x; d_r; d_l], systematic resampling of Kitagawa (1996); sampled time.
 
     right, left, noise, x_std, disturbance, swing, drift: as for `EKF`, but widths are drawn evenly from their range and stay in it, and by
@@ -70,7 +79,16 @@ def bootstrap(model: System, sensor: Zone, given: Claims, count: int) -> Numeric
         mean, S = expected @ s.weights, believed.R + _variance(expected, s.weights)
         both = np.sqrt(_variance(s.widths[:p] + s.widths[p:], weights))
         innovation = np.where(seen, reading.y / sensor.slope - mean, 0.0)
-        found = numeric_estimate(X @ weights, z @ weights, reading, sensor, innovation, np.sqrt(_variance(X, weights)), both, np.sqrt(S))
+        found = numeric_estimate(
+            X @ weights,
+            z @ weights,
+            reading,
+            sensor,
+            innovation,
+            np.sqrt(_variance(X, weights)),
+            both,
+            np.sqrt(S),
+        )
         if 1.0 / (weights @ weights) < count / 2:
             at = systematic(weights, _random(s.seed, 2 * s.sample).uniform())
             return s._replace(x=s.x[:, at], widths=s.widths[:, at], weights=even), found
@@ -79,8 +97,12 @@ def bootstrap(model: System, sensor: Zone, given: Claims, count: int) -> Numeric
     def predict(s: State, u: Floats) -> State:
         rng = _random(s.seed, 2 * s.sample + 1)
         x = move(s.x, u[:, None] + np.sqrt(variance)[:, None] * rng.standard_normal((m, count)))
-        widths: Floats = s.widths + np.sqrt(believed.drift)[:, None] * rng.standard_normal((2 * p, count))
-        widths = high - np.abs(high - low - np.abs(widths - low))  # reflected at both ends of the range
+        widths: Floats = s.widths + np.sqrt(believed.drift)[:, None] * rng.standard_normal(
+            (2 * p, count)
+        )
+        widths = high - np.abs(
+            high - low - np.abs(widths - low)
+        )  # reflected at both ends of the range
         return s._replace(x=x, widths=widths, sample=s.sample + 1)
 
     return NumericObserver(believed, start, correct, predict)
@@ -111,10 +133,14 @@ def _random(seed: int, purpose: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=[seed, STREAM], counter=[0, purpose, 0, 0]))
 
 
-def _vectorised(model: System, count: int) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats], Floats]]:
+def _vectorised(
+    model: System, count: int
+) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats], Floats]]:
     """The model's motion and output on `count` columns of numbers."""
     if not model.nonlinear:
-        return lambda x, u: np.asarray(model.move(model.params, x, u)), lambda x: np.asarray(model.output(model.params, x))
+        return lambda x, u: np.asarray(model.move(model.params, x, u)), lambda x: np.asarray(
+            model.output(model.params, x)
+        )
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(model.params), x, u)]).map(count)
     output = ca.Function("output", [x], [model.output(ca.SX(model.params), x)]).map(count)

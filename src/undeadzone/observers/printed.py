@@ -24,7 +24,14 @@ STAND_INS = {
 }
 
 
-class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="printed"):
+class Printed(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="printed",
+):
     """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi, P of (34) with A - L C.
 
     L: gains (n); sigma: adaptation gain; alpha, Q: of (34); sharpness: k_s of (8); widths0: d^(0) = [right, left], A2
@@ -43,13 +50,33 @@ class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a continuous-time model of one output. Raises InputError, StructureError."""
         if model.Ts is not None or model.nonlinear or model.p != 1:
-            raise InputError("observer.method: 'printed' is defined for a linear plant of one output in continuous time (simulation.time)")
+            raise InputError(
+                "observer.method: 'printed' is defined for a linear plant of one output in continuous time (simulation.time)"
+            )
         A, B, C = model.linear
         L = gains(self.L, model)
-        P = paper_riccati(A - L @ C, B, scalar("observer.alpha", self.alpha, above=0.0), weight("observer.Q", self.Q, model.n)).P
+        P = paper_riccati(
+            A - L @ C,
+            B,
+            scalar("observer.alpha", self.alpha, above=0.0),
+            weight("observer.Q", self.Q, model.n),
+        ).P
         right, left = pairs("observer.widths0", self.widths0, 1)[0]
-        sigma, sharpness, left_sign = (np.float64(scalar(f"observer.{name}", getattr(self, name))) for name in ("sigma", "sharpness", "left_sign"))
-        params = Params(model.params, L, sigma, C @ P @ L, sharpness, np.float64(self.feed_input), left_sign, np.array([right]), np.array([left]))
+        sigma, sharpness, left_sign = (
+            np.float64(scalar(f"observer.{name}", getattr(self, name)))
+            for name in ("sigma", "sharpness", "left_sign")
+        )
+        params = Params(
+            model.params,
+            L,
+            sigma,
+            C @ P @ L,
+            sharpness,
+            np.float64(self.feed_input),
+            left_sign,
+            np.array([right]),
+            np.array([left]),
+        )
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)
@@ -57,7 +84,11 @@ class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             e = reading.y - y_hat
             chi_r, chi_l = indicators(reading.y, p.sharpness)
             rate = -p.sigma * e * p.cpl
-            change = State(model.move(p.model, s.x, p.feed_input * u) + p.L @ e, rate * chi_r, p.left_sign * -rate * chi_l)
+            change = State(
+                model.move(p.model, s.x, p.feed_input * u) + p.L @ e,
+                rate * chi_r,
+                p.left_sign * -rate * chi_l,
+            )
             return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
 
         return Observer(params, lambda p: State(np.zeros(model.n), p.right0, p.left0), step)

@@ -13,7 +13,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, scalar
 
 
-class RBFResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="rbf_residual"):
+class RBFResidual(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="rbf_residual",
+):
     """Sanner and Slotine, Gaussian networks for direct adaptive control (1992): z - y / m = W'phi(z^), phi Gaussians at `centres` places.
 
     reach: |z| up to which they lie, one or one per output [z]; overlap: of neighbours, standard deviation in spacings.

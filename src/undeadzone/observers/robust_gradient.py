@@ -18,7 +18,14 @@ from undeadzone.sensor import Zone, indicators
 from undeadzone.support.arrays import Array, Floats, scalar
 
 
-class RobustGradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="robust_gradient"):
+class RobustGradient(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="robust_gradient",
+):
     """Gradient law on the side of the estimate, beside the robust tanh term of the paper's references [16], [17].
 
     L, poles [1/s] or speed [1/s]: of A - L C (default: a speed of 8 mean poles of the plant, fewer beyond second order). gamma [1/s]: of the
@@ -40,10 +47,21 @@ class RobustGradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
         if sensor.kind == "jump":
-            raise InputError("observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor has not; use 'certified' or 'censored'")
-        widths = adapted(3 * fastest_pole(model) if self.gamma is None else self.gamma, self.widths0, self.width_max, model, sensor)
+            raise InputError(
+                "observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor has not; use 'certified' or 'censored'"
+            )
+        widths = adapted(
+            3 * fastest_pole(model) if self.gamma is None else self.gamma,
+            self.widths0,
+            self.width_max,
+            model,
+            sensor,
+        )
         L = injection(model, self.L, self.poles, self.speed, hiding(model, 8.0))
-        rho, width = scalar("observer.rho", self.rho, least=0.0), scalar("observer.width", self.width, above=0.0)
+        rho, width = (
+            scalar("observer.rho", self.rho, least=0.0),
+            scalar("observer.width", self.width, above=0.0),
+        )
         sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)
         robust = rho * steady_input(model, L) if rho else np.zeros((model.n, model.p))
 
@@ -51,9 +69,19 @@ class RobustGradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             return law.robust @ ca.tanh(e / law.width)
 
         def where(law: Law, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-            return indicators(z - s.right, law.sharpness)[0], indicators(z + s.left, law.sharpness)[1]
+            return indicators(z - s.right, law.sharpness)[0], indicators(z + s.left, law.sharpness)[
+                1
+            ]
 
-        return output_error(model, sensor, L, widths, Law(robust, np.float64(width), np.float64(sharpness)), inject, where)
+        return output_error(
+            model,
+            sensor,
+            L,
+            widths,
+            Law(robust, np.float64(width), np.float64(sharpness)),
+            inject,
+            where,
+        )
 
 
 class Law(NamedTuple):
@@ -70,5 +98,7 @@ def steady_input(model: System, L: Floats) -> Floats:
     closed = A - L @ C - (0.0 if model.Ts is None else np.eye(model.n))
     still = -C @ np.linalg.solve(closed, B)
     if np.linalg.matrix_rank(still, 1e-9 * float(np.linalg.norm(B))) < model.p:
-        raise StructureError("observer.rho: inputs cannot move every output in steady state (fewer inputs than outputs, or a zero at s = 0); set rho = 0")
+        raise StructureError(
+            "observer.rho: inputs cannot move every output in steady state (fewer inputs than outputs, or a zero at s = 0); set rho = 0"
+        )
     return B @ np.linalg.pinv(still)

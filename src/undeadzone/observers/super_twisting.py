@@ -18,10 +18,26 @@ from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
-LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)  # gains of the recursive differentiator, from the last derivative up
+LEVANT = (
+    1.1,
+    1.5,
+    2.0,
+    3.0,
+    5.0,
+    7.0,
+    10.0,
+    12.0,
+)  # gains of the recursive differentiator, from the last derivative up
 
 
-class SuperTwisting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="super_twisting"):
+class SuperTwisting(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="super_twisting",
+):
     """Davila, Fridman and Levant (2005) for second order; for higher orders Levant's exact differentiator (1998, 2003) with the model in it.
 
     In coordinates z_i, z_i', ... (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e:
@@ -43,7 +59,11 @@ class SuperTwisting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         linear = any(given is not None for given in (self.L, self.poles, self.speed))
-        L = injection(model, self.L, self.poles, self.speed, 1.0) if linear else np.zeros((model.n, model.p))
+        L = (
+            injection(model, self.L, self.poles, self.speed, 1.0)
+            if linear
+            else np.zeros((model.n, model.p))
+        )
         flow = model.linear if model.flow is None else model.flow
         chains = output_chains(flow.A, flow.C)
         orders = [len(rows) for rows in chains.rows]
@@ -52,18 +72,39 @@ class SuperTwisting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives of one output, this plant needs {max(orders)}"
             )
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
-        bound = vector("observer.lipschitz", default if self.lipschitz is None else self.lipschitz, model.p, "one per output")
+        bound = vector(
+            "observer.lipschitz",
+            default if self.lipschitz is None else self.lipschitz,
+            model.p,
+            "one per output",
+        )
         if (bound <= 0).any():
             raise InputError(f"observer.lipschitz: must be positive, found {bound.min():g}")
         per_step = 1.0 if model.Ts is None else model.Ts
-        scale = np.concatenate([_gains(r) * size ** (np.arange(1, r + 1) / r) for r, size in zip(orders, bound, strict=True)])
+        scale = np.concatenate(
+            [
+                _gains(r) * size ** (np.arange(1, r + 1) / r)
+                for r, size in zip(orders, bound, strict=True)
+            ]
+        )
         order = np.concatenate(chains.rows)
 
         def inject(law: Law, e: Any) -> Any:
-            powers = [ca.sign(e[i]) * ca.fabs(e[i]) ** ((r - k) / r) for i, r in enumerate(orders) for k in range(1, r + 1)]
+            powers = [
+                ca.sign(e[i]) * ca.fabs(e[i]) ** ((r - k) / r)
+                for i, r in enumerate(orders)
+                for k in range(1, r + 1)
+            ]
             return law.inverse @ (law.scale * ca.vertcat(*powers))
 
-        return output_error(model, sensor, L, widths, Law(np.linalg.inv(chains.O)[:, order] * per_step, scale), inject)
+        return output_error(
+            model,
+            sensor,
+            L,
+            widths,
+            Law(np.linalg.inv(chains.O)[:, order] * per_step, scale),
+            inject,
+        )
 
 
 class Law(NamedTuple):

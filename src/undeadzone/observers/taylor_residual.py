@@ -13,7 +13,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array
 
 
-class TaylorResidual(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="taylor_residual"):
+class TaylorResidual(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="taylor_residual",
+):
     """Multidimensional Taylor network (Yan and Kang 2017): z - y / m = W'phi(z^), phi the powers of z^ / reach up to `degree`.
 
     reach: |z| up to which it holds, one or one per output [z]; beyond, the powers stay as they are.

@@ -21,7 +21,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
 
 
-class WalcottZak(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="walcott_zak"):
+class WalcottZak(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="walcott_zak",
+):
     """x^' = A x^ + B u + L e + G rho sat(e / boundary), C G = I: Walcott and Zak (1987), Edwards and Spurgeon (1998).
 
     L, poles [1/s] or speed [1/s] of A - L C (default: a speed of ten times the fastest pole of the plant). rho [z/s]:
@@ -45,7 +52,12 @@ class WalcottZak(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StepError, StructureError."""
         p = model.p
         L = injection(model, self.L, self.poles, self.speed, 10.0)
-        rho = nonnegative("observer.rho", 5 * fastest_pole(model) if self.rho is None else self.rho, p, "one per output")
+        rho = nonnegative(
+            "observer.rho",
+            5 * fastest_pole(model) if self.rho is None else self.rho,
+            p,
+            "one per output",
+        )
         boundary = vector("observer.boundary", self.boundary, p, "one per output")
         if (boundary <= 0).any():
             raise InputError(f"observer.boundary: must be positive, found {boundary.min():g}")
@@ -53,7 +65,9 @@ class WalcottZak(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             rho = rho * model.Ts
         G = direction(model, L, self.Q)
         if model.Ts is not None:
-            fastest = np.abs(np.linalg.eigvals(model.linear.A - (L + G * (rho / boundary)) @ model.linear.C)).max()
+            fastest = np.abs(
+                np.linalg.eigvals(model.linear.A - (L + G * (rho / boundary)) @ model.linear.C)
+            ).max()
             if fastest >= 1:
                 raise StepError(
                     f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary layer (spectral radius {fastest:.4g}); "
@@ -63,7 +77,14 @@ class WalcottZak(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         def inject(law: Law, e: Any) -> Any:
             return law.G @ (law.rho * ca.fmax(ca.fmin(e / law.boundary, 1.0), -1.0))
 
-        return output_error(model, sensor, L, adapted(self.gamma, self.widths0, self.width_max, model, sensor), Law(G, rho, boundary), inject)
+        return output_error(
+            model,
+            sensor,
+            L,
+            adapted(self.gamma, self.widths0, self.width_max, model, sensor),
+            Law(G, rho, boundary),
+            inject,
+        )
 
 
 class Law(NamedTuple):
@@ -82,9 +103,16 @@ def direction(model: System, L: Floats, Q: Array | None) -> Floats:
     n, Ts = model.n, model.Ts
     flow = model.linear.A - L @ model.linear.C
     _require_stable(flow, Ts, "A - L C")
-    unit = 1 / sizes((flow if Ts is None else (flow - np.eye(n)) / Ts).T, model.linear.C.T)  # of each state
+    unit = 1 / sizes(
+        (flow if Ts is None else (flow - np.eye(n)) / Ts).T, model.linear.C.T
+    )  # of each state
     A, L, C = model.linear.A * unit / unit[:, None], L / unit[:, None], model.linear.C * unit
-    P = lyapunov(Matrices(A, L, C), C, np.eye(n) if Q is None else weight("observer.Q", Q, n) * np.outer(unit, unit), Ts)
+    P = lyapunov(
+        Matrices(A, L, C),
+        C,
+        np.eye(n) if Q is None else weight("observer.Q", Q, n) * np.outer(unit, unit),
+        Ts,
+    )
     along = np.linalg.solve(P, C.T)
     G = np.linalg.solve((C @ along).T, along.T).T
     hidden = np.linalg.svd(C)[2][model.p :].T  # where C x~ = 0
@@ -95,4 +123,6 @@ def direction(model: System, L: Floats, Q: Array | None) -> Floats:
 def _require_stable(A: Floats, Ts: float | None, what: str) -> None:
     poles = np.linalg.eigvals(A)
     if A.size and ((poles.real.max() >= 0) if Ts is None else (np.abs(poles).max() >= 1)):
-        raise StructureError(f"observer.L: {what} is not stable, its poles are {listed(poles)}; choose another L, or slower poles")
+        raise StructureError(
+            f"observer.L: {what} is not stable, its poles are {listed(poles)}; choose another L, or slower poles"
+        )

@@ -40,7 +40,10 @@ class Paper(NamedTuple):
             "repaired": _repaired(five),
             "repaired_2sin": _repaired(two),
             "repaired_sampled": _repaired(self.evidence.sampled),
-            "variants": {"definition": DEFINITION, "counts": [item._asdict() for item in self.counts]},
+            "variants": {
+                "definition": DEFINITION,
+                "counts": [item._asdict() for item in self.counts],
+            },
             "facts": [fact._asdict() for fact in self.facts],
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
@@ -60,7 +63,11 @@ def _printed(run: Run) -> dict[str, Any]:
         "max_abs_z": float(np.abs(run.z[steady]).max()),
         "peak_abs_z": float(np.abs(run.z).max()),
         "max_abs_y": float(np.abs(run.y).max()),
-        **{name: value for name, value in run.summary().items() if name in ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")},
+        **{
+            name: value
+            for name, value in run.summary().items()
+            if name in ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
+        },
     }
 
 

@@ -45,13 +45,20 @@ class Claim(NamedTuple):
     @property
     def measured(self) -> str:
         """The numbers in words."""
-        printed = ", ".join(f"{_words(value)} {case}".strip() for case, value in self.printed.items())
+        printed = ", ".join(
+            f"{_words(value)} {case}".strip() for case, value in self.printed.items()
+        )
         return f"{self.text.quantity}: as printed {printed}; repaired {_words(self.repaired)}; limit {self.text.limit:g}"
 
     def summary(self) -> dict[str, Any]:
         """The claim ready for JSON; values that are not finite become None."""
         numbers = {"printed": finite(max(self.printed.values())), "repaired": finite(self.repaired)}
-        return {**self.text._asdict(), **numbers, "measured": self.measured, "verdict": self.verdict}
+        return {
+            **self.text._asdict(),
+            **numbers,
+            "measured": self.measured,
+            "verdict": self.verdict,
+        }
 
 
 def _words(value: float) -> str:
@@ -137,7 +144,14 @@ TEXTS: Final = (
         1e-3,
         "(16) lacks B u: from rest x^ stays 0 while x moves.",
     ),
-    Text("state-2", "figure 7", "x^2 tracks x2 asymptotically", "rms of x^2 - x2, last 2 s", 1e-3, "As for x1."),
+    Text(
+        "state-2",
+        "figure 7",
+        "x^2 tracks x2 asymptotically",
+        "rms of x^2 - x2, last 2 s",
+        1e-3,
+        "As for x1.",
+    ),
     Text(
         "displacements",
         "figures 5 and 6",
@@ -162,7 +176,14 @@ TEXTS: Final = (
         1e-3,
         "No observer has this: inside the zone y^ = y = 0 whatever d^ is. The reference must cross both edges.",
     ),
-    Text("adaptation-bounded", "figure 8", "The adaptation is bounded", "largest |d^|", 3.0, "V and the projection onto [0, d_M], d_M = 3, keep it so."),
+    Text(
+        "adaptation-bounded",
+        "figure 8",
+        "The adaptation is bounded",
+        "largest |d^|",
+        3.0,
+        "V and the projection onto [0, d_M], d_M = 3, keep it so.",
+    ),
     Text(
         "lyapunov",
         "(30)-(36)",
@@ -259,5 +280,12 @@ TEXTS: Final = (
         0.0,
         "Not shown: the example is one linear second-order plant.",
     ),
-    Text("effort", "conclusions", "Control effort was analysed", "analyses announced that no figure shows", 0.0, "Not shown."),
+    Text(
+        "effort",
+        "conclusions",
+        "Control effort was analysed",
+        "analyses announced that no figure shows",
+        0.0,
+        "Not shown.",
+    ),
 )

@@ -8,7 +8,16 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from undeadzone.observers import Certified, Luenberger
-from undeadzone.paper.example import AMPLITUDES, L_POLES, L_REPAIRED, STARTED, D, printed, reference, repaired
+from undeadzone.paper.example import (
+    AMPLITUDES,
+    L_POLES,
+    L_REPAIRED,
+    STARTED,
+    D,
+    printed,
+    reference,
+    repaired,
+)
 from undeadzone.paper.measures import with_printed_V
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.sensor import Sensor
@@ -59,13 +68,20 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
         return run(msgspec.structs.replace(scenario, **changes))
 
     def pair(*variations: dict[str, Any]) -> Pair:
-        return Pair(tuple(change(begun, **v) for v in variations), tuple(change(nominal, **v) for v in variations))
+        return Pair(
+            tuple(change(begun, **v) for v in variations),
+            tuple(change(nominal, **v) for v in variations),
+        )
 
     unaware = msgspec.structs.replace(begun.observer, widths0=0.0)
     return Evidence(
         printed={
-            RESTING: tuple(with_printed_V(run(printed(amplitude), check_step=True)) for amplitude in AMPLITUDES),
-            BEGUN: tuple(with_printed_V(run(printed(amplitude, x1=STARTED))) for amplitude in AMPLITUDES),
+            RESTING: tuple(
+                with_printed_V(run(printed(amplitude), check_step=True)) for amplitude in AMPLITUDES
+            ),
+            BEGUN: tuple(
+                with_printed_V(run(printed(amplitude, x1=STARTED))) for amplitude in AMPLITUDES
+            ),
             SIGNED: (with_printed_V(run(printed(5.0, x1=STARTED, signed_left=True))),),
         },
         repaired=tuple(run(repaired(amplitude), check_step=True) for amplitude in AMPLITUDES),
@@ -74,9 +90,15 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
         mismatched=pair(*({"model": model} for model in _mismatches())),
         disturbed=pair({"disturbance": Sine(amplitude=DISTURBANCE, frequency=0.3)}),
         scaled=pair({"sensor": Sensor(right=D, left=D, slope=SLOPE)}),
-        silent=Pair((change(printed(5.0), observer=unaware),), (change(nominal, reference=reference(0.5)),)),
+        silent=Pair(
+            (change(printed(5.0), observer=unaware),), (change(nominal, reference=reference(0.5)),)
+        ),
         blind=change(nominal, observer=Luenberger(L=L_REPAIRED)),
-        slow=change(nominal, observer=Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0), simulation=Simulation(duration=100.0)),
+        slow=change(
+            nominal,
+            observer=Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0),
+            simulation=Simulation(duration=100.0),
+        ),
     )
 
 

@@ -21,7 +21,10 @@ POLES: Final = (-4.0, -10.0)  # that (40) is said to place
 L_POLES: Final = (12.0, 15.0)  # that does place them, for (39)
 L_REPAIRED: Final = (1.0, 1.5)
 ALPHA: Final = 10.0
-AMPLITUDES: Final = (5.0, 2.0)  # r = 5 sin 2 pi t of the text, theta_d = 2 sin 2 pi t of the figures
+AMPLITUDES: Final = (
+    5.0,
+    2.0,
+)  # r = 5 sin 2 pi t of the text, theta_d = 2 sin 2 pi t of the figures
 DURATION: Final = 20.0  # [s]
 STARTED: Final = 5.0  # x1(0) of the runs that begin outside the zone
 
@@ -35,9 +38,14 @@ class Reading(NamedTuple):
 
 READINGS: Final = {
     "omega_n = 1": Reading(Plant(second_order=SecondOrder(zeta=1.0, omega_n=1.0)), "(38), (39)"),
-    "omega_n = 2 pi": Reading(Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA)), "(37) with omega_n^2 x"),
+    "omega_n = 2 pi": Reading(
+        Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA)), "(37) with omega_n^2 x"
+    ),
     "stiffness 2 pi": Reading(Plant(companion=[OMEGA, 2 * OMEGA]), "(37) as printed, omega_n x"),
-    "unity DC gain": Reading(Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA, gain=OMEGA**2)), "(37) with omega_n^2 x = omega_n^2 u"),
+    "unity DC gain": Reading(
+        Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA, gain=OMEGA**2)),
+        "(37) with omega_n^2 x = omega_n^2 u",
+    ),
 }
 
 
@@ -56,7 +64,9 @@ def printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Sce
         plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[x1, 0.0]),
         sensor=Sensor(right=D, left=D),
         reference=reference(amplitude),
-        observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D, left_sign=1.0 if signed_left else -1.0),
+        observer=Printed(
+            L=L_PRINTED, alpha=ALPHA, widths0=D, left_sign=1.0 if signed_left else -1.0
+        ),
         controller=PD(L=L_PRINTED, alpha=ALPHA),
         simulation=Simulation(duration=DURATION),
     )

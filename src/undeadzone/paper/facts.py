@@ -10,7 +10,16 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import observer_gain
 from undeadzone.linear.riccati import paper_riccati
-from undeadzone.paper.example import ALPHA, AMPLITUDES, L_POLES, L_PRINTED, OMEGA, POLES, READINGS, printed
+from undeadzone.paper.example import (
+    ALPHA,
+    AMPLITUDES,
+    L_POLES,
+    L_PRINTED,
+    OMEGA,
+    POLES,
+    READINGS,
+    printed,
+)
 from undeadzone.plants.build import matrices, system
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, run_loop
@@ -52,9 +61,17 @@ def _poles(name: str, linear: Matrices) -> list[Fact]:
     need = observer_gain(linear, POLES, None).ravel()
     total, product = -sum(POLES), POLES[0] * POLES[1]
     wanted = (total - a1, product - a0 - a1 * (total - a1))
-    lines = zip(("rightmost pole of A - L C, (40)", "leftmost pole of A - L C, (40)"), poles[::-1], roots, strict=True)
+    lines = zip(
+        ("rightmost pole of A - L C, (40)", "leftmost pole of A - L C, (40)"),
+        poles[::-1],
+        roots,
+        strict=True,
+    )
     gains = zip(("l1 for poles -4, -10", "l2 for poles -4, -10"), need, wanted, strict=True)
-    return [Fact(name, what, float(measured), float(closed)) for what, measured, closed in (*lines, *gains)]
+    return [
+        Fact(name, what, float(measured), float(closed))
+        for what, measured, closed in (*lines, *gains)
+    ]
 
 
 def _quadratic(b: float, c: float) -> tuple[float, float]:
@@ -129,9 +146,23 @@ def _responses(amplitude: float) -> list[Fact]:
         (a0, a1), force = -A[1], amplitude * B[1, 0]
         where = f"{name}, u = {amplitude:g} sin 2 pi t"
         steady = force / np.hypot(a0 - OMEGA**2, a1 * OMEGA)
-        found.append(Fact(where, "steady amplitude of z", float(np.abs(z[t >= t[-1] - STEADY]).max()), float(steady)))
+        found.append(
+            Fact(
+                where,
+                "steady amplitude of z",
+                float(np.abs(z[t >= t[-1] - STEADY]).max()),
+                float(steady),
+            )
+        )
         if np.isclose(a1**2, 4 * a0):
-            found.append(Fact(where, "peak of |z| from rest", float(np.abs(z).max()), float(np.abs(_from_rest(force, a1 / 2, t)).max())))
+            found.append(
+                Fact(
+                    where,
+                    "peak of |z| from rest",
+                    float(np.abs(z).max()),
+                    float(np.abs(_from_rest(force, a1 / 2, t)).max()),
+                )
+            )
     return found
 
 

@@ -11,7 +11,18 @@ import numpy as np
 from undeadzone.paper.equations import FIGURES
 from undeadzone.paper.example import D
 from undeadzone.paper.measures import predicted_reading
-from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, plot_magnitude, shade_zone, sheet
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    finish,
+    plot_magnitude,
+    shade_zone,
+    sheet,
+)
 from undeadzone.simulation.run import Run
 from undeadzone.support.arrays import Floats
 
@@ -40,25 +51,43 @@ class Line(NamedTuple):
 
 
 _LINES: Final = {
-    3: (Line("$y$", TRUTH, lambda run: run.y[:, 0]), Line(r"$\hat y$", ESTIMATE, predicted_reading)),
+    3: (
+        Line("$y$", TRUTH, lambda run: run.y[:, 0]),
+        Line(r"$\hat y$", ESTIMATE, predicted_reading),
+    ),
     4: (Line(r"$\hat y - y$", ESTIMATE, lambda run: predicted_reading(run) - run.y[:, 0]),),
-    5: (Line("$x_1$", TRUTH, lambda run: run.x[:, 0]), Line(r"$\hat x_1$", ESTIMATE, lambda run: run.x_hat[:, 0])),
+    5: (
+        Line("$x_1$", TRUTH, lambda run: run.x[:, 0]),
+        Line(r"$\hat x_1$", ESTIMATE, lambda run: run.x_hat[:, 0]),
+    ),
     6: (Line(r"$\hat x_1 - x_1$", ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
     7: (Line(r"$\hat x_2 - x_2$", ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
-    8: (Line(r"$\hat d_r$", ESTIMATE, lambda run: run.d_hat[:, 0]), Line(r"$\hat d_l$", OTHER, lambda run: run.d_hat[:, 1])),
+    8: (
+        Line(r"$\hat d_r$", ESTIMATE, lambda run: run.d_hat[:, 0]),
+        Line(r"$\hat d_l$", OTHER, lambda run: run.d_hat[:, 1]),
+    ),
 }
 
 
 def figure(number: int, runs: Trio, reference: str) -> Figure:
     """One of figures 3-8 for a reference given in words."""
     lines = _LINES[number]
-    sketch, panels = sheet([["printed", "repaired"], ["V printed", "V repaired"]], f"Figure {number}: {_mathtext(FIGURES[number])}, {reference}")
+    sketch, panels = sheet(
+        [["printed", "repaired"], ["V printed", "V repaired"]],
+        f"Figure {number}: {_mathtext(FIGURES[number])}, {reference}",
+    )
     _signals(panels["printed"], lines, runs.begun)
     _from_rest(panels["printed"], runs.resting, lines[0].value)
-    finish(panels["printed"], f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}", ", ".join(line.name for line in lines))
+    finish(
+        panels["printed"],
+        f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}",
+        ", ".join(line.name for line in lines),
+    )
     _signals(panels["repaired"], lines, runs.repaired)
     finish(panels["repaired"], "Repaired")
-    panels["V printed"].plot(runs.begun.t, _V(runs.begun), color=TRUTH, label="started outside the zone")
+    panels["V printed"].plot(
+        runs.begun.t, _V(runs.begun), color=TRUTH, label="started outside the zone"
+    )
     _from_rest(panels["V printed"], runs.resting, _V)
     finish(panels["V printed"], "V of (30), as printed", "V")
     plot_magnitude(panels["V repaired"], runs.repaired.t, _V(runs.repaired), TRUTH, "V")
@@ -68,7 +97,11 @@ def figure(number: int, runs: Trio, reference: str) -> Figure:
 
 def _mathtext(words: str) -> str:
     """x^1 and y^ with their hats on."""
-    return re.sub(r"([a-z])\^(\d?)", r"$\\hat{\1}_{\2}$", re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words))
+    return re.sub(
+        r"([a-z])\^(\d?)",
+        r"$\\hat{\1}_{\2}$",
+        re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words),
+    )
 
 
 def _V(run: Run) -> Floats:
@@ -83,7 +116,13 @@ def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
     if widths:
         axes.axhline(D, color=TRUTH, linewidth=3.0, alpha=0.25, label="truth")
     for line in lines:
-        axes.plot(run.t[shown], line.value(run)[shown], color=line.colour, label=line.name, linestyle=DASHED if paired and line is lines[1] else "-")
+        axes.plot(
+            run.t[shown],
+            line.value(run)[shown],
+            color=line.colour,
+            label=line.name,
+            linestyle=DASHED if paired and line is lines[1] else "-",
+        )
 
 
 def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
@@ -94,14 +133,30 @@ def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
 
 def silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     """What u = r = 5 sin 2 pi t as a force does from rest: z by reading of the plant, and the small ones again larger."""
-    sketch, panels = sheet([["all", "all", "inside"]], "Why the sensor says nothing: 5 sin 2πt as a force, from rest", height=3.0)
+    sketch, panels = sheet(
+        [["all", "all", "inside"]],
+        "Why the sensor says nothing: 5 sin 2πt as a force, from rest",
+        height=3.0,
+    )
     early = t <= EARLY
     for name, axes in panels.items():
         shade_zone(axes, D, D)
-        for (reading, z), colour in zip(outputs.items(), (PRINTED, ESTIMATE, REFERENCE, READING), strict=True):
+        for (reading, z), colour in zip(
+            outputs.items(), (PRINTED, ESTIMATE, REFERENCE, READING), strict=True
+        ):
             if name == "all" or np.abs(z).max() < D:
-                axes.plot(t[early], z[early], color=colour, label=reading.replace("omega_n", r"$\omega_n$").replace(" pi", "π"))
+                axes.plot(
+                    t[early],
+                    z[early],
+                    color=colour,
+                    label=reading.replace("omega_n", r"$\omega_n$").replace(" pi", "π"),
+                )
     panels["inside"].set_ylim(-D / 2, D / 2)
-    finish(panels["all"], "Only with unity DC gain does the output leave the dead zone", "output z", legend=5)
+    finish(
+        panels["all"],
+        "Only with unity DC gain does the output leave the dead zone",
+        "output z",
+        legend=5,
+    )
     finish(panels["inside"], "The three others, enlarged", legend=0)
     return sketch

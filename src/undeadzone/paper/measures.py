@@ -28,7 +28,10 @@ def with_printed_V(run: Run) -> Run:
     """The run with V of (30) for sigma = 1; the scalar C P C' stands for the n x n matrix P beside the scalar y~."""
     A, B, C = matrices(printed(1.0).plant)
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
-    V = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0]) + (width_errors(run) ** 2).sum(axis=1) / 2
+    V = (
+        run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
+        + (width_errors(run) ** 2).sum(axis=1) / 2
+    )
     return dataclasses.replace(run, V=V)
 
 
@@ -102,14 +105,21 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
 
 def rise(run: Run) -> float:
     """Largest increase of V above an earlier value, relative to its largest; infinite if the run diverges."""
-    return np.inf if run.diverged_at is not None or run.largest_rise_of_V is None else run.largest_rise_of_V
+    return (
+        np.inf
+        if run.diverged_at is not None or run.largest_rise_of_V is None
+        else run.largest_rise_of_V
+    )
 
 
 def rate(run: Run) -> float:
     """Rate [1/s] at which |d^ - d| falls, from its largest values in a second at half time and in the last second."""
     size, second = np.abs(width_errors(run)).max(axis=1), round(1.0 / run.info.step)
     half = size.size // 2
-    return float(np.log(size[half - second : half].max() / size[-second:].max()) / (run.t[-1] - run.t[half - 1]))
+    return float(
+        np.log(size[half - second : half].max() / size[-second:].max())
+        / (run.t[-1] - run.t[half - 1])
+    )
 
 
 def _largest(values: Floats) -> float:

@@ -34,7 +34,11 @@ LIMIT: Final = 1e6  # beyond it a variant has diverged
 MOVED: Final = 1e-9  # change of d^ that counts as a move
 
 GAINS: Final = ("printed", "negated", "placed")
-STARTS: Final = {"from rest, d^(0) = 0": (0.0, 0.0), f"x1(0) = {STARTED:g}, d^(0) = 0": (STARTED, 0.0), "from rest, d^(0) = d": (0.0, D)}
+STARTS: Final = {
+    "from rest, d^(0) = 0": (0.0, 0.0),
+    f"x1(0) = {STARTED:g}, d^(0) = 0": (STARTED, 0.0),
+    "from rest, d^(0) = d": (0.0, D),
+}
 
 DEFINITION: Final = (
     "per plant and start: L in {(-1.25, -1.62), its negative, the one that places -4, -10} x observer with or without B u x sign of sigma "
@@ -50,7 +54,9 @@ class Variant(NamedTuple):
     L: str
     feeds_input: bool
     sigma: float
-    pd_sign: float  # +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
+    pd_sign: (
+        float  # +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
+    )
     left_sign: float  # -1: (25) with d_l > 0; +1: with a signed d_l < 0
 
 
@@ -78,15 +84,26 @@ class Count(NamedTuple):
 
 def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]:
     """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t; progress is told of steps done."""
-    problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=Simulation(duration=DURATION, step=STEP)))
+    problem = resolve_scenario(
+        msgspec.structs.replace(printed(5.0), simulation=Simulation(duration=DURATION, step=STEP))
+    )
     loop, _, exogenous = prepare(problem)
     found = []
     for plant, name in product(READINGS, GAINS):
         model = system(READINGS[plant].plant)
         L = gain(name, model)
-        observer, law = Printed(L=L, alpha=ALPHA).build(model, problem.sensor), PD(L=L, alpha=ALPHA).build(model)
-        built = loop._replace(params=loop.params._replace(plant=model.params, observer=observer.params, controller=law.params))
-        for start, feeds_input, sigma, pd_sign, left_sign in product(STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)):
+        observer, law = (
+            Printed(L=L, alpha=ALPHA).build(model, problem.sensor),
+            PD(L=L, alpha=ALPHA).build(model),
+        )
+        built = loop._replace(
+            params=loop.params._replace(
+                plant=model.params, observer=observer.params, controller=law.params
+            )
+        )
+        for start, feeds_input, sigma, pd_sign, left_sign in product(
+            STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)
+        ):
             variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
             here, state = _with_signs(built, variant)
             found.append(_judge(variant, run_loop(here, state, exogenous, progress)))
@@ -95,7 +112,11 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
 
 def gain(name: str, model: System) -> Floats:
     """L by name: (40), its negative, or the one that places the poles of (40) for this plant."""
-    return observer_gain(model.linear, POLES, None) if name == "placed" else np.array(L_PRINTED) * (1.0 if name == "printed" else -1.0)
+    return (
+        observer_gain(model.linear, POLES, None)
+        if name == "placed"
+        else np.array(L_PRINTED) * (1.0 if name == "printed" else -1.0)
+    )
 
 
 def count(outcomes: Iterable[Outcome]) -> list[Count]:
@@ -119,10 +140,19 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
     """The loop with a variant's signs, and its packed initial state."""
     x1, width = STARTS[variant.start]
     observer, law = loop.params.observer, loop.params.controller
-    observer = observer._replace(sigma=np.float64(variant.sigma), feed_input=np.float64(variant.feeds_input), left_sign=np.float64(variant.left_sign))
+    observer = observer._replace(
+        sigma=np.float64(variant.sigma),
+        feed_input=np.float64(variant.feeds_input),
+        left_sign=np.float64(variant.left_sign),
+    )
     law = law._replace(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d)
-    state = loop.state._replace(plant=np.array([x1, 0.0]), observer=loop.state.observer._replace(right=np.array([width]), left=np.array([width])))
-    return loop._replace(params=loop.params._replace(observer=observer, controller=law)), tree.pack(state)
+    state = loop.state._replace(
+        plant=np.array([x1, 0.0]),
+        observer=loop.state.observer._replace(right=np.array([width]), left=np.array([width])),
+    )
+    return loop._replace(params=loop.params._replace(observer=observer, controller=law)), tree.pack(
+        state
+    )
 
 
 def _judge(variant: Variant, signal: Outputs) -> Outcome:

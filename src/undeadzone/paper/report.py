@@ -12,13 +12,17 @@ from undeadzone.paper.printed import Outcome, Variant
 from undeadzone.support.files import replacing, write_text
 
 
-def write(paper: Paper, folder: Path, figures: bool = True, progress: Progress | None = None) -> list[Path]:
+def write(
+    paper: Paper, folder: Path, figures: bool = True, progress: Progress | None = None
+) -> list[Path]:
     """Write paper.json, variants.csv and, where wanted, figures 3-8 for both references and report.html. Raises FileError.
 
     progress is told of each figure written.
     """
     written = [
-        write_text(json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", folder / "paper.json"),
+        write_text(
+            json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", folder / "paper.json"
+        ),
         _write_variants(paper.variants, folder / "variants.csv"),
     ]
     if figures:

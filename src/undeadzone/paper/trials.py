@@ -28,7 +28,13 @@ Numbers = dict[str, tuple[dict[str, float], float]]
 
 def measure(evidence: Evidence) -> Numbers:
     """(as printed by case, as repaired) by the claim's id; of several runs the worst counts."""
-    return {**_sensor(evidence), **_gains(matrices(printed(1.0).plant)), **_observer(evidence), **_robust(evidence), **_paper(evidence)}
+    return {
+        **_sensor(evidence),
+        **_gains(matrices(printed(1.0).plant)),
+        **_observer(evidence),
+        **_robust(evidence),
+        **_paper(evidence),
+    }
 
 
 def _worst(measure: Callable[[Run], float], runs: Iterable[Run]) -> float:
@@ -53,10 +59,19 @@ def _sensor(e: Evidence) -> Numbers:
     y, side, sat = deadzone(z, D, D), zone(z, D, D), float(np.abs(saturation(z, D, D)).max())
     printed_form, corrected = z - D * (side < 0) - D * (side > 0), z - offset(side, D, D)
     return {
-        "decomposition": (_one(float(np.abs(y - printed_form).max())), float(np.abs(y - corrected).max())),
+        "decomposition": (
+            _one(float(np.abs(y - printed_form).max())),
+            float(np.abs(y - corrected).max()),
+        ),
         "width-bound": (_one(sat - abs(D - D)), max(0.0, sat - bound(D, D))),
-        "indicators": (_one(_worst(lambda run: m.indicator_error(run, 100.0), e.printed[RESTING])), _worst(m.side_error, e.repaired)),
-        "unit-slope": (_one(m.difference(e.printed[BEGUN][0], e.scaled.printed[0])), m.difference(e.repaired[0], e.scaled.repaired[0])),
+        "indicators": (
+            _one(_worst(lambda run: m.indicator_error(run, 100.0), e.printed[RESTING])),
+            _worst(m.side_error, e.repaired),
+        ),
+        "unit-slope": (
+            _one(m.difference(e.printed[BEGUN][0], e.scaled.printed[0])),
+            m.difference(e.repaired[0], e.scaled.repaired[0]),
+        ),
     }
 
 
@@ -70,7 +85,9 @@ def _gains(linear: Matrices) -> Numbers:
         return float(np.abs(np.sort(np.linalg.eigvals(closed(L))) - np.sort(POLES)).max())
 
     def rightmost(drift: Floats) -> float:
-        return float(np.linalg.eigvals(A - B @ paper_riccati(drift, B, ALPHA, np.eye(2)).K).real.max())
+        return float(
+            np.linalg.eigvals(A - B @ paper_riccati(drift, B, ALPHA, np.eye(2)).K).real.max()
+        )
 
     return {
         "observer-poles": (_one(off(L_PRINTED)), off(observer_gain(linear, POLES, None).ravel())),
@@ -105,14 +122,27 @@ def _robust(e: Evidence) -> Numbers:
 
     disturbed = (e.noisy, e.mismatched, e.disturbed)
     return {
-        "bounded": (_cases(diverges, e), _worst(diverges, (*e.repaired, e.sampled, *(run for pair in disturbed for run in pair.repaired)))),
-        **{name: _pair(m.width_error, pair) for name, pair in zip(("robust-noise", "robust-model", "robust-disturbance"), disturbed, strict=True)},
+        "bounded": (
+            _cases(diverges, e),
+            _worst(
+                diverges,
+                (*e.repaired, e.sampled, *(run for pair in disturbed for run in pair.repaired)),
+            ),
+        ),
+        **{
+            name: _pair(m.width_error, pair)
+            for name, pair in zip(
+                ("robust-noise", "robust-model", "robust-disturbance"), disturbed, strict=True
+            )
+        },
     }
 
 
 def _paper(e: Evidence) -> Numbers:
     def missing(*words: str) -> tuple[dict[str, float], float]:
-        count = float(sum(not any(word in caption for caption in FIGURES.values()) for word in words))
+        count = float(
+            sum(not any(word in caption for caption in FIGURES.values()) for word in words)
+        )
         return _one(count), count
 
     return {
@@ -127,11 +157,20 @@ def _paper(e: Evidence) -> Numbers:
 def _operations(scenario: Scenario) -> float:
     """Arithmetic operations of one step of the observer alone."""
     model = system(scenario.plant)
-    observer = graph_of(scenario.observer.build(model, resolve(scenario.sensor, model.p, scenario.simulation.step)))
+    observer = graph_of(
+        scenario.observer.build(model, resolve(scenario.sensor, model.p, scenario.simulation.step))
+    )
     p_column, p = tree.symbols(observer.params, "p")
     s_column, s = tree.symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
     following, estimate = observer.step(p, s, u, Reading(y, side))
-    function = ca.Function("step", [s_column, p_column, u, y, side], [tree.stack(following), tree.stack(estimate)], {"cse": True})
+    function = ca.Function(
+        "step",
+        [s_column, p_column, u, y, side],
+        [tree.stack(following), tree.stack(estimate)],
+        {"cse": True},
+    )
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    return float(sum(function.instruction_id(k) not in moves for k in range(function.n_instructions())))
+    return float(
+        sum(function.instruction_id(k) not in moves for k in range(function.n_instructions()))
+    )

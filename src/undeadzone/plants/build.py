@@ -27,11 +27,16 @@ _FORMS = {
 
 
 def _transfer_function(key: str, given: TransferFunction) -> Matrices:
-    num, den = (np.trim_zeros(series(f"{key}.{name}", getattr(given, name)), "f") for name in ("numerator", "denominator"))
+    num, den = (
+        np.trim_zeros(series(f"{key}.{name}", getattr(given, name)), "f")
+        for name in ("numerator", "denominator")
+    )
     if den.size < 2 or num.size == 0:
         raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
     if num.size >= den.size:
-        raise InputError(f"{key}: must be strictly proper (numerator order {num.size - 1} < denominator order {den.size - 1})")
+        raise InputError(
+            f"{key}: must be strictly proper (numerator order {num.size - 1} < denominator order {den.size - 1})"
+        )
     with np.errstate(over="ignore"):
         return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
 
@@ -39,7 +44,10 @@ def _transfer_function(key: str, given: TransferFunction) -> Matrices:
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
     """The matrices of a linear plant given in any form. Raises InputError, ShapeError."""
     if plant.second_order is not None:
-        zeta, gain = (scalar(f"{key}.second_order.{name}", getattr(plant.second_order, name)) for name in ("zeta", "gain"))
+        zeta, gain = (
+            scalar(f"{key}.second_order.{name}", getattr(plant.second_order, name))
+            for name in ("zeta", "gain")
+        )
         omega = scalar(f"{key}.second_order.omega_n", plant.second_order.omega_n, above=0.0)
         found = companion([omega * omega, 2 * zeta * omega])
         return found._replace(B=gain * found.B)
@@ -55,7 +63,9 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
         raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
     for name in "ABC":
         if getattr(plant, name) is None:
-            raise InputError(f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)")
+            raise InputError(
+                f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)"
+            )
     A = matrix(f"{key}.A", plant.A)
     n = A.shape[0]
     A = matrix(f"{key}.A", plant.A, n, n, "A must be square")
@@ -73,9 +83,15 @@ def system(plant: Plant, key: str = "plant") -> System:
         found = f"found {' and '.join(given)}" if given else "found none"
         raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), {found}")
     known = {given[0], *_FORMS[given[0]], "x0"}
-    present = [name for name in Plant.__struct_fields__ if not (getattr(plant, name) is None or (name == "parameters" and not plant.parameters))]
+    present = [
+        name
+        for name in Plant.__struct_fields__
+        if not (getattr(plant, name) is None or (name == "parameters" and not plant.parameters))
+    ]
     if unused := [name for name in present if name not in known]:
-        raise InputError(f"{key}.{unused[0]}: has no meaning for a plant given by {given[0]}; remove one of them")
+        raise InputError(
+            f"{key}.{unused[0]}: has no meaning for a plant given by {given[0]}; remove one of them"
+        )
     if plant.f is not None:
         return _nonlinear(plant, key)
     if plant.arm is not None:
@@ -111,7 +127,9 @@ def _nonlinear(plant: Plant, key: str) -> System:
         elif plant.x0 is not None:
             n = np.size(plant.x0)
         else:
-            raise InputError(f"{key}: a plant given by callables needs x0 or states, to know its order")
+            raise InputError(
+                f"{key}: a plant given by callables needs x0 or states, to know its order"
+            )
         m = len(plant.inputs) if plant.inputs is not None else 1
 
         def move(params: Any, x: Any, u: Any) -> Any:
@@ -122,28 +140,52 @@ def _nonlinear(plant: Plant, key: str) -> System:
     else:
         states, inputs = plant.states, plant.inputs or ["u"]
         if not (isinstance(plant.f, list) and isinstance(plant.h, list) and states):
-            raise InputError(f"{key}: formulas need lists f and h and the names in states (and inputs)")
+            raise InputError(
+                f"{key}: formulas need lists f and h and the names in states (and inputs)"
+            )
         if len(plant.f) != len(states):
-            raise ShapeError(f"{key}.f: expected {len(states)} formulas (one per state), found {len(plant.f)}")
+            raise ShapeError(
+                f"{key}.f: expected {len(states)} formulas (one per state), found {len(plant.f)}"
+            )
         if len({*states, *inputs, *names}) < len(states) + len(inputs) + len(names):
             raise InputError(f"{key}: a name is used twice among states, inputs and parameters")
         if not all(isinstance(text, str) for text in [*plant.f, *plant.h]) or not plant.h:
-            raise InputError(f"{key}: every entry of f and h must be a formula in quotes, and h must not be empty")
+            raise InputError(
+                f"{key}: every entry of f and h must be a formula in quotes, and h must not be empty"
+            )
         n, m = len(states), len(inputs)
 
         def scope(params: Any, x: Any) -> dict[str, Any]:
-            return dict(zip([*states, *names], [*ca.vertsplit(x), *ca.vertsplit(params)], strict=True))
+            return dict(
+                zip([*states, *names], [*ca.vertsplit(x), *ca.vertsplit(params)], strict=True)
+            )
 
         def move(params: Any, x: Any, u: Any) -> Any:
             bound = scope(params, x) | dict(zip(inputs, ca.vertsplit(u), strict=True))
-            return ca.vertcat(*(expression.evaluate(f"{key}.f[{i}]", text, bound) for i, text in enumerate(plant.f)))
+            return ca.vertcat(
+                *(
+                    expression.evaluate(f"{key}.f[{i}]", text, bound)
+                    for i, text in enumerate(plant.f)
+                )
+            )
 
         def output(params: Any, x: Any) -> Any:
             bound = scope(params, x)
-            return ca.vertcat(*(expression.evaluate(f"{key}.h[{i}]", text, bound) for i, text in enumerate(plant.h)))
+            return ca.vertcat(
+                *(
+                    expression.evaluate(f"{key}.h[{i}]", text, bound)
+                    for i, text in enumerate(plant.h)
+                )
+            )
 
-    params = np.array([scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names])
-    x_eq = np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n, "one per state")
-    u_eq = np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m, "one per input")
+    params = np.array(
+        [scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names]
+    )
+    x_eq = (
+        np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n, "one per state")
+    )
+    u_eq = (
+        np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m, "one per input")
+    )
     linear = linearise(key, move, output, params, x_eq, u_eq)
     return System(params, move, output, linear, nonlinear=True, names=tuple(names))

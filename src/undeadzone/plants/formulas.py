@@ -13,7 +13,13 @@ import casadi as ca
 
 from undeadzone.errors import InputError
 
-_BINARY: dict[type, Any] = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv, ast.Pow: operator.pow}
+_BINARY: dict[type, Any] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
 _UNARY: dict[type, Any] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 _FUNCTIONS = {
     "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan,
@@ -31,7 +37,10 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
     def unknown(name: str, known: list[str]) -> InputError:
         near = difflib.get_close_matches(name, known, 1)
-        return fail(f"unknown name {name!r}", f"; did you mean {near[0]!r}?" if near else f"; known names: {', '.join(known)}")
+        return fail(
+            f"unknown name {name!r}",
+            f"; did you mean {near[0]!r}?" if near else f"; known names: {', '.join(known)}",
+        )
 
     def value(node: ast.expr) -> Any:
         found = compute(node)
@@ -55,7 +64,10 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
                 if name not in _FUNCTIONS:
                     raise unknown(name, list(_FUNCTIONS))
                 return _FUNCTIONS[name](*map(value, args))
-        raise fail(f"found {ast.unparse(node)!r:.80}", "; only numbers, names, + - * / ** and elementary functions are allowed")
+        raise fail(
+            f"found {ast.unparse(node)!r:.80}",
+            "; only numbers, names, + - * / ** and elementary functions are allowed",
+        )
 
     try:
         return value(ast.parse(text.strip(), mode="eval").body)

@@ -17,9 +17,13 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     Raises InputError for a discrete-time system or a direct feedthrough D != 0.
     """
     if getattr(system, "dt", None) not in (None, 0):
-        raise InputError(f"from_statespace: expected a continuous-time system, found sample time {system.dt}")
+        raise InputError(
+            f"from_statespace: expected a continuous-time system, found sample time {system.dt}"
+        )
     if np.any(np.asarray(system.D)):
-        raise InputError("from_statespace: D must be 0, an output deadzone with direct feedthrough is not supported")
+        raise InputError(
+            "from_statespace: D must be 0, an output deadzone with direct feedthrough is not supported"
+        )
     return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
 
 

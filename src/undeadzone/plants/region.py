@@ -34,14 +34,20 @@ class Box(NamedTuple):
 def box(region: Region, model: System) -> Box:
     """The box of a region for a model. Raises InputError, ShapeError that name the key."""
     if not model.nonlinear:
-        raise InputError("region: the model is linear, and its certificate holds everywhere; remove the region")
+        raise InputError(
+            "region: the model is linear, and its certificate holds everywhere; remove the region"
+        )
     if region.u is not None:
         inputs = _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
     elif model.limit is not None and np.isfinite(model.limit).all():
         inputs = np.stack([-model.limit, model.limit], axis=1)
     else:
-        raise InputError("region.u: missing; give a range [lo, hi] per input, this model has no torque limits to take in its place")
-    return Box(*np.vstack([_ranges("region.x", region.x, model.n, "one [lo, hi] per state"), inputs]).T)
+        raise InputError(
+            "region.u: missing; give a range [lo, hi] per input, this model has no torque limits to take in its place"
+        )
+    return Box(
+        *np.vstack([_ranges("region.x", region.x, model.n, "one [lo, hi] per state"), inputs]).T
+    )
 
 
 def _ranges(key: str, value: Array, size: int, why: str) -> Floats:
@@ -49,7 +55,11 @@ def _ranges(key: str, value: Array, size: int, why: str) -> Floats:
     if found.shape == (2,) and size == 1:
         found = found[None]
     if found.shape != (size, 2):
-        raise ShapeError(f"{key}: expected {size} x 2 numbers ({why}), found {' x '.join(map(str, found.shape)) or 'one number'}")
+        raise ShapeError(
+            f"{key}: expected {size} x 2 numbers ({why}), found {' x '.join(map(str, found.shape)) or 'one number'}"
+        )
     if (wrong := np.flatnonzero(found[:, 0] >= found[:, 1])).size:
-        raise InputError(f"{key}[{wrong[0]}]: a range [lo, hi] must have lo < hi, found {found[wrong[0]].tolist()}")
+        raise InputError(
+            f"{key}[{wrong[0]}]: a range [lo, hi] must have lo < hi, found {found[wrong[0]].tolist()}"
+        )
     return found

@@ -65,16 +65,24 @@ class System(NamedTuple):
         return self.linear.C.shape[0]
 
 
-def linearise(key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats) -> Matrices:
+def linearise(
+    key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats
+) -> Matrices:
     """The linearisation of a continuous plant. Raises ShapeError, InputError."""
     x, u = ca.SX.sym("x", x_eq.size), ca.SX.sym("u", u_eq.size)
     dx, z = move(ca.SX(params), x, u), output(ca.SX(params), x)
     if dx.shape != x.shape:
-        raise ShapeError(f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {dx.shape[0]} x {dx.shape[1]}")
-    jacobians = ca.Function("jacobians", [x, u], [ca.jacobian(dx, x), ca.jacobian(dx, u), ca.jacobian(z, x)])
+        raise ShapeError(
+            f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {dx.shape[0]} x {dx.shape[1]}"
+        )
+    jacobians = ca.Function(
+        "jacobians", [x, u], [ca.jacobian(dx, x), ca.jacobian(dx, u), ca.jacobian(z, x)]
+    )
     found = Matrices(*(np.asarray(value.full()) for value in jacobians(x_eq, u_eq)))
     if not all((np.abs(value) < LARGEST**2).all() for value in found):
-        raise InputError(f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)")
+        raise InputError(
+            f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)"
+        )
     return found
 
 

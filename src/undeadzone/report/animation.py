@@ -23,7 +23,12 @@ if TYPE_CHECKING:
 MOVIES = (".gif", ".mp4")
 SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
-SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from the direction of its path to what lies to the right in the drawing
+SIDEWAYS = (
+    0.5,
+    0.9,
+    -0.9,
+    -0.5,
+)  # [rad] from the direction of its path to what lies to the right in the drawing
 TRAIL = 2.0  # [s] of the tip's way that a file shows
 
 
@@ -32,7 +37,11 @@ def animated(run: Run, rival: Run | None = None) -> Html:
     script = files("undeadzone.report").joinpath("animation.js").read_text(encoding="utf-8")
     shown = _arms(run, rival)
     arms = [{"colour": colour, "frames": _rounded(poses)} for _, colour, poses in shown]
-    spatial, path, grid = _spatial(run), _path(run), _spacing(np.ptp(shown[-1][2][:, :, :2], axis=(0, 1)).max())
+    spatial, path, grid = (
+        _spatial(run),
+        _path(run),
+        _spacing(np.ptp(shown[-1][2][:, :, :2], axis=(0, 1)).max()),
+    )
     data = {
         "rate": FRAMES,
         "arms": arms,
@@ -43,29 +52,45 @@ def animated(run: Run, rival: Run | None = None) -> Html:
         "tilt": TILT if spatial else np.pi / 2,
         "grid": grid,
     }
-    style = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
+    style = (
+        "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
+    )
     canvas = f'<canvas width="880" height="520" style="{style}" role="img" aria-label="The arm in motion"></canvas>'
     slider = '<input type="range" min="0" value="0" step="1" aria-label="time" style="width:60%;vertical-align:middle">'
-    controls = f'<p><button type="button">pause</button> {slider} <output class="note"></output></p>'
-    names = [(name, colour) for name, colour, _ in reversed(shown)] + [("path of the tip", REFERENCE)]
-    keys = "&ensp;".join(f'<span style="color:{colour}">&#9632;</span> {html(name)}' for name, colour in names)
+    controls = (
+        f'<p><button type="button">pause</button> {slider} <output class="note"></output></p>'
+    )
+    names = [(name, colour) for name, colour, _ in reversed(shown)] + [
+        ("path of the tip", REFERENCE)
+    ]
+    keys = "&ensp;".join(
+        f'<span style="color:{colour}">&#9632;</span> {html(name)}' for name, colour in names
+    )
     legend = f'<p class="note">{keys}&ensp;grid {grid:g} m{"; drag to turn" * spatial}</p>'
     told = json.dumps(data).replace("<", "\\u003c")
-    return Html(f'<div class="arm">{canvas}{controls}{legend}<script>{script}\nplay(document.currentScript.parentElement, {told});</script></div>')
+    return Html(
+        f'<div class="arm">{canvas}{controls}{legend}<script>{script}\nplay(document.currentScript.parentElement, {told});</script></div>'
+    )
 
 
 def require_movie(path: Path) -> None:
     """Raise FileError where an animation of that name cannot be written."""
     if path.suffix.lower() not in MOVIES:
-        raise FileError(f"{path}: cannot write an animation with this name; it must end in {' or '.join(MOVIES)}")
+        raise FileError(
+            f"{path}: cannot write an animation with this name; it must end in {' or '.join(MOVIES)}"
+        )
     if path.suffix.lower() == ".mp4":
         from matplotlib.animation import FFMpegWriter
 
         if not FFMpegWriter.isAvailable():
-            raise FileError(f"{path}: cannot write MP4: ffmpeg is not installed; write a .gif instead")
+            raise FileError(
+                f"{path}: cannot write MP4: ffmpeg is not installed; write a .gif instead"
+            )
 
 
-def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] | None = None) -> Path:
+def movie(
+    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] | None = None
+) -> Path:
     """Write the motion as `.gif`, or as `.mp4` where ffmpeg is installed; progress: told of frames done. Raises FileError, InputError."""
     require_movie(path)
     if run.poses is None:
@@ -77,17 +102,24 @@ def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], Non
     shown = slice(None, 3 if spatial else 2)
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d" if spatial else None)
-    axes.plot(*_path(run)[:, shown].T, color=REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
+    axes.plot(
+        *_path(run)[:, shown].T, color=REFERENCE, linewidth=4, alpha=0.4, label="path of the tip"
+    )
     arms = _arms(run, rival)
 
     def drawn(**style: Any) -> list[Any]:
-        return [axes.plot([], [], *[[]] * spatial, color=colour, **style)[0] for _, colour, _ in arms]
+        return [
+            axes.plot([], [], *[[]] * spatial, color=colour, **style)[0] for _, colour, _ in arms
+        ]
 
     lines, trails = drawn(marker="o", markersize=4, linewidth=3), drawn(linewidth=1.2, alpha=0.7)
     for line, (name, _, _) in zip(lines, arms, strict=True):
         line.set_label(name)
     every = np.vstack([_path(run), *(poses.reshape(-1, 3) for _, _, poses in arms)])[:, shown]
-    middle, reach = (every.min(axis=0) + every.max(axis=0)) / 2, 0.53 * float(np.ptp(every, axis=0).max())
+    middle, reach = (
+        (every.min(axis=0) + every.max(axis=0)) / 2,
+        0.53 * float(np.ptp(every, axis=0).max()),
+    )
     for name, centre in zip("xyz", middle, strict=False):
         getattr(axes, f"set_{name}lim")(centre - reach, centre + reach)
         getattr(axes, f"set_{name}label")(f"{name} [m]")
@@ -102,7 +134,10 @@ def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], Non
     def draw(frame: int) -> list[Artist]:
         for line, trail, (_, _, poses) in zip(lines, trails, arms, strict=True):
             now = min(frame, len(poses) - 1)
-            for part, points in ((line, poses[now]), (trail, poses[max(0, now - round(TRAIL * FRAMES)) : now + 1, -1])):
+            for part, points in (
+                (line, poses[now]),
+                (trail, poses[max(0, now - round(TRAIL * FRAMES)) : now + 1, -1]),
+            ):
                 part.set_data(*points[:, :2].T)
                 if spatial:
                     part.set_3d_properties(points[:, 2])
@@ -114,8 +149,15 @@ def movie(run: Run, rival: Run | None, path: Path, progress: Callable[[int], Non
     figure.set_layout_engine("none")  # laid out once, for all frames
     form: Any = PillowWriter if path.suffix.lower() == ".gif" else FFMpegWriter
     with replacing(path) as temporary:
-        motion = FuncAnimation(figure, draw, frames=range(0, max(len(poses) for _, _, poses in arms), SKIPPED))
-        motion.save(temporary, writer=form(fps=FRAMES / SKIPPED), dpi=80, progress_callback=lambda frame, total: progress(1) if progress is not None else None)
+        motion = FuncAnimation(
+            figure, draw, frames=range(0, max(len(poses) for _, _, poses in arms), SKIPPED)
+        )
+        motion.save(
+            temporary,
+            writer=form(fps=FRAMES / SKIPPED),
+            dpi=80,
+            progress_callback=lambda frame, total: progress(1) if progress is not None else None,
+        )
     return path
 
 

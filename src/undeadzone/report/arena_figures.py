@@ -9,7 +9,18 @@ import numpy as np
 
 from undeadzone.arena.leaderboard import CAP, Row
 from undeadzone.arena.traces import Trace
-from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, ZONE, finish, shade_zone, sheet
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    ZONE,
+    finish,
+    shade_zone,
+    sheet,
+)
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
@@ -29,7 +40,14 @@ def places(rows: Sequence[Row], title: str) -> Figure:
         value = np.array([getattr(row, f"{name}_regret") for row in rows])
         ends = np.array([getattr(row, f"{name}_interval") for row in rows])
         axes.hlines(at, *np.clip(ends.T, LEAST, CAP), color=colour, alpha=0.45, linewidth=4)
-        axes.plot(np.clip(value, LEAST, CAP), at, marker, color=colour, markersize=4.5, label=f"{name} over the scenarios")
+        axes.plot(
+            np.clip(value, LEAST, CAP),
+            at,
+            marker,
+            color=colour,
+            markersize=4.5,
+            label=f"{name} over the scenarios",
+        )
     for x, words in ((1.0, "naive"), (CAP, "diverged")):
         axes.axvline(x, color=ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
         axes.text(x, len(rows) - 0.4, words, color=ZONE, fontsize=8, ha="center", va="bottom")
@@ -39,7 +57,13 @@ def places(rows: Sequence[Row], title: str) -> Figure:
     axes.set_yticks(at, [row.method for row in rows])
     for tick, row in zip(axes.get_yticklabels(), rows, strict=True):
         tick.set_color(ZONE if row.reference else TRUTH)
-    finish(axes, "", "", f"regret of the rms of z − r, with 95 % intervals; {LEAST:g} and below at the left edge", legend=0)
+    finish(
+        axes,
+        "",
+        "",
+        f"regret of the rms of z − r, with 95 % intervals; {LEAST:g} and below at the left edge",
+        legend=0,
+    )
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
@@ -48,26 +72,53 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     """Regret (mean over seeds) of every method on every scenario; a dash where it is not applicable."""
     from matplotlib.colors import LogNorm
 
-    figure, panels = sheet([["all"]], "Regret by scenario", width=2.6 + 0.52 * len(scenarios), height=0.25 * len(rows) + 1.6)
+    figure, panels = sheet(
+        [["all"]],
+        "Regret by scenario",
+        width=2.6 + 0.52 * len(scenarios),
+        height=0.25 * len(rows) + 1.6,
+    )
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])
     shown = np.clip(table, 0.01, CAP)
     axes.imshow(shown, norm=LogNorm(0.01, CAP), cmap="RdYlBu_r", aspect="auto")
     for (i, j), value in np.ndenumerate(table):
         dark = shown[i, j] < 0.03 or shown[i, j] > 3
-        axes.text(j, i, _cell(value), ha="center", va="center", fontsize=6.5, color="white" if dark else TRUTH)
-    axes.set_xticks(range(len(scenarios)), scenarios, rotation=60, ha="right", rotation_mode="anchor")
+        axes.text(
+            j,
+            i,
+            _cell(value),
+            ha="center",
+            va="center",
+            fontsize=6.5,
+            color="white" if dark else TRUTH,
+        )
+    axes.set_xticks(
+        range(len(scenarios)), scenarios, rotation=60, ha="right", rotation_mode="anchor"
+    )
     axes.set_yticks(range(len(rows)), [row.method for row in rows])
     axes.grid(False)
     axes.spines[:].set_visible(False)
-    finish(axes, "0: full state, 1: naive; blue is good, red is bad, a dash: not applicable", "", "", legend=0)
+    finish(
+        axes,
+        "0: full state, 1: naive; blue is good, red is bad, a dash: not applicable",
+        "",
+        "",
+        legend=0,
+    )
     return figure
 
 
 def _cell(value: float) -> str:
     if not np.isfinite(value):
         return "–"
-    return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.995 else f"{value:.2f}".replace("0.", ".", 1).replace("-", "−")
+    return (
+        f"{value:.0f}"
+        if value >= 9.95
+        else f"{value:.1f}"
+        if value >= 0.995
+        else f"{value:.2f}".replace("0.", ".", 1).replace("-", "−")
+    )
 
 
 def traces(found: Sequence[Trace]) -> Figure:
@@ -77,9 +128,22 @@ def traces(found: Sequence[Trace]) -> Figure:
     for trace in found:
         axes, tail = panels[trace.method], trace.t > trace.t[-1] - SHOWN
         shade_zone(axes, *trace.widths)
-        axes.plot(trace.t[tail], trace.r[tail], color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+        axes.plot(
+            trace.t[tail],
+            trace.r[tail],
+            color=REFERENCE,
+            linewidth=2.6,
+            alpha=0.45,
+            label="reference r",
+        )
         axes.plot(trace.t[tail], trace.z[tail], color=TRUTH, label="output z")
-        axes.plot(trace.t[tail], trace.z_hat[tail], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+        axes.plot(
+            trace.t[tail],
+            trace.z_hat[tail],
+            color=ESTIMATE,
+            linestyle=(0, (4, 2)),
+            label=r"estimate $\hat z$",
+        )
         largest = 2.5 * np.abs(trace.r).max()
         low, high = axes.get_ylim()
         axes.set_ylim(max(low, -largest), min(high, largest))
@@ -101,7 +165,9 @@ def _envelope(size: Floats, parts: int = 40) -> Floats:
 
 def costs(rows: Sequence[Row]) -> Figure:
     """Median regret against the cost of a step; the methods are numbered by their places."""
-    figure, panels = sheet([["all"] * 3 + ["names"]], "Cost against error", height=max(4.6, 0.155 * len(rows) + 0.6))
+    figure, panels = sheet(
+        [["all"] * 3 + ["names"]], "Cost against error", height=max(4.6, 0.155 * len(rows) + 0.6)
+    )
     axes, names = panels["all"], panels["names"]
     for place, row in enumerate(rows, 1):
         if row.cost is None:
@@ -110,7 +176,14 @@ def costs(rows: Sequence[Row]) -> Figure:
         colour = ZONE if row.reference else ESTIMATE
         axes.plot(x, y, "o", color=colour, markersize=11, alpha=0.25, markeredgewidth=0)
         axes.text(x, y, str(place), color=TRUTH, fontsize=6.5, ha="center", va="center")
-        names.text(0.0, 1 - place / (len(rows) + 1), f"{place:>2}  {row.method}", color=colour if row.reference else TRUTH, fontsize=8, va="center")
+        names.text(
+            0.0,
+            1 - place / (len(rows) + 1),
+            f"{place:>2}  {row.method}",
+            color=colour if row.reference else TRUTH,
+            fontsize=8,
+            va="center",
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(0.06)

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 def write_arena(contest: Contest, runs: Sequence[Trace], folder: Path) -> list[Path]:
     """Write the figures as PNG and report.html to a folder; runs: `traces.traced`. Raises FileError."""
-    written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(contest, runs).items()}
+    written = {
+        name: write(figure, folder / f"{name}.png")
+        for name, figure in figures(contest, runs).items()
+    }
     text = arena_page(contest, {name: path.read_bytes() for name, path in written.items()})
     return [*written.values(), write_text(text, folder / "report.html")]
 
@@ -47,7 +50,10 @@ def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
         _verdict(contest),
         section(
             "Leaderboard",
-            shown("leaderboard", "Dots: median over the scenarios; squares: the worst of them; bars: 95 % intervals. Grey names are lines to compare with."),
+            shown(
+                "leaderboard",
+                "Dots: median over the scenarios; squares: the worst of them; bars: 95 % intervals. Grey names are lines to compare with.",
+            ),
             table(_HEAD, [_cells(row) for row in contest.rows]),
             paragraph(
                 "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on the same scenario and seed. Width, centre: median "
@@ -56,9 +62,23 @@ def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
                 "note",
             ),
         ),
-        section("Scenario by scenario", shown("scenarios", "Mean over the seeds."), _settings(contest)),
-        section("What it looks like", shown("trajectories", "The best, the worst that never diverged, the paper's as printed, the naive observer.")),
-        section("What it costs", shown("cost", "Measured on the virtual machine, or in Python where a method computes there.")),
+        section(
+            "Scenario by scenario", shown("scenarios", "Mean over the seeds."), _settings(contest)
+        ),
+        section(
+            "What it looks like",
+            shown(
+                "trajectories",
+                "The best, the worst that never diverged, the paper's as printed, the naive observer.",
+            ),
+        ),
+        section(
+            "What it costs",
+            shown(
+                "cost",
+                "Measured on the virtual machine, or in Python where a method computes there.",
+            ),
+        ),
         section("Rules", *map(paragraph, _RULES), _refusals(contest), _numbers(contest)),
     )
 
@@ -85,8 +105,14 @@ def _cells(row: Row) -> tuple[Any, ...]:
 
 
 def _runs(contest: Contest) -> str:
-    numbers = {"method": len(contest.rows), "scenario": len(contest.scenarios), "run": len(contest.seeds)}
-    return ", ".join(f"{count} {what}{'s' * (count > 1)}" for what, count in numbers.items()) + " each"
+    numbers = {
+        "method": len(contest.rows),
+        "scenario": len(contest.scenarios),
+        "run": len(contest.seeds),
+    }
+    return (
+        ", ".join(f"{count} {what}{'s' * (count > 1)}" for what, count in numbers.items()) + " each"
+    )
 
 
 def _verdict(contest: Contest) -> Html:
@@ -120,15 +146,42 @@ def _settings(contest: Contest) -> Html:
     rows = []
     for title, scenario in contest.scenarios.items():
         sensor = scenario.sensor
-        rows.append((title, scenario.title, str(sensor.right), str(sensor.left), str(sensor.noise), f"{scenario.simulation.step:g} s"))
+        rows.append(
+            (
+                title,
+                scenario.title,
+                str(sensor.right),
+                str(sensor.left),
+                str(sensor.noise),
+                f"{scenario.simulation.step:g} s",
+            )
+        )
     return folded("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
 
 
 def _refusals(contest: Contest) -> Html:
-    rows = list(dict.fromkeys((result.method, result.scenario, result.reason) for result in contest.results if result.worth is None))
-    return folded(f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}", table(("method", "scenario", "why"), rows))
+    rows = list(
+        dict.fromkeys(
+            (result.method, result.scenario, result.reason)
+            for result in contest.results
+            if result.worth is None
+        )
+    )
+    return folded(
+        f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}",
+        table(("method", "scenario", "why"), rows),
+    )
 
 
 def _numbers(contest: Contest) -> Html:
-    rows = [(row.method, ", ".join(f"{address} {value:.4g}" for address, value in contest.numbers.get(row.method, {}).items())) for row in contest.rows]
+    rows = [
+        (
+            row.method,
+            ", ".join(
+                f"{address} {value:.4g}"
+                for address, value in contest.numbers.get(row.method, {}).items()
+            ),
+        )
+        for row in contest.rows
+    ]
     return folded("Tuned numbers", table(("method", "knobs"), [row for row in rows if row[1]]))

@@ -6,7 +6,20 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undeadzone.report.style import ESTIMATE, OTHER, PRINTED, READING, REFERENCE, TRUTH, finish, label, plot_magnitude, shade_zone, sheet, write
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    finish,
+    label,
+    plot_magnitude,
+    shade_zone,
+    sheet,
+    write,
+)
 from undeadzone.simulation.run import Run
 
 if TYPE_CHECKING:
@@ -53,18 +66,35 @@ def _output(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
     t = run.t[shown]
     shade_zone(axes, run.info.widths[2 * i], run.info.widths[2 * i + 1])
     if i in run.info.tracked:
-        axes.plot(t, run.r[shown, run.info.tracked.index(i)], color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+        axes.plot(
+            t,
+            run.r[shown, run.info.tracked.index(i)],
+            color=REFERENCE,
+            linewidth=2.6,
+            alpha=0.45,
+            label="reference r",
+        )
     axes.plot(t, run.y[shown, i], color=READING, label="reading y")
     axes.plot(t, run.z[shown, i], color=TRUTH, label="output z")
-    axes.plot(t, run.z_hat[shown, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    axes.plot(
+        t, run.z_hat[shown, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$"
+    )
     stop = "" if run.diverged_at is None else f", diverged at {run.diverged_at:.4g} s"
-    finish(axes, f"Output{of} and what is known of it{stop}", label("z, y", run.unit("z")), legend=5)
+    finish(
+        axes, f"Output{of} and what is known of it{stop}", label("z, y", run.unit("z")), legend=5
+    )
 
 
 def _errors(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
     t = run.t[shown]
     if i in run.info.tracked:
-        plot_magnitude(axes, t, (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown], REFERENCE, "$|z - r|$")
+        plot_magnitude(
+            axes,
+            t,
+            (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown],
+            REFERENCE,
+            "$|z - r|$",
+        )
     plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ESTIMATE, r"$|z - \hat z|$")
     finish(axes, f"Errors{of}", label("error", run.unit("z")))
 

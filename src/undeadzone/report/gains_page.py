@@ -54,17 +54,28 @@ def figures(of: Account, tried: Trial | None, design: Design | None = None) -> d
     return drawn
 
 
-def write_gains(of: Account, tried: Trial | None, folder: Path, design: Design | None = None) -> list[Path]:
+def write_gains(
+    of: Account, tried: Trial | None, folder: Path, design: Design | None = None
+) -> list[Path]:
     """Write the figures as PNG and report.html to a folder. Raises FileError."""
-    written = {name: write(figure, folder / f"{name}.png") for name, figure in figures(of, tried, design).items()}
-    text = gains_page(of, tried, {name: path.read_bytes() for name, path in written.items()}, design)
+    written = {
+        name: write(figure, folder / f"{name}.png")
+        for name, figure in figures(of, tried, design).items()
+    }
+    text = gains_page(
+        of, tried, {name: path.read_bytes() for name, path in written.items()}, design
+    )
     return [*written.values(), write_text(text, folder / "report.html")]
 
 
-def gains_page(of: Account, tried: Trial | None, images: Mapping[str, bytes], design: Design | None = None) -> str:
+def gains_page(
+    of: Account, tried: Trial | None, images: Mapping[str, bytes], design: Design | None = None
+) -> str:
     """The page of an account; images: PNGs by the names of `figures`."""
     title = of.problem.scenario.title
-    shown = {name: picture(images[name], caption) for name, caption in CAPTIONS.items() if name in images}
+    shown = {
+        name: picture(images[name], caption) for name, caption in CAPTIONS.items() if name in images
+    }
     sections = [section("What was asked", _asked(of, design))]
     if of.gains is None:
         why = "The observer has no constant gains L, gamma."
@@ -73,7 +84,13 @@ def gains_page(of: Account, tried: Trial | None, images: Mapping[str, bytes], de
         sections.append(section("No rate", paragraph(why)))
     else:
         sections.append(section("The gains", *_gains(of.gains, design)))
-        sections.append(section("What is guaranteed", *_guarantee(of.gains, tried), *_pick(shown, "nyquist", "lyapunov")))
+        sections.append(
+            section(
+                "What is guaranteed",
+                *_guarantee(of.gains, tried),
+                *_pick(shown, "nyquist", "lyapunov"),
+            )
+        )
         sections.append(section("How fast", *_speed(of.gains), *_pick(shown, "root_locus")))
     sections.append(section("What can be known", *_knowledge(of), *_pick(shown, "ellipse")))
     if design is not None:
@@ -90,7 +107,15 @@ def _verdict(of: Account) -> Html:
     parts = [_yes(known, "every width can be known" if known else "not every width can be known")]
     if of.gains is not None:
         proved = of.gains.certificate.certified
-        parts.insert(0, _yes(proved, f"certified, margin {of.gains.certificate.margin:.4g}" if proved else "not certified"))
+        parts.insert(
+            0,
+            _yes(
+                proved,
+                f"certified, margin {of.gains.certificate.margin:.4g}"
+                if proved
+                else "not certified",
+            ),
+        )
         parts.insert(1, tag("span", f"rate {of.gains.rates.rate:.4g} 1/s"))
     return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
 
@@ -103,18 +128,38 @@ def _asked(of: Account, design: Design | None) -> Html:
     problem, scenario = of.problem, of.problem.scenario
     model, sensor, unit = problem.model, problem.sensor, problem.scenario.units.output
     poles = np.linalg.eigvals(problem.flow.linear.A) + 0.0
-    reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(of.schedule.low, of.schedule.high, strict=True))
+    reach = ", ".join(
+        f"{low:.4g} to {high:.4g}"
+        for low, high in zip(of.schedule.low, of.schedule.high, strict=True)
+    )
     rows: list[tuple[str, Any]] = [
-        ("plant", f"{_count(model.n, 'state')}, {_count(model.m, 'input')}, {_count(model.p, 'output')}; poles {listed(poles.tolist())} 1/s"),
+        (
+            "plant",
+            f"{_count(model.n, 'state')}, {_count(model.m, 'input')}, {_count(model.p, 'output')}; poles {listed(poles.tolist())} 1/s",
+        ),
         ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
         (
             label("sensor", unit),
             f"{sensor.kind}: d_r = {_numbers(sensor.right)}, d_l = {_numbers(sensor.left)}, silent below |y| = {_numbers(sensor.threshold)}",
         ),
-        ("noise, rms", f"{_numbers(sensor.noise)} after the zone, {_numbers(sensor.noise_before)} before it"),
-        ("reference", label(f"{type(scenario.reference).__name__.lower()}; the outputs move over {reach}", unit)),
-        ("side schedule", f"{_count(len(of.schedule.spans), 'span')} in {of.schedule.duration:.4g} s{', then the same again' if of.schedule.periodic else ''}"),
-        ("duration", f"{scenario.simulation.duration:g} s, a sample every {scenario.simulation.step:g} s"),
+        (
+            "noise, rms",
+            f"{_numbers(sensor.noise)} after the zone, {_numbers(sensor.noise_before)} before it",
+        ),
+        (
+            "reference",
+            label(
+                f"{type(scenario.reference).__name__.lower()}; the outputs move over {reach}", unit
+            ),
+        ),
+        (
+            "side schedule",
+            f"{_count(len(of.schedule.spans), 'span')} in {of.schedule.duration:.4g} s{', then the same again' if of.schedule.periodic else ''}",
+        ),
+        (
+            "duration",
+            f"{scenario.simulation.duration:g} s, a sample every {scenario.simulation.step:g} s",
+        ),
     ]
     if design is not None:
         rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
@@ -125,37 +170,72 @@ def _gains(found: Gains, design: Design | None) -> list[Html]:
     parts = [_gain_table(found)]
     if found.nearest is not None:
         near = found.nearest
-        parts.append(paragraph(f"The nearest certified gains, with margin {near.certificate.margin:.4g} and rate {near.rates.rate:.4g} 1/s:"))
+        parts.append(
+            paragraph(
+                f"The nearest certified gains, with margin {near.certificate.margin:.4g} and rate {near.rates.rate:.4g} 1/s:"
+            )
+        )
         parts.append(_gain_table(near))
     if design is not None:
-        parts.append(paragraph('In a scenario: [observer] method = "certified", design = "design.toml". The proof is checked again when it is read.', "note"))
+        parts.append(
+            paragraph(
+                'In a scenario: [observer] method = "certified", design = "design.toml". The proof is checked again when it is read.',
+                "note",
+            )
+        )
     return parts
 
 
 def _gain_table(found: Gains) -> Html:
     rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(found.L)]
-    return table(("[1/s]", *(f"output {j}" for j in range(found.gamma.size))), [*rows, ("γ", *map(float, found.gamma))])
+    return table(
+        ("[1/s]", *(f"output {j}" for j in range(found.gamma.size))),
+        [*rows, ("γ", *map(float, found.gamma))],
+    )
 
 
 def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
     proof, given = found.certificate, found.certificate.dynamics
     if not proof.certified:
         parts = [
-            paragraph(f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}. That alone does not make the observer unstable.")
+            paragraph(
+                f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}. That alone does not make the observer unstable."
+            )
         ]
-        if tried is not None and tried.cycle is not None and "cycle" in {course.kind for course in tried.courses}:
+        if (
+            tried is not None
+            and tried.cycle is not None
+            and "cycle" in {course.kind for course in tried.courses}
+        ):
             growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
-            parts.append(paragraph(f"A periodic sequence of sides was found along which the error grows by {growth}: these gains can diverge."))
+            parts.append(
+                paragraph(
+                    f"A periodic sequence of sides was found along which the error grows by {growth}: these gains can diverge."
+                )
+            )
         return parts
-    attempts = "" if tried is None else f" {tried.attack.trajectories:,} random and adversarial trajectories did not make V rise."
-    values = np.concatenate([np.linalg.eigvalsh(M) for M in given.inequality(proof.W).matrices(proof.P)])
+    attempts = (
+        ""
+        if tried is None
+        else f" {tried.attack.trajectories:,} random and adversarial trajectories did not make V rise."
+    )
+    values = np.concatenate(
+        [np.linalg.eigvalsh(M) for M in given.inequality(proof.W).matrices(proof.P)]
+    )
     checked = (
         ("eigenvalues of P, all positive", _numbers(np.linalg.eigvalsh(proof.P))),
         ("eigenvalues of the inequality, all negative", _numbers(np.sort(values))),
         ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
         ("bound on the rounding of the scaled ones", proof.check.rounding),
-        ("margin: least eigenvalue of the Hermitian part of 1 + G" + ("" if given.Ts is None else " − Ts γ/2"), proof.margin),
-        ("where [rad/s]", "ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else proof.frequency),
+        (
+            "margin: least eigenvalue of the Hermitian part of 1 + G"
+            + ("" if given.Ts is None else " − Ts γ/2"),
+            proof.margin,
+        ),
+        (
+            "where [rad/s]",
+            "ω → ∞" if proof.frequency is None or np.isinf(proof.frequency) else proof.frequency,
+        ),
     )
     widths = " + the sum of w |d~|² / γ over the outputs" if found.dynamics.gamma.any() else ""
     return [
@@ -163,8 +243,13 @@ def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
             f"For an exact model without noise and disturbance, V = x~'P x~{widths} never rises, whatever the sides do and in whatever order, with projection "
             f"and silence innovation too; x~ → 0, and each width error whose side is read again and again → 0.{attempts}"
         ),
-        table(("P", *(f"x[{j}]" for j in range(len(proof.P)))), [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]),
-        paragraph(f"W = {_numbers(proof.W)}. Checked by eigenvalues alone, without the solver that found P:"),
+        table(
+            ("P", *(f"x[{j}]" for j in range(len(proof.P)))),
+            [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)],
+        ),
+        paragraph(
+            f"W = {_numbers(proof.W)}. Checked by eigenvalues alone, without the solver that found P:"
+        ),
         table(("what", "value"), checked),
     ]
 
@@ -183,7 +268,11 @@ def _speed(found: Gains) -> list[Html]:
     if speed.rate <= 0:
         parts.append(paragraph("The error does not die along this reference.", "no"))
     if speed.never:
-        parts.append(paragraph(f"These errors stay along this reference, whatever the gains: {', '.join(speed.never)}."))
+        parts.append(
+            paragraph(
+                f"These errors stay along this reference, whatever the gains: {', '.join(speed.never)}."
+            )
+        )
     return parts
 
 
@@ -196,7 +285,9 @@ def _knowledge(of: Account) -> list[Html]:
     unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
     rows = [(i, *(cell(known, name) for name in DIRECTIONS)) for i, known in enumerate(of.known)]
     parts = [
-        paragraph(f"Whether an optimal estimator can know it, and its standard deviation [{unit}] after {duration:g} s at the scenario's noise:"),
+        paragraph(
+            f"Whether an optimal estimator can know it, and its standard deviation [{unit}] after {duration:g} s at the scenario's noise:"
+        ),
         table(("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l"), rows),
     ]
     for i, known in enumerate(of.known):
@@ -207,12 +298,25 @@ def _knowledge(of: Account) -> list[Html]:
 
 
 def _trade(design: Design) -> list[Html]:
-    points = {"chosen": design.best} | ({"yours": design.present} if design.present else {}) | ({"fastest": design.front[0]} if len(design.front) > 1 else {})
-    rows = [(words, *(getattr(point, name) for point in points.values())) for name, words in SCORES.items()]
-    parts = [table(("", *points), rows), *(paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks)]
+    points = (
+        {"chosen": design.best}
+        | ({"yours": design.present} if design.present else {})
+        | ({"fastest": design.front[0]} if len(design.front) > 1 else {})
+    )
+    rows = [
+        (words, *(getattr(point, name) for point in points.values()))
+        for name, words in SCORES.items()
+    ]
+    parts = [
+        table(("", *points), rows),
+        *(paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks),
+    ]
     if len(design.front) > 1:
         head = ("L", "γ", *SCORES)
-        numbers = [(_numbers(np.ravel(p.L)), _numbers(p.gamma), *(getattr(p, name) for name in SCORES)) for p in design.front]
+        numbers = [
+            (_numbers(np.ravel(p.L)), _numbers(p.gamma), *(getattr(p, name) for name in SCORES))
+            for p in design.front
+        ]
         parts.append(folded(f"The {len(design.front)} gains of the front", table(head, numbers)))
     return parts
 

@@ -56,7 +56,9 @@ def join(parts: Iterable[Any]) -> Html:
 
 def tag(name: str, content: Any, style: str = "") -> Html:
     """One element, with a class of the page's style sheet."""
-    return Html(f"<{name}{style and f' class={chr(34)}{escape(style)}{chr(34)}'}>{html(content)}</{name}>")
+    return Html(
+        f"<{name}{style and f' class={chr(34)}{escape(style)}{chr(34)}'}>{html(content)}</{name}>"
+    )
 
 
 def paragraph(text: Any, style: str = "") -> Html:
@@ -82,43 +84,76 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
 
     heads = tag("tr", join(tag("th", name) for name in head))
     body = join(tag("tr", join(tag("td", cell, style(cell)) for cell in row)) for row in rows)
-    return Html(f'<div class="wide"><table><thead>{heads.text}</thead><tbody>{body.text}</tbody></table></div>')
+    return Html(
+        f'<div class="wide"><table><thead>{heads.text}</thead><tbody>{body.text}</tbody></table></div>'
+    )
 
 
 def picture(image: bytes, caption: str) -> Html:
     """A PNG image, embedded, with its caption."""
     data = base64.b64encode(image).decode("ascii")
-    return Html(f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">{tag("figcaption", caption).text}</figure>')
+    return Html(
+        f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">{tag("figcaption", caption).text}</figure>'
+    )
 
 
 def page(title: str, *parts: Any) -> str:
     """A whole document that needs nothing but itself."""
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title><style>{_CSS}</style>'
-    body = join([tag("h1", title), *parts, paragraph(f"Written by undeadzone {__version__}.", "note")])
+    body = join(
+        [tag("h1", title), *parts, paragraph(f"Written by undeadzone {__version__}.", "note")]
+    )
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body.text}\n</body></html>\n'
 
 
-def run_page(run: Run, figures: Sequence[Figure], rival: Run | None = None, first: Sequence[Any] = ()) -> str:
+def run_page(
+    run: Run, figures: Sequence[Figure], rival: Run | None = None, first: Sequence[Any] = ()
+) -> str:
     """The page of one run: what comes first, its figures, its numbers beside those of a rival if there is one, what its readings can tell."""
     unit = run.info.units.output
     columns = [_numbers(one) for one in (run, rival) if one is not None]
     lines = [(name, *(column[name] for column in columns)) for name in columns[0]]
     widths = [
-        (name, float(right), run.info.widths[2 * i], float(left), run.info.widths[2 * i + 1], *(verdict[key] for key in ("right", "left", "width", "centre")))
-        for i, (name, (right, left), verdict) in enumerate(zip(run.outputs, run.widths, run.info.identifiable, strict=True))
+        (
+            name,
+            float(right),
+            run.info.widths[2 * i],
+            float(left),
+            run.info.widths[2 * i + 1],
+            *(verdict[key] for key in ("right", "left", "width", "centre")),
+        )
+        for i, (name, (right, left), verdict) in enumerate(
+            zip(run.outputs, run.widths, run.info.identifiable, strict=True)
+        )
     ]
     reasons = [reason for verdict in run.info.identifiable for reason in verdict["reasons"]]
     return page(
         run.info.title,
         *first,
         *(
-            picture(png(figure), "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.")
+            picture(
+                png(figure),
+                "Output, reading and estimate; errors; widths against the truth; the Lyapunov function where there is one.",
+            )
             for figure in figures
         ),
         section("Numbers", table(("what", "value", "compared with")[: 1 + len(columns)], lines)),
         section(
             "Widths, and what these readings can tell of them",
-            table(("output", f"d_r^ [{unit}]", "true", f"d_l^ [{unit}]", "true", "right known", "left", "d_r + d_l", "d_r − d_l"), widths),
+            table(
+                (
+                    "output",
+                    f"d_r^ [{unit}]",
+                    "true",
+                    f"d_l^ [{unit}]",
+                    "true",
+                    "right known",
+                    "left",
+                    "d_r + d_l",
+                    "d_r − d_l",
+                ),
+                widths,
+            ),
             *map(paragraph, reasons),
         ),
     )
@@ -133,7 +168,11 @@ def _numbers(run: Run) -> dict[str, Any]:
         "diverged at [s]": run.diverged_at,
         f"rms of z − r, last 2 s [{unit}]": run.rms_tracking,
         f"rms of z − z^, last 2 s [{unit}]": run.rms_estimation,
-        **({} if run.rms_tip is None else {"rms distance of the tip from its path, last 2 s [m]": run.rms_tip}),
+        **(
+            {}
+            if run.rms_tip is None
+            else {"rms distance of the tip from its path, last 2 s [m]": run.rms_tip}
+        ),
         "share of silent samples": run.silent_fraction,
         "certificate found for these gains": run.info.certified,
         "largest rise of V above an earlier value, relative to its largest": run.largest_rise_of_V,

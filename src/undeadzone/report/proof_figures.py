@@ -32,8 +32,16 @@ def root_locus(of: Account, found: Gains) -> Figure:
     """
     given = found.dynamics
     scaled = ["gamma", "L"] if given.gamma.any() else ["L"]
-    names = ("Re s [1/s]", "Im s [rad/s]") if given.Ts is None else ("Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]")
-    figure, panels = sheet([[*scaled, "rate"]], "Poles of the error while every output is read, and the rate", height=4.0)
+    names = (
+        ("Re s [1/s]", "Im s [rad/s]")
+        if given.Ts is None
+        else ("Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]")
+    )
+    figure, panels = sheet(
+        [[*scaled, "rate"]],
+        "Poles of the error while every output is read, and the rate",
+        height=4.0,
+    )
     dots: Any = None
     for what in scaled:
         poles = np.stack([_poles(given, _scaled(given, what, factor)) for factor in FACTORS])
@@ -46,19 +54,36 @@ def root_locus(of: Account, found: Gains) -> Figure:
             _slow(axes, poles, silent, what, given.Ts, slow)
         finish(axes, f"{NAMES[what]} scaled", names[1], names[0], legend=3)
     _rates(panels["rate"], of, found, scaled)
-    figure.colorbar(dots, ax=[*panels.values()], label="times the gain", shrink=0.7, aspect=30, pad=0.01)
+    figure.colorbar(
+        dots, ax=[*panels.values()], label="times the gain", shrink=0.7, aspect=30, pad=0.01
+    )
     return figure
 
 
 def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, what: str) -> Any:
-    dots = axes.scatter(poles.real, poles.imag, c=np.repeat(FACTORS, poles.shape[1]), s=3, cmap="viridis", linewidths=0)
-    axes.plot(silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent")
-    axes.plot(poles[0].real, poles[0].imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[what]} = 0")
-    axes.plot(poles[CHOSEN].real, poles[CHOSEN].imag, "o", color=PRINTED, markersize=6, label="chosen")
+    dots = axes.scatter(
+        poles.real,
+        poles.imag,
+        c=np.repeat(FACTORS, poles.shape[1]),
+        s=3,
+        cmap="viridis",
+        linewidths=0,
+    )
+    axes.plot(
+        silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent"
+    )
+    axes.plot(
+        poles[0].real, poles[0].imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[what]} = 0"
+    )
+    axes.plot(
+        poles[CHOSEN].real, poles[CHOSEN].imag, "o", color=PRINTED, markersize=6, label="chosen"
+    )
     return dots
 
 
-def _slow(axes: Axes, poles: np.ndarray, silent: np.ndarray, what: str, Ts: float | None, size: float) -> None:
+def _slow(
+    axes: Axes, poles: np.ndarray, silent: np.ndarray, what: str, Ts: float | None, size: float
+) -> None:
     """The slow poles enlarged, below the real axis."""
     bottom, top = axes.get_ylim()
     axes.set_ylim(1.6 * bottom, top)
@@ -80,7 +105,9 @@ def _poles(given: Dynamics, at: Dynamics) -> np.ndarray:
     outputs = given.C.shape[0]
     S = pattern((1,) * outputs)
     F = generator(at, Mode(np.ones(1), S, np.ones(outputs), 0.0))
-    kept = np.concatenate([np.ones(len(given.A[0]), bool), S.any(axis=0) & (np.diag(given.gamma) > 0)])
+    kept = np.concatenate(
+        [np.ones(len(given.A[0]), bool), S.any(axis=0) & (np.diag(given.gamma) > 0)]
+    )
     return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
 
 
@@ -99,17 +126,43 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
 
 def _rates(axes: Axes, of: Account, found: Gains, scaled: list[str]) -> None:
     """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
-    linear, jump, proof = of.problem.model.linear, of.problem.sensor.kind == "jump", found.certificate
+    linear, jump, proof = (
+        of.problem.model.linear,
+        of.problem.sensor.kind == "jump",
+        found.certificate,
+    )
     for what, colour in zip(scaled, (ESTIMATE, READING), strict=False):
-        factors = FACTORS[EVERY if what == "gamma" else 0 :: EVERY]  # without gamma the widths are no part of the error
-        gains: list[tuple[Floats, Floats]] = [(found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma) for k in factors]
+        factors = FACTORS[
+            EVERY if what == "gamma" else 0 :: EVERY
+        ]  # without gamma the widths are no part of the error
+        gains: list[tuple[Floats, Floats]] = [
+            (found.L, k * found.gamma) if what == "gamma" else (k * found.L, found.gamma)
+            for k in factors
+        ]
         rate = np.array([rates(linear, L, gamma, of.schedule, jump).rate for L, gamma in gains])
-        proved = np.array([proof.margin > -np.inf and margin(_scaled(proof.dynamics, what, k), proof.W)[0] > 0 for k in factors])
+        proved = np.array(
+            [
+                proof.margin > -np.inf and margin(_scaled(proof.dynamics, what, k), proof.W)[0] > 0
+                for k in factors
+            ]
+        )
         axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
-        axes.plot(factors, np.where(proved, rate, np.nan), color=colour, linewidth=2.0, label=f"{NAMES[what]} alone")
+        axes.plot(
+            factors,
+            np.where(proved, rate, np.nan),
+            color=colour,
+            linewidth=2.0,
+            label=f"{NAMES[what]} alone",
+        )
     axes.plot([1.0], [found.rates.rate], "o", color=PRINTED, markersize=6)
     axes.axhline(0.0, color=TRUTH, linewidth=0.8)
-    finish(axes, "Rate (dotted: not certified)", "rate along the reference [1/s]", "times the gain", legend=2)
+    finish(
+        axes,
+        "Rate (dotted: not certified)",
+        "rate along the reference [1/s]",
+        "times the gain",
+        legend=2,
+    )
 
 
 def nyquist(found: Gains) -> Figure:
@@ -119,7 +172,11 @@ def nyquist(found: Gains) -> Figure:
     """
     given, proof = found.certificate.dynamics, found.certificate
     poles = np.abs(np.linalg.eigvals(given.A[0]))
-    w = np.geomspace(1e-2 * poles.min(), min(1e2 * poles.max(), np.inf if given.Ts is None else np.pi / given.Ts), 2000)
+    w = np.geomspace(
+        1e-2 * poles.min(),
+        min(1e2 * poles.max(), np.inf if given.Ts is None else np.pi / given.Ts),
+        2000,
+    )
     worst_at = np.inf if proof.frequency is None else proof.frequency
     H, worst = _response(given, proof.W, w), _response(given, proof.W, np.array([worst_at]))[0]
     p = H.shape[1]
@@ -128,19 +185,33 @@ def nyquist(found: Gains) -> Figure:
     curve, zoomed = H[:, 0, 0], np.abs(H).max() > 15 * abs(proof.margin)
     rows = [["curve", *(["zoom"] if zoomed else []), "real"]] if p == 1 else [["real"]]
     verdict = "certified" if proof.certified else "not certified"
-    figure, panels = sheet(rows, f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}", height=4.0)
+    figure, panels = sheet(
+        rows,
+        f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}",
+        height=4.0,
+    )
     if p == 1:
         _curve(panels["curve"], curve, worst[0, 0])
         finish(panels["curve"], f"Nyquist curve of {what}", "Im", "Re", legend=0)
         for k, name in ((0, "ω = 0"), (-1, "ω → ∞" if given.Ts is None else "ω = π/Ts")):
             if abs(curve[0] - curve[-1]) > 0.2 * np.abs(curve).max():
-                panels["curve"].annotate(name, (curve[k].real, curve[k].imag), (4, 4), textcoords="offset points", fontsize=8)
+                panels["curve"].annotate(
+                    name,
+                    (curve[k].real, curve[k].imag),
+                    (4, 4),
+                    textcoords="offset points",
+                    fontsize=8,
+                )
     if "zoom" in panels:
         _curve(panels["zoom"], curve, worst[0, 0])
         _near(panels["zoom"], curve, worst[0, 0], abs(proof.margin))
         finish(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
     _eigenvalues(panels["real"], w, H, proof.margin, worst_at)
-    words = f"Re ({what})" if p == 1 else f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
+    words = (
+        f"Re ({what})"
+        if p == 1
+        else f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
+    )
     finish(panels["real"], f"{words} over frequency", "", "ω [rad/s]", legend=0)
     return figure
 
@@ -167,7 +238,13 @@ def _response(given: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     H = np.tile((np.eye(root.size) - given.steps[0] / 2).astype(complex), (w.size, 1, 1))
     finite = np.isfinite(w)
     s = 1j * w[finite] if Ts is None else np.expm1(1j * w[finite] * Ts) / Ts
-    H[finite] += given.C * root[:, None] @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, (given.L / root)[None].astype(complex))
+    H[finite] += (
+        given.C
+        * root[:, None]
+        @ np.linalg.solve(
+            s[:, None, None] * np.eye(len(A)) - A, (given.L / root)[None].astype(complex)
+        )
+    )
     return H
 
 
@@ -205,23 +282,44 @@ def courses(found: Gains, tried: Trial) -> Figure:
     extra = {course.kind: course for course in tried.courses if course.kind not in STYLES}
     verdict = "never rises" if not tried.attack.broken else "can be made to rise"
     rows = [["V"] * max(1, len(extra)), [*extra]] if extra else [["V"]]
-    figure, panels = sheet(rows, f"V {verdict}: {tried.attack.trajectories:,} random and adversarial trajectories tried", height=3.6)
-    titles = {"attack": f"The attack: {_words(tried.attack.mode)}", "cycle": "A cycle of sides along which the error grows for ever"}
+    figure, panels = sheet(
+        rows,
+        f"V {verdict}: {tried.attack.trajectories:,} random and adversarial trajectories tried",
+        height=3.6,
+    )
+    titles = {
+        "attack": f"The attack: {_words(tried.attack.mode)}",
+        "cycle": "A cycle of sides along which the error grows for ever",
+    }
     axes, drawn = panels["V"], set[str]()
     axes.set_yscale("log")
     for course in tried.courses:
         if course.kind in STYLES:
             value = np.where(course.V > FLOOR, course.V, np.nan)
-            axes.plot(course.t, value, label=None if course.kind in drawn else course.kind, **STYLES[course.kind])
+            axes.plot(
+                course.t,
+                value,
+                label=None if course.kind in drawn else course.kind,
+                **STYLES[course.kind],
+            )
             drawn.add(course.kind)
     t = tried.courses[0].t
-    axes.plot(t, np.exp(-2 * found.rates.rate * t), color=TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
+    axes.plot(
+        t,
+        np.exp(-2 * found.rates.rate * t),
+        color=TRUTH,
+        linewidth=1.0,
+        linestyle="--",
+        label=r"$e^{-2\,rate\,t}$",
+    )
     axes.set_xlim(0.0, t[-1])
     finish(axes, "V / V(0) from one random error", "", legend=5)
     for kind, course in extra.items():
         axes, large = panels[kind], course.V.max() > 10
         axes.axhline(1.0 if large else 0.0, color=TRUTH, linewidth=0.8)
-        axes.plot(course.t, course.V if large else 100 * (course.V - 1), color=PRINTED, linewidth=1.8)
+        axes.plot(
+            course.t, course.V if large else 100 * (course.V - 1), color=PRINTED, linewidth=1.8
+        )
         axes.set_yscale("log" if large else "linear")
         finish(axes, titles[kind], "V / V(0)" if large else "rise of V [%]", legend=0)
     return figure
@@ -230,5 +328,9 @@ def courses(found: Gains, tried: Trial) -> Figure:
 def _words(mode: Mode) -> str:
     """The sides that a mode reads, in words, and for how long."""
     sides = [{1: "right", 0: "silent", -1: "left"}[int(row.sum())] for row in mode.S]
-    outputs = sides[0] if len(sides) == 1 else ", ".join(f"output {i} {side}" for i, side in enumerate(sides))
+    outputs = (
+        sides[0]
+        if len(sides) == 1
+        else ", ".join(f"output {i} {side}" for i, side in enumerate(sides))
+    )
     return f"{outputs} for {mode.seconds:.3g} s"

@@ -57,7 +57,9 @@ _STYLE: Final[Any] = {
 }
 
 
-def sheet(rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5) -> tuple[Figure, dict[str, Axes]]:
+def sheet(
+    rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5
+) -> tuple[Figure, dict[str, Axes]]:
     """A figure of named panels, laid out as the rows of names say; `height` [inch] is that of one row."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -69,7 +71,9 @@ def sheet(rows: list[list[str]], title: str, width: float = 10.0, height: float 
         return figure, figure.subplot_mosaic(mosaic)
 
 
-def finish(axes: Axes, title: str, y_label: str = "", x_label: str = "t [s]", legend: int = 4) -> None:
+def finish(
+    axes: Axes, title: str, y_label: str = "", x_label: str = "t [s]", legend: int = 4
+) -> None:
     """Title, labels and, above the lines, a legend of that many columns (0: none), for a panel that has its lines."""
     import matplotlib
 
@@ -79,7 +83,11 @@ def finish(axes: Axes, title: str, y_label: str = "", x_label: str = "t [s]", le
         axes.set_ylabel(y_label)
         if legend:
             low, high = axes.get_ylim()
-            room = high * (high / low) ** 0.22 if axes.get_yscale() == "log" else high + 0.22 * (high - low)
+            room = (
+                high * (high / low) ** 0.22
+                if axes.get_yscale() == "log"
+                else high + 0.22 * (high - low)
+            )
             axes.set_ylim(low, room)
             axes.legend(loc="upper right", ncols=legend, borderaxespad=0.2)
 
@@ -94,7 +102,9 @@ def shade_zone(axes: Axes, right: float, left: float) -> None:
     axes.axhspan(-left, right, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
-def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str, bins: int = 120) -> None:
+def plot_magnitude(
+    axes: Axes, t: Floats, values: Floats, colour: str, name: str, bins: int = 120
+) -> None:
     """|values| on a logarithmic axis: the samples faint, their largest in each of `bins` spans of time as the line.
 
     What lies far below nearly all of these largest is cut off, so that single zeros do not stretch the axis.
@@ -111,7 +121,9 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
 def write(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, PDF or SVG by suffix; nothing is left half-written. Raises FileError."""
     if path.suffix.lower() not in SUFFIXES:
-        raise FileError(f"{path}: cannot write a figure with this name; it must end in {', '.join(SUFFIXES)}")
+        raise FileError(
+            f"{path}: cannot write a figure with this name; it must end in {', '.join(SUFFIXES)}"
+        )
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI)
     return path

@@ -28,17 +28,25 @@ class Table(NamedTuple):
             return given
         for key, value in given.items():
             if isinstance(value, dict) and key != "entries" and "." not in key:
-                raise InputError(f"{self.name}.{key}: unknown key; an address stands in quotes: {self.example}")
+                raise InputError(
+                    f"{self.name}.{key}: unknown key; an address stands in quotes: {self.example}"
+                )
         entries = entries | {key: value for key, value in given.items() if "." in key}
         rest = {key: value for key, value in given.items() if "." not in key}
-        return rest | {"entries": {address: self._entry(address, value) for address, value in entries.items()}}
+        return rest | {
+            "entries": {address: self._entry(address, value) for address, value in entries.items()}
+        }
 
     def _entry(self, address: str, value: Any) -> msgspec.Struct:
         if isinstance(value, self.kind):
             return value
         if not isinstance(value, dict):
-            raise InputError(f"{self.place(address)}: expected {self.what} such as {self.example.partition(' = ')[2]}, found {value!r:.60}")
+            raise InputError(
+                f"{self.place(address)}: expected {self.what} such as {self.example.partition(' = ')[2]}, found {value!r:.60}"
+            )
         try:
             return msgspec.convert(value, self.kind)
         except msgspec.ValidationError as error:
-            raise InputError(f"{self.place(address)}.{explain(str(error), value, self.kind)}") from None
+            raise InputError(
+                f"{self.place(address)}.{explain(str(error), value, self.kind)}"
+            ) from None

@@ -76,7 +76,9 @@ class Spread(NamedTuple):
         return np.maximum(first + second * ndtri(below + u * (1 - below)), self.least)
 
 
-TABLE: Final = Table("ensemble", Distribution, "a distribution", '"sensor.right" = { uniform = [0.3, 2.0] }')
+TABLE: Final = Table(
+    "ensemble", Distribution, "a distribution", '"sensor.right" = { uniform = [0.3, 2.0] }'
+)
 
 
 def place(address: str) -> str:
@@ -92,22 +94,36 @@ def decoded(table: Any) -> Any:
 def spread(address: str, given: Distribution, least: float) -> Spread:
     """The distribution of a number that is at least `least`, checked. Raises InputError."""
     key = place(address)
-    kinds = [kind for kind in ("uniform", "normal", "log_normal") if getattr(given, kind) is not None]
+    kinds = [
+        kind for kind in ("uniform", "normal", "log_normal") if getattr(given, kind) is not None
+    ]
     if len(kinds) != 1:
-        raise InputError(f"{key}: expected exactly one of uniform, normal, log_normal, found {' and '.join(kinds) or 'none'}")
+        raise InputError(
+            f"{key}: expected exactly one of uniform, normal, log_normal, found {' and '.join(kinds) or 'none'}"
+        )
     kind, pair = kinds[0], getattr(given, kinds[0])
     if np.shape(pair) != (2,):
         raise InputError(f"{key}.{kind}: expected two numbers, found {pair!r:.60}")
     first, second = (scalar(f"{key}.{kind}[{i}]", number) for i, number in enumerate(pair))
     if kind == "uniform" and first > second:
-        raise InputError(f"{key}.uniform: expected [low, high] with low <= high, found [{first:g}, {second:g}]")
+        raise InputError(
+            f"{key}.uniform: expected [low, high] with low <= high, found [{first:g}, {second:g}]"
+        )
     if kind != "uniform" and second < 0:
-        raise InputError(f"{key}.{kind}: the standard deviation must not be negative, found {second:g}")
+        raise InputError(
+            f"{key}.{kind}: the standard deviation must not be negative, found {second:g}"
+        )
     if kind == "log_normal" and first <= 0:
-        raise InputError(f"{key}.log_normal: the median must be positive, found {first:g}; for a negative number vary a factor on it (relative = true)")
+        raise InputError(
+            f"{key}.log_normal: the median must be positive, found {first:g}; for a negative number vary a factor on it (relative = true)"
+        )
     if kind == "log_normal" and np.log(first) + REACH * second > np.log(LARGEST):
-        raise InputError(f"{key}.log_normal: expected a smaller standard deviation of the logarithm, found {second:g}: values would exceed {LARGEST:g}")
+        raise InputError(
+            f"{key}.log_normal: expected a smaller standard deviation of the logarithm, found {second:g}: values would exceed {LARGEST:g}"
+        )
     if first < least:
         limit = "must not be negative" if least == 0 else "must be positive"
-        raise InputError(f"{key}.{kind}: this {limit}, found {'low' if kind == 'uniform' else 'mean'} = {first:g}")
+        raise InputError(
+            f"{key}.{kind}: this {limit}, found {'low' if kind == 'uniform' else 'mean'} = {first:g}"
+        )
     return Spread(kind, first, second, least)

@@ -58,19 +58,28 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         path, reference = None, signals.exosystem("reference", scenario.reference, len(tracked))
     else:
         path = paths.followed(scenario, flow, x0, step)
-        reference = Exosystem(np.zeros((len(tracked),) * 2), np.eye(len(tracked)), lambda t: flat_targets(flow, path, tracked, t).r)
+        reference = Exosystem(
+            np.zeros((len(tracked),) * 2),
+            np.eye(len(tracked)),
+            lambda t: flat_targets(flow, path, tracked, t).r,
+        )
     _require_resolved("reference", reference if path is None else path, step)
     disturbance = _disturbance(scenario, true.m)
     if disturbance is not None:
         _require_resolved("disturbance", disturbance, step)
     plant, model = true, flow
     if scenario.simulation.time == "continuous" and sensor.quantum.any():
-        raise InputError('sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"')
+        raise InputError(
+            'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
+        )
     if scenario.simulation.time == "sampled":
         substeps = scenario.simulation.substeps
         if not 1 <= substeps <= 1000:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
-        plant, model = (_sampled(key, system, step, substeps) for key, system in (("plant", true), ("model", flow)))
+        plant, model = (
+            _sampled(key, system, step, substeps)
+            for key, system in (("plant", true), ("model", flow))
+        )
     observer = scenario.observer.build(model, sensor)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
@@ -79,7 +88,21 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         _require_fine_step(plant, model, observer, controller, step)
     if scenario.region is not None:
         box(scenario.region, model)
-    return Problem(scenario, plant, model, flow, sensor, observer, controller, reference, disturbance, tracked, x0, steps, path)
+    return Problem(
+        scenario,
+        plant,
+        model,
+        flow,
+        sensor,
+        observer,
+        controller,
+        reference,
+        disturbance,
+        tracked,
+        x0,
+        steps,
+        path,
+    )
 
 
 def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
@@ -102,7 +125,9 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
         model = plants.system(believed_plant(scenario), "model")
         require_visible(model, "model")
         if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
-            raise InputError(f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}")
+            raise InputError(
+                f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the plant, found {model.n}, {model.m}, {model.p}"
+            )
     return plant, model, plants.initial_state(scenario.plant, plant.n)
 
 
@@ -120,12 +145,20 @@ def believed_plant(scenario: Scenario) -> Plant:
     matrices = {name: getattr(model, name) for name in "ABC" if getattr(model, name) is not None}
     if plant.f is not None or plant.arm is not None:
         if matrices:
-            raise InputError(f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can change parameters only")
-        if plant.f is not None and (unknown := sorted(set(model.parameters) - set(plant.parameters))):
-            raise InputError(f"model.parameters.{unknown[0]}: unknown parameter; the plant has {', '.join(plant.parameters) or 'none'}")
+            raise InputError(
+                f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can change parameters only"
+            )
+        if plant.f is not None and (
+            unknown := sorted(set(model.parameters) - set(plant.parameters))
+        ):
+            raise InputError(
+                f"model.parameters.{unknown[0]}: unknown parameter; the plant has {', '.join(plant.parameters) or 'none'}"
+            )
         return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
     if model.parameters:
-        raise InputError("model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C")
+        raise InputError(
+            "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
+        )
     linear = plants.matrices(plant)
     return Plant(**{**linear._asdict(), **matrices})
 
@@ -137,23 +170,43 @@ def _time(scenario: Scenario, plant: System) -> tuple[float, int]:
         raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
     if not 4 <= scenario.simulation.order <= 20:
         raise InputError(f"simulation.order: expected 4 to 20, found {scenario.simulation.order}")
-    if scenario.simulation.order > 4 and (scenario.simulation.time == "sampled" or scenario.simulation.switching == "plain" or plant.nonlinear):
-        raise InputError("simulation.order: above 4 only in continuous time, for a linear plant, with located switching; use 4")
+    if scenario.simulation.order > 4 and (
+        scenario.simulation.time == "sampled"
+        or scenario.simulation.switching == "plain"
+        or plant.nonlinear
+    ):
+        raise InputError(
+            "simulation.order: above 4 only in continuous time, for a linear plant, with located switching; use 4"
+        )
     if not 0 <= (seed := scenario.simulation.seed) < 2**63:
-        raise InputError(f"simulation.seed: must {'not be negative' if seed < 0 else 'be below 2^63'}, found {seed}")
-    numbers = 15 * (plant.n + 2 * plant.m + 4 * plant.p)  # a step, the check at half the step included
+        raise InputError(
+            f"simulation.seed: must {'not be negative' if seed < 0 else 'be below 2^63'}, found {seed}"
+        )
+    numbers = 15 * (
+        plant.n + 2 * plant.m + 4 * plant.p
+    )  # a step, the check at half the step included
     if duration / step * numbers * 8 > MEMORY:
-        raise StepError(f"simulation.step: {duration / step:.3g} steps would need more than {MEMORY / 1e9:g} GB; use a longer step or a shorter duration")
+        raise StepError(
+            f"simulation.step: {duration / step:.3g} steps would need more than {MEMORY / 1e9:g} GB; use a longer step or a shorter duration"
+        )
     names = scenario.units.state
     if not isinstance(names, str) and len(names) != plant.n:
-        raise ShapeError(f"units.state: expected one unit, or {plant.n} (one per state), found {len(names)}")
+        raise ShapeError(
+            f"units.state: expected one unit, or {plant.n} (one per state), found {len(names)}"
+        )
     return step, round(duration / step)
 
 
 def _tracked(scenario: Scenario, plant: System) -> list[int]:
     tracked = list(range(min(plant.m, plant.p))) if scenario.tracked is None else scenario.tracked
-    if not tracked or len(set(tracked)) < len(tracked) or not all(0 <= index < plant.p for index in tracked):
-        raise InputError(f"tracked: expected different output numbers from 0 to {plant.p - 1}, found {tracked}")
+    if (
+        not tracked
+        or len(set(tracked)) < len(tracked)
+        or not all(0 <= index < plant.p for index in tracked)
+    ):
+        raise InputError(
+            f"tracked: expected different output numbers from 0 to {plant.p - 1}, found {tracked}"
+        )
     return tracked
 
 
@@ -169,7 +222,9 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
 def _require_resolved(key: str, signal: Exosystem, step: float) -> None:
     tone = float(np.abs(np.linalg.eigvals(signal.S).imag).max()) / 2 / np.pi
     if tone * step >= 0.5:
-        raise StepError(f"simulation.step: {step:g} s is too coarse for {key}: {tone:.4g} Hz is not below half of 1 / step, {0.5 / step:.4g} Hz")
+        raise StepError(
+            f"simulation.step: {step:g} s is too coarse for {key}: {tone:.4g} Hz is not below half of 1 / step, {0.5 / step:.4g} Hz"
+        )
 
 
 def _sampled(key: str, system: System, step: float, substeps: int) -> System:
@@ -177,9 +232,13 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
     poles = np.linalg.eigvals(system.linear.A)
     fastest, growth = float(np.abs(poles.imag).max()), float(poles.real.max())
     if fastest * step >= np.pi:
-        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that")
+        raise StepError(
+            f"simulation.step: {step:g} s is too coarse: the {key} oscillates at {fastest / 2 / np.pi:.4g} Hz, sample faster than twice that"
+        )
     if growth * step > 10:
-        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} grows at {growth:.4g} 1/s, e^{growth * step:.3g}-fold within one sample")
+        raise StepError(
+            f"simulation.step: {step:g} s is too coarse: the {key} grows at {growth:.4g} 1/s, e^{growth * step:.3g}-fold within one sample"
+        )
     if system.nonlinear and (fastest := float(np.abs(poles).max())) * step / substeps > STABLE:
         raise StepError(
             f"simulation.step: {step:g} s in {substeps} Runge-Kutta steps is too coarse: the {key} has a mode at {fastest:.4g} 1/s where it is linearised "
@@ -187,11 +246,15 @@ def _sampled(key: str, system: System, step: float, substeps: int) -> System:
         )
     found = sampled(system, step, substeps)
     if not all(np.isfinite(part).all() for part in found.linear):
-        raise StepError(f"simulation.step: {step:g} s is too coarse: the {key} cannot be sampled (its matrices overflow)")
+        raise StepError(
+            f"simulation.step: {step:g} s is too coarse: the {key} cannot be sampled (its matrices overflow)"
+        )
     return found
 
 
-def constant_gains(observer: Observer | NumericObserver, model: System) -> tuple[Floats, Floats] | None:
+def constant_gains(
+    observer: Observer | NumericObserver, model: System
+) -> tuple[Floats, Floats] | None:
     """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
     params, step = observer.params, 1.0 if model.Ts is None else model.Ts
     constant = hasattr(params, "L") and hasattr(params, "gamma") and params.law is None
@@ -202,13 +265,20 @@ def require_bounded_error(model: System, observer: Observer | NumericObserver, s
     """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
     gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)
     if model.Ts is not None and gamma >= 2:
-        raise StepError(f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2")
+        raise StepError(
+            f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2"
+        )
     if L is None:
         return
-    free, active = np.linalg.eigvals(model.linear.A), np.linalg.eigvals(model.linear.A - L @ model.linear.C)
+    free, active = (
+        np.linalg.eigvals(model.linear.A),
+        np.linalg.eigvals(model.linear.A - L @ model.linear.C),
+    )
 
     def growth(poles: np.ndarray) -> float:
-        return float(poles.real.max() if model.Ts is None else np.log(np.abs(poles).max()) / model.Ts)
+        return float(
+            poles.real.max() if model.Ts is None else np.log(np.abs(poles).max()) / model.Ts
+        )
 
     if growth(free) > 1e-9 and growth(active) >= 0:
         raise StructureError(
@@ -217,14 +287,22 @@ def require_bounded_error(model: System, observer: Observer | NumericObserver, s
         )
 
 
-def _require_fine_step(plant: System, model: System, observer: Observer | NumericObserver, controller: Controller, step: float) -> None:
+def _require_fine_step(
+    plant: System,
+    model: System,
+    observer: Observer | NumericObserver,
+    controller: Controller,
+    step: float,
+) -> None:
     """Raise StepError where RK4 would be unstable or useless on some linear part of the loop."""
     gamma = np.max(getattr(observer.params, "gamma", 0.0))
     L, K = getattr(observer.params, "L", None), getattr(controller.params, "K", None)
     parts = {"the plant": plant.linear.A}
     if L is not None:
         A, _, C = model.linear
-        parts["the observer, A - L C with gamma,"] = np.block([[A - L @ C, L], [gamma * C, -gamma * np.eye(model.p)]])
+        parts["the observer, A - L C with gamma,"] = np.block(
+            [[A - L @ C, L], [gamma * C, -gamma * np.eye(model.p)]]
+        )
     if K is not None:
         parts["the controlled model, A - B K,"] = model.linear.A - model.linear.B @ K
     if (rate := getattr(observer.params, "rate", None)) is not None:
@@ -234,4 +312,6 @@ def _require_fine_step(plant: System, model: System, observer: Observer | Numeri
     for name, matrix in parts.items():
         fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
         if fastest * step > STABLE:
-            raise StepError(f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} rad/s; use at most {1.0 / fastest:.2g} s")
+            raise StepError(
+                f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} rad/s; use at most {1.0 / fastest:.2g} s"
+            )

@@ -45,7 +45,11 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
     """The scenario in a dictionary as TOML gives it. Raises InputError."""
     try:
         _require_finite(data, "")
-        data = data | {kind.TABLE.name: kind.TABLE.decoded(data[kind.TABLE.name]) for kind in (vary, tuning) if kind.TABLE.name in data}
+        data = data | {
+            kind.TABLE.name: kind.TABLE.decoded(data[kind.TABLE.name])
+            for kind in (vary, tuning)
+            if kind.TABLE.name in data
+        }
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None
@@ -57,13 +61,20 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
 def anchored(scenario: Scenario, folder: Path) -> Scenario:
     """The scenario with the files that it names taken from `folder`."""
     plant = msgspec.structs.replace(scenario.plant, arm=_anchor(scenario.plant.arm, folder))
-    parts = {part: _anchor(getattr(scenario, part), folder) for part in ("reference", "disturbance", "observer", "compare")}
+    parts = {
+        part: _anchor(getattr(scenario, part), folder)
+        for part in ("reference", "disturbance", "observer", "compare")
+    }
     return msgspec.structs.replace(scenario, plant=plant, **parts)
 
 
 def _anchor(part: Any, folder: Path) -> Any:
     """The part with the file that it names, if any, taken from `folder`."""
-    paths = {name: str(folder / path) for name in ("path", "design") if (path := getattr(part, name, None)) is not None}
+    paths = {
+        name: str(folder / path)
+        for name in ("path", "design")
+        if (path := getattr(part, name, None)) is not None
+    }
     return msgspec.structs.replace(part, **paths) if paths else part
 
 

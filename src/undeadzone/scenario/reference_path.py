@@ -28,7 +28,9 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
         if model.m == body.size:
             require_range(body.chain, t, path.value(t), path.value(t, 1))
     elif model.m < body.size:
-        raise InputError("reference.space: the path of an elastic joint is its link's angle; use space = 'joint'")
+        raise InputError(
+            "reference.space: the path of an elastic joint is its link's angle; use space = 'joint'"
+        )
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
         path = joint_path(body, model.params, task, duration, step, start[: body.size])

@@ -45,4 +45,6 @@ class Tune(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     entries: dict[str, Range] = {}
 
 
-TABLE: Final = Table("tune", Range, "bounds", '"observer.gamma" = { between = [0.1, 100.0], log = true }')
+TABLE: Final = Table(
+    "tune", Range, "bounds", '"observer.gamma" = { between = [0.1, 100.0], log = true }'
+)

@@ -42,20 +42,36 @@ class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     phase: Array = 0.0
 
 
-class Sine(Tone, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sine"):
+class Sine(
+    Tone, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sine"
+):
     """One sine about an offset."""
 
     offset: Array = 0.0
 
 
-class Sines(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sines"):
+class Sines(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="sines",
+):
     """A sum of sines about an offset."""
 
     components: list[Tone]
     offset: Array = 0.0
 
 
-class Step(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="step"):
+class Step(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="step",
+):
     """`before` until `time` [s], then `amplitude`."""
 
     amplitude: Array
@@ -63,7 +79,14 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     before: Array = 0.0
 
 
-class Trapezoid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="trapezoid"):
+class Trapezoid(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="trapezoid",
+):
     """Periodic trapezoid: rise [s] to +amplitude, hold [s], fall to -amplitude, hold, and so on, starting at 0."""
 
     amplitude: Array
@@ -71,7 +94,14 @@ class Trapezoid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     hold: float
 
 
-class Samples(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="csv"):
+class Samples(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="csv",
+):
     """A CSV file with a time column [s] and one column per channel; held at its ends.
 
     smooth: cubic spline through the samples, else straight lines. The path is relative to the scenario file.
@@ -81,7 +111,14 @@ class Samples(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     smooth: bool = True
 
 
-class Random(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="random"):
+class Random(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="random",
+):
     """Seeded Gaussian noise of given rms and correlation time [s] (first-order); a disturbance only."""
 
     rms: Array
@@ -102,23 +139,45 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
         case Sines():
             if not signal.components:
                 raise InputError(f"{key}.components: expected at least one sine, found none")
-            return _tones(key, [f"{key}.components[{i}]" for i in range(len(signal.components))], signal.components, signal.offset, channels)
+            return _tones(
+                key,
+                [f"{key}.components[{i}]" for i in range(len(signal.components))],
+                signal.components,
+                signal.offset,
+                channels,
+            )
         case Sine():
             return _tones(key, [key], [signal], signal.offset, channels)
         case Step():
-            before, after = (vector(f"{key}.{name}", getattr(signal, name), channels, why) for name in ("before", "amplitude"))
+            before, after = (
+                vector(f"{key}.{name}", getattr(signal, name), channels, why)
+                for name in ("before", "amplitude")
+            )
             time = scalar(f"{key}.time", signal.time)
-            return Exosystem(np.zeros((channels, channels)), np.eye(channels), lambda t: np.where(t[:, None] >= time, after, before), corners=np.array([time]))
+            return Exosystem(
+                np.zeros((channels, channels)),
+                np.eye(channels),
+                lambda t: np.where(t[:, None] >= time, after, before),
+                corners=np.array([time]),
+            )
         case Trapezoid():
-            return _trapezoid(key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why))
+            return _trapezoid(
+                key, signal, vector(f"{key}.amplitude", signal.amplitude, channels, why)
+            )
         case Samples():
             t, values = read_csv(key, signal.path, channels)
-            return piecewise(_spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels)._replace(corners=t)
+            return piecewise(
+                _spline(t, values) if signal.smooth and t.size > 2 else _lines(t, values), channels
+            )._replace(corners=t)
         case Quintic() | Circle() | FigureEight():
             if signal.space == "task" and not task:
-                raise InputError(f"{key}.space: task, the coordinates of an arm's tip, needs a plant with an arm (plant.arm); use space = 'joint'")
+                raise InputError(
+                    f"{key}.space: task, the coordinates of an arm's tip, needs a plant with an arm (plant.arm); use space = 'joint'"
+                )
             derivatives, closure, corners, period = curve(key, signal, channels)
-            return piecewise(derivatives, channels, closure)._replace(corners=corners, period=period)
+            return piecewise(derivatives, channels, closure)._replace(
+                corners=corners, period=period
+            )
 
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
@@ -126,7 +185,10 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
     constant = vector(f"{key}.offset", offset, channels, why)
     omegas, gains = [], []
     for name, tone in zip(keys, tones, strict=True):
-        amplitude, phase = (vector(f"{name}.{part}", getattr(tone, part), channels, why) for part in ("amplitude", "phase"))
+        amplitude, phase = (
+            vector(f"{name}.{part}", getattr(tone, part), channels, why)
+            for part in ("amplitude", "phase")
+        )
         omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
         omegas.append(omega)
         gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
@@ -142,19 +204,29 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
         pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, 2 * rates.size)
         return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
 
-    return Exosystem(S, np.stack(gains, axis=1), state, _common_period([tone.frequency for tone in tones]))
+    return Exosystem(
+        S, np.stack(gains, axis=1), state, _common_period([tone.frequency for tone in tones])
+    )
 
 
 def _common_period(frequencies: list[float]) -> float | None:
     """The least common period [s] of frequencies [Hz]; None if their ratios are not those of whole numbers up to 1000."""
     ratios = [Fraction(f / frequencies[0]).limit_denominator(1000) for f in frequencies]
-    if any(abs(f / frequencies[0] - ratio) > 1e-12 * ratio for f, ratio in zip(frequencies, ratios, strict=True)):
+    if any(
+        abs(f / frequencies[0] - ratio) > 1e-12 * ratio
+        for f, ratio in zip(frequencies, ratios, strict=True)
+    ):
         return None
-    cycles = Fraction(math.lcm(*(ratio.denominator for ratio in ratios)), math.gcd(*(ratio.numerator for ratio in ratios)))
+    cycles = Fraction(
+        math.lcm(*(ratio.denominator for ratio in ratios)),
+        math.gcd(*(ratio.numerator for ratio in ratios)),
+    )
     return float(cycles) / frequencies[0]
 
 
-def piecewise(derivatives: Callable[[Floats], Floats], channels: int, closure: Floats | None = None) -> Exosystem:
+def piecewise(
+    derivatives: Callable[[Floats], Floats], channels: int, closure: Floats | None = None
+) -> Exosystem:
     """An exosystem of derivatives: derivatives(t) gives len(t) x order x channels, the value and its derivatives.
 
     closure: the derivative that follows the last, as a combination of those (order); default: 0, as of polynomials.
@@ -184,7 +256,9 @@ def _trapezoid(key: str, signal: Trapezoid, amplitude: Floats) -> Exosystem:
         value = levels[piece] + slopes[piece] * (phase - corners[piece])
         return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
 
-    return piecewise(derivatives, amplitude.size)._replace(period=float(corners[-1]), corners=corners)
+    return piecewise(derivatives, amplitude.size)._replace(
+        period=float(corners[-1]), corners=corners
+    )
 
 
 def _lines(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
@@ -194,7 +268,10 @@ def _lines(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
         inside = np.clip(at, t[0], t[-1])
         piece = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, t.size - 2)
         moving = ((at >= t[0]) & (at < t[-1]))[:, None]
-        return np.stack([values[piece] + slopes[piece] * (inside - t[piece])[:, None], slopes[piece] * moving], axis=1)
+        return np.stack(
+            [values[piece] + slopes[piece] * (inside - t[piece])[:, None], slopes[piece] * moving],
+            axis=1,
+        )
 
     return derivatives
 
@@ -207,7 +284,9 @@ def _spline(t: Floats, values: Floats) -> Callable[[Floats], Floats]:
     def derivatives(at: Floats) -> Floats:
         inside = np.clip(at, t[0], t[-1])
         moving = ((at >= t[0]) & (at <= t[-1]))[:, None]
-        return np.stack([curve(inside, order) * (1.0 if order == 0 else moving) for order in range(4)], axis=1)
+        return np.stack(
+            [curve(inside, order) * (1.0 if order == 0 else moving) for order in range(4)], axis=1
+        )
 
     return derivatives
 
@@ -227,10 +306,17 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
         raise FileError(f"{key}.path: {path} holds no samples")
     for number, row in enumerate(rows, 1):
         if len(row) != channels + 1:
-            found, values = f"{len(row)} column{'s' * (len(row) != 1)}", f"{channels} value{'s' * (channels != 1)}"
-            raise FileError(f"{key}.path: {path}: sample {number} has {found}, expected {channels + 1} (time and {values}, separated by commas)")
+            found, values = (
+                f"{len(row)} column{'s' * (len(row) != 1)}",
+                f"{channels} value{'s' * (channels != 1)}",
+            )
+            raise FileError(
+                f"{key}.path: {path}: sample {number} has {found}, expected {channels + 1} (time and {values}, separated by commas)"
+            )
         if not all((value := _number(cell)) is not None and math.isfinite(value) for cell in row):
-            raise FileError(f"{key}.path: {path}: sample {number} is not all finite numbers: {','.join(row):.60}")
+            raise FileError(
+                f"{key}.path: {path}: sample {number} is not all finite numbers: {','.join(row):.60}"
+            )
     table = np.array(rows, float)
     if table.shape[0] < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise FileError(f"{key}.path: {path}: needs two samples or more, with time increasing")

@@ -49,10 +49,15 @@ def colour(correlation: float, step: float) -> Colour:
     return Colour(memory, math.sqrt(1 - memory**2))
 
 
-def coloured(seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0) -> Floats:
+def coloured(
+    seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0
+) -> Floats:
     """First-order Gaussian noise of given rms and correlation time [s] on a grid of `step` [s], stationary from the start."""
     memory, drive = colour(correlation, step)
     white = gaussian(seed, DISTURBANCE, samples, rms.size, run)
     white[1:] *= drive
-    columns = [list(accumulate(column.tolist(), lambda last, new: memory * last + new)) for column in white.T]
+    columns = [
+        list(accumulate(column.tolist(), lambda last, new: memory * last + new))
+        for column in white.T
+    ]
     return np.reshape(columns, white.T.shape).T * rms

@@ -17,7 +17,9 @@ NUDGE = 1e-9  # of a step: corners of a reference on the grid belong to the step
 INSTANTS = (0.0, 0.5, 1.0)  # of a continuous step, as fractions of it
 
 
-def exogenous(problem: Problem, refine: int = 1, run: int | None = 0, seed: int | None = None) -> Floats:
+def exogenous(
+    problem: Problem, refine: int = 1, run: int | None = 0, seed: int | None = None
+) -> Floats:
     """One row per step, and one for the last instant, in the order of `loop.Exogenous`; three instants if continuous.
 
     With Taylor series (simulation.order above 4) the coefficients of a step stand in place of the instants.
@@ -43,14 +45,20 @@ def exogenous(problem: Problem, refine: int = 1, run: int | None = 0, seed: int 
         return between(knots[lower], knots[lower + 1], rest)
 
     if plant.Ts is not None:
-        return np.hstack([*_targets(problem, starts * step), disturbance(starts * step + step / 2, 0.5), held])
+        return np.hstack(
+            [*_targets(problem, starts * step), disturbance(starts * step + step / 2, 0.5), held]
+        )
     if simulation.order > RUNGE_KUTTA:
         return np.hstack(_coefficients(problem, starts, refine, knots, held))
     instants = [((starts + min(max(c, NUDGE), 1 - NUDGE)) * step, c) for c in INSTANTS]
-    return np.hstack([part for t, c in instants for part in (*_targets(problem, t), disturbance(t, c), held)])
+    return np.hstack(
+        [part for t, c in instants for part in (*_targets(problem, t), disturbance(t, c), held)]
+    )
 
 
-def _coefficients(problem: Problem, starts: Integers, refine: int, knots: Floats, held: Floats) -> list[Floats]:
+def _coefficients(
+    problem: Problem, starts: Integers, refine: int, knots: Floats, held: Floats
+) -> list[Floats]:
     """The exogenous inputs of each step as Taylor coefficients, one after the other; what is held has the first alone."""
     step = problem.scenario.simulation.step / refine
     lower, rest = starts // refine, (starts % refine)[:, None] / refine
@@ -61,10 +69,24 @@ def _coefficients(problem: Problem, starts: Integers, refine: int, knots: Floats
         if problem.disturbance is not None:
             w = scale * problem.disturbance.value(t, k)
         else:
-            w = between(knots[lower], knots[lower + 1], rest) if k == 0 else (knots[lower + 1] - knots[lower]) * (k == 1) / refine
-        parts.append(np.hstack([*(scale * part for part in targets[:3]), w, held if k == 0 else np.zeros_like(held)]))
+            w = (
+                between(knots[lower], knots[lower + 1], rest)
+                if k == 0
+                else (knots[lower + 1] - knots[lower]) * (k == 1) / refine
+            )
+        parts.append(
+            np.hstack(
+                [
+                    *(scale * part for part in targets[:3]),
+                    w,
+                    held if k == 0 else np.zeros_like(held),
+                ]
+            )
+        )
     for k in range(len(parts) - 1):
-        parts[k] = parts[k] - (k + 1) * NUDGE * parts[k + 1]  # from the nudged instant back to the step's start
+        parts[k] = (
+            parts[k] - (k + 1) * NUDGE * parts[k + 1]
+        )  # from the nudged instant back to the step's start
     return parts
 
 
@@ -78,13 +100,20 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
 
     walk = worn(np.cumsum(normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem), axis=0))
     missing = lost(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
-    return [normal(noise.BEFORE, sensor.noise_before, p), normal(noise.AFTER, sensor.noise, p), walk, missing]
+    return [
+        normal(noise.BEFORE, sensor.noise_before, p),
+        normal(noise.AFTER, sensor.noise, p),
+        walk,
+        missing,
+    ]
 
 
 def widths(problem: Problem, exogenous: Floats) -> Floats:
     """The true d_r, d_l at the start of each step (N x 2 x p)."""
     p = problem.plant.p
-    wear = exogenous[:, : exogenous.shape[1] // (1 if problem.plant.Ts is not None else 3)][:, -3 * p : -p]
+    wear = exogenous[:, : exogenous.shape[1] // (1 if problem.plant.Ts is not None else 3)][
+        :, -3 * p : -p
+    ]
     return np.stack([problem.sensor.right, problem.sensor.left]) * (1 + wear.reshape(-1, 2, p))
 
 
@@ -102,7 +131,9 @@ def lost(normal: Floats, dropout: Floats) -> Floats:
     """NaN where standard normal numbers (... x p) are so low as happens with that probability, else 0."""
     from scipy.special import ndtri
 
-    return np.where(normal < ndtri(dropout), np.nan, 0.0) if dropout.any() else np.zeros_like(normal)
+    return (
+        np.where(normal < ndtri(dropout), np.nan, 0.0) if dropout.any() else np.zeros_like(normal)
+    )
 
 
 def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
@@ -110,7 +141,9 @@ def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
     signal = problem.scenario.disturbance
     if not isinstance(signal, signals.Random):
         return None
-    return np.broadcast_to(np.asarray(signal.rms, float).ravel(), problem.plant.m), signal.correlation_time
+    return np.broadcast_to(
+        np.asarray(signal.rms, float).ravel(), problem.plant.m
+    ), signal.correlation_time
 
 
 def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
@@ -123,7 +156,9 @@ def _targets(problem: Problem, t: Floats) -> Target:
     target, plan = _followed(problem, t), problem.controller.plan
     if problem.model.nonlinear and problem.model.Ts is not None:
         target = target._replace(u_ff=_followed(problem, t + problem.model.Ts / 2).u_ff)
-    return target._replace(plan=np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target))
+    return target._replace(
+        plan=np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target)
+    )
 
 
 def _followed(problem: Problem, t: Floats) -> Target:

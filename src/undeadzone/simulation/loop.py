@@ -132,7 +132,16 @@ class _Mode(NamedTuple):
     side: Any
 
 
-def close(plant: System, sensor: Zone, observer: Observer, controller: Controller, tracked: int, step: float, located: bool = True, order: int = 4) -> Loop:
+def close(
+    plant: System,
+    sensor: Zone,
+    observer: Observer,
+    controller: Controller,
+    tracked: int,
+    step: float,
+    located: bool = True,
+    order: int = 4,
+) -> Loop:
     """The closed loop of a plant (continuous, or sampled when plant.Ts is set) stepping by `step` [s].
 
     located: find a change of side inside a continuous step; else plain RK4, whose every stage reads its own side.
@@ -140,15 +149,30 @@ def close(plant: System, sensor: Zone, observer: Observer, controller: Controlle
     step instead of three instants. Raises InputError where a loop is not linear on its branches.
     """
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
-    widths = SensorParams(sensor.right, sensor.left, sensor.slope, sensor.threshold, sensor.quantum if sensor.quantum.any() else np.empty(0))
-    params = Params(plant.params, widths, observer.params, controller.params, scale, np.float64(step))
-    state = State(np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params))
-    target = Target(np.zeros(tracked), np.zeros(plant.n), np.zeros(plant.m), np.zeros(controller.planned))
+    widths = SensorParams(
+        sensor.right,
+        sensor.left,
+        sensor.slope,
+        sensor.threshold,
+        sensor.quantum if sensor.quantum.any() else np.empty(0),
+    )
+    params = Params(
+        plant.params, widths, observer.params, controller.params, scale, np.float64(step)
+    )
+    state = State(
+        np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params)
+    )
+    target = Target(
+        np.zeros(tracked), np.zeros(plant.n), np.zeros(plant.m), np.zeros(controller.planned)
+    )
     instant = Exogenous(target, np.zeros(plant.m), *np.zeros((HELD, plant.p)))
     p_column, p = tree.symbols(params, "p")
     s_column, s = tree.symbols(state, "s")
     wires = _Wires(plant, sensor.kind, observer, controller, p)
-    columns = [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(1 if plant.Ts is not None else 3 if order == RUNGE_KUTTA else order)]
+    columns = [
+        ca.SX.sym(f"w{i}", tree.size(instant))
+        for i in range(1 if plant.Ts is not None else 3 if order == RUNGE_KUTTA else order)
+    ]
     w = wires.exogenous(instant, columns[0])
     moved, outputs = wires.move(s, w, wires.mode(s, w))
     inputs = [s_column, ca.vertcat(*columns), p_column]
@@ -160,15 +184,25 @@ def close(plant: System, sensor: Zone, observer: Observer, controller: Controlle
         following = _plain_step(wires, state, instant, s_column, columns)
     else:
         first, *others = _located_step(wires, state, instant, s_column, columns, order)
-        following = functools.reduce(lambda later, attempt: ca.if_else(attempt.more, later, attempt.end), [*others[-2::-1], first], others[-1].end)
-        rare = tuple(_function("rare", inputs, next=attempt.end, flag=attempt.more) for attempt in others)
+        following = functools.reduce(
+            lambda later, attempt: ca.if_else(attempt.more, later, attempt.end),
+            [*others[-2::-1], first],
+            others[-1].end,
+        )
+        rare = tuple(
+            _function("rare", inputs, next=attempt.end, flag=attempt.more) for attempt in others
+        )
         parts = Parts(_function("usual", inputs, next=first.end, out=out, flag=first.more), rare)
     shapes = Outputs(*(np.zeros(value.shape[0]) for value in outputs))
-    return Loop(_function("step", inputs, next=following, out=out), state, params, shapes, instant, parts)
+    return Loop(
+        _function("step", inputs, next=following, out=out), state, params, shapes, instant, parts
+    )
 
 
 def _function(name: str, inputs: list[ca.SX], **results: ca.SX) -> ca.Function:
-    return ca.Function(name, inputs, list(results.values()), ["s", "w", "p"], list(results), {"cse": True})
+    return ca.Function(
+        name, inputs, list(results.values()), ["s", "w", "p"], list(results), {"cse": True}
+    )
 
 
 class _Wires(NamedTuple):
@@ -189,7 +223,9 @@ class _Wires(NamedTuple):
 
     def levels(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
         """The side is right where z, noise ahead of the zone included, lies above the first, left below the second."""
-        above, below = edges(*self.widths(w), self.p.sensor.slope, self.kind, self.p.sensor.threshold, w.after)
+        above, below = edges(
+            *self.widths(w), self.p.sensor.slope, self.kind, self.p.sensor.threshold, w.after
+        )
         return above, -below
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
@@ -199,20 +235,32 @@ class _Wires(NamedTuple):
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
         """The exogenous inputs of one instant, scaled; a missing reading is noise that is not a number, whose side is silent."""
         w: Exogenous = tree.unpack(instant, column)
-        target = Target(*(part * self.p.scale.reference for part in w.target[:3]))._replace(plan=w.target.plan)
+        target = Target(*(part * self.p.scale.reference for part in w.target[:3]))._replace(
+            plan=w.target.plan
+        )
         scale = self.p.scale
-        return w._replace(target=target, w=w.w * scale.disturbance, before=w.before * scale.before, after=w.after * scale.after + w.lost)
+        return w._replace(
+            target=target,
+            w=w.w * scale.disturbance,
+            before=w.before * scale.before,
+            after=w.after * scale.after + w.lost,
+        )
 
     def move(self, s: State, w: Exogenous, mode: _Mode) -> tuple[State, Outputs]:
         """The state's derivative (or next value) and the outputs, on a given branch of the sensor."""
         z = self.plant.output(self.p.plant, s.plant)
-        y = branch(z + w.before, mode.zone, *self.widths(w), self.p.sensor.slope, self.kind) + w.after
+        y = (
+            branch(z + w.before, mode.zone, *self.widths(w), self.p.sensor.slope, self.kind)
+            + w.after
+        )
         read = mode.side
         if self.p.sensor.quantum.numel():
             y = quantised(y, self.p.sensor.quantum)
             read = side(y, self.p.sensor.threshold)
         reading = Reading(y, read, s.plant)
-        _, estimate = self.observer.step(self.p.observer, s.observer, ca.SX.sym("unused", self.plant.m), reading)
+        _, estimate = self.observer.step(
+            self.p.observer, s.observer, ca.SX.sym("unused", self.plant.m), reading
+        )
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
@@ -226,7 +274,9 @@ class _Wires(NamedTuple):
         return tree.stack(s._replace(observer=self.observer.project(self.p.observer, s.observer)))
 
 
-def _plain_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX]) -> ca.SX:
+def _plain_step(
+    wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX]
+) -> ca.SX:
     """RK4 that takes the side at each stage anew: error of order h^2 where the side changes; noise held."""
 
     def rate(column: ca.SX, c: float) -> ca.SX:
@@ -243,10 +293,14 @@ def _at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
     held = columns[0][-HELD * p :]
     if isinstance(c, float):
         return ca.vertcat(columns[round(2 * c)][: -HELD * p], held)
-    return ca.vertcat(first + c * (4 * middle - 3 * first - last + c * (2 * (first + last) - 4 * middle)), held)
+    return ca.vertcat(
+        first + c * (4 * middle - 3 * first - last + c * (2 * (first + last) - 4 * middle)), held
+    )
 
 
-def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX], order: int) -> list[Attempt]:
+def _located_step(
+    wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX], order: int
+) -> list[Attempt]:
     """RK4 or a Taylor series with the change of side located inside the step (`switching.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
@@ -255,21 +309,37 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
     right, left = wires.widths(noise)
     x, w = ca.SX.sym("x", start.shape[0]), ca.SX.sym("w", columns[0].shape[0])
     branch_taken = _Mode(*(ca.SX.sym(name, wires.plant.p) for name in _Mode._fields))
-    derivative = tree.stack(wires.move(tree.unpack(like, x), wires.exogenous(instant, w), branch_taken)[0])
+    derivative = tree.stack(
+        wires.move(tree.unpack(like, x), wires.exogenous(instant, w), branch_taken)[0]
+    )
     evaluate = ca.Function("rate", [x, w, *branch_taken], [derivative], {"allow_free": True})
 
     def output(column: ca.SX) -> ca.SX:
         return wires.plant.output(wires.p.plant, tree.unpack(like, column).plant)
 
     def rate(column: ca.SX, c: Any, mode: _Mode) -> ca.SX:
-        return evaluate(column if column is start else wires.admissible(like, column), _at(columns, c, wires.plant.p), *mode)
+        return evaluate(
+            column if column is start else wires.admissible(like, column),
+            _at(columns, c, wires.plant.p),
+            *mode,
+        )
 
     if order == RUNGE_KUTTA:
         arc = runge_kutta(rate, output, start.shape[0], wires.p.h)
     else:
-        if ca.which_depends(derivative, ca.vertcat(x, w), 2, True) != [False] * start.shape[0] or any(ca.which_depends(output(x), x, 2, True)):
-            raise InputError("simulation.order: above 4 only for a plant, an observer and a controller that are linear on each side of the zone; use 4")
-        arc = taylor(lambda column, inputs, mode: evaluate(column, inputs, *mode), output, columns, start.shape[0], wires.p.h)
+        if ca.which_depends(derivative, ca.vertcat(x, w), 2, True) != [False] * start.shape[
+            0
+        ] or any(ca.which_depends(output(x), x, 2, True)):
+            raise InputError(
+                "simulation.order: above 4 only for a plant, an observer and a controller that are linear on each side of the zone; use 4"
+            )
+        arc = taylor(
+            lambda column, inputs, mode: evaluate(column, inputs, *mode),
+            output,
+            columns,
+            start.shape[0],
+            wires.p.h,
+        )
 
     before = wires.mode(tree.unpack(like, start), noise)
     above, below = wires.levels(noise)
@@ -277,9 +347,17 @@ def _located_step(wires: _Wires, like: State, instant: Exogenous, start: ca.SX, 
     def after(before: _Mode, crossing: Crossing) -> _Mode:
         edge = ca.if_else(crossing.upper, above, below)
         # On an edge itself, motion decides which zone follows.
-        rising, falling = 1.0 * (edge >= right) - 1.0 * (edge < -left), 1.0 * (edge > right) - 1.0 * (edge <= -left)
+        rising, falling = (
+            1.0 * (edge >= right) - 1.0 * (edge < -left),
+            1.0 * (edge > right) - 1.0 * (edge <= -left),
+        )
         entered = _Mode(ca.if_else(crossing.rising, rising, falling), crossing.side)
-        return _Mode(*(ca.if_else(crossing.changed, new, old) for new, old in zip(entered, before, strict=True)))
+        return _Mode(
+            *(
+                ca.if_else(crossing.changed, new, old)
+                for new, old in zip(entered, before, strict=True)
+            )
+        )
 
     levels = (above - noise.before, below - noise.before)
     attempts = located_step(arc, levels, before, after, start)

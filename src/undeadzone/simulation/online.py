@@ -48,7 +48,14 @@ class Online:
     Raises InputError and its kinds as a scenario would.
     """
 
-    def __init__(self, observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float, substeps: int = 10) -> None:
+    def __init__(
+        self,
+        observer: ObserverOptions,
+        plant: Plant,
+        sensor: Sensor,
+        step: float,
+        substeps: int = 10,
+    ) -> None:
         Ts = scalar("step", step, above=0.0)
         system = plants.system(plant)
         require_visible(system, "plant")
@@ -84,7 +91,9 @@ class Online:
         return found
 
 
-def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Function, Floats, Floats, list[int]]:
+def _graph(
+    model: System, observer: Observer, threshold: Floats
+) -> tuple[ca.Function, Floats, Floats, list[int]]:
     """(step(s, w, p) -> (next, out), state, params, sizes of out's parts) of an observer alone.
 
     w = [y; u]; out is the estimate, the side, and whether y was missing.
@@ -99,5 +108,15 @@ def _graph(model: System, observer: Observer, threshold: Floats) -> tuple[ca.Fun
     reading = Reading(seen, side(seen, eps))
     after, estimate = observer.step(params, s, used, reading)
     out = ca.vertcat(tree.stack(estimate), reading.side, ca.mmin(present(y)) == 0)
-    function = ca.Function("live", [s_column, ca.vertcat(y, u), column], [tree.stack((after, used)), out], {"cse": True})
-    return function, tree.pack(state), tree.pack(values), [part.shape[0] for part in (*estimate, reading.side)]
+    function = ca.Function(
+        "live",
+        [s_column, ca.vertcat(y, u), column],
+        [tree.stack((after, used)), out],
+        {"cse": True},
+    )
+    return (
+        function,
+        tree.pack(state),
+        tree.pack(values),
+        [part.shape[0] for part in (*estimate, reading.side)],
+    )

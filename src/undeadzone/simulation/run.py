@@ -99,7 +99,12 @@ class Run:
     @property
     def shown(self) -> slice:
         """The samples that a figure shows: those up to where the run diverged, two at least."""
-        return slice(0, self.t.size if self.diverged_at is None else max(2, int(np.searchsorted(self.t, self.diverged_at))))
+        return slice(
+            0,
+            self.t.size
+            if self.diverged_at is None
+            else max(2, int(np.searchsorted(self.t, self.diverged_at))),
+        )
 
     @property
     def name(self) -> str:
@@ -134,7 +139,10 @@ class Run:
         if self.theta_hat is None or self.theta_std is None:
             return {}
         ends = zip(self.info.uncertain.items(), self.theta_hat[-1], self.theta_std[-1], strict=True)
-        return {name: {"estimate": float(value), "std": float(std), "true": true} for (name, true), value, std in ends}
+        return {
+            name: {"estimate": float(value), "std": float(std), "true": true}
+            for (name, true), value, std in ends
+        }
 
     @property
     def outputs(self) -> list[str]:
@@ -153,7 +161,9 @@ class Run:
         if self.V is None:
             return None
         with np.errstate(invalid="ignore"):
-            return float((self.V - np.minimum.accumulate(self.V)).max() / np.maximum(self.V.max(), 1e-300))
+            return float(
+                (self.V - np.minimum.accumulate(self.V)).max() / np.maximum(self.V.max(), 1e-300)
+            )
 
     @property
     def fully_identifiable(self) -> bool:
@@ -207,7 +217,9 @@ class Run:
             if value.ndim == 1:
                 found[name] = value
             elif name in EDGES:
-                found |= {f"{EDGES[name][i % 2]}[{i // 2}]": value[:, i] for i in range(value.shape[1])}
+                found |= {
+                    f"{EDGES[name][i % 2]}[{i // 2}]": value[:, i] for i in range(value.shape[1])
+                }
             else:
                 found |= {f"{name}[{i}]": value[:, i] for i in range(value.shape[1])}
         return found
@@ -216,11 +228,23 @@ class Run:
         """The unit of a signal or of one of its columns."""
         units, (signal, _, index) = self.info.units, name.partition("[")
         if signal in ("x", "x_hat", "x_std", "w_hat"):
-            state = units.state if isinstance(units.state, str) else units.state[int(index.rstrip("]") or 0)]
+            state = (
+                units.state
+                if isinstance(units.state, str)
+                else units.state[int(index.rstrip("]") or 0)]
+            )
             return f"{state}/s" if signal == "w_hat" else state
         if signal in ("theta_hat", "theta_std"):
             return "1"
-        return {"t": "s", "u": units.input, "side": "1", "V": "1", "tip": "m", "tip_hat": "m", "tip_r": "m"}.get(signal, units.output)
+        return {
+            "t": "s",
+            "u": units.input,
+            "side": "1",
+            "V": "1",
+            "tip": "m",
+            "tip_hat": "m",
+            "tip_r": "m",
+        }.get(signal, units.output)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write `.npz` or `.csv` (17 digits, units in the header, the info as a first line after #). Raises FileError, InputError."""
@@ -228,13 +252,22 @@ class Run:
         if path.suffix == ".npz":
             arrays = {name: value for name in ARRAYS if (value := getattr(self, name)) is not None}
             with replacing(path) as temporary, open(temporary, "wb") as file:
-                np.savez_compressed(file, info=np.frombuffer(msgspec.json.encode(self.info), np.uint8), **arrays)
+                np.savez_compressed(
+                    file, info=np.frombuffer(msgspec.json.encode(self.info), np.uint8), **arrays
+                )
         elif path.suffix == ".csv":
             columns = self.columns()
-            with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as table:
+            with (
+                replacing(path) as temporary,
+                open(temporary, "w", encoding="utf-8", newline="") as table,
+            ):
                 table.write(f"# {msgspec.json.encode(self.info).decode()}\n")
-                csv.writer(table, lineterminator="\n").writerow([f"{name} [{' '.join(self.unit(name).split())}]" for name in columns])
-                np.savetxt(table, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=",")
+                csv.writer(table, lineterminator="\n").writerow(
+                    [f"{name} [{' '.join(self.unit(name).split())}]" for name in columns]
+                )
+                np.savetxt(
+                    table, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=","
+                )
         else:
             raise InputError(f"{path}: the name must end in .npz or .csv")
         return path
@@ -251,7 +284,16 @@ class Run:
             return cls(**{"V": None, **arrays}, info=info)
         except OSError as error:
             raise FileError(f"{path}: cannot read: {reason(error)}") from None
-        except (ValueError, KeyError, TypeError, StopIteration, EOFError, msgspec.DecodeError, zipfile.BadZipFile, zlib.error) as error:
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            StopIteration,
+            EOFError,
+            msgspec.DecodeError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
     def to_pandas(self) -> Any:
@@ -259,11 +301,18 @@ class Run:
         import pandas as pd
 
         columns = self.columns()
-        return pd.DataFrame({name: values for name, values in columns.items() if name != "t"}, index=pd.Index(columns["t"], name="t"))
+        return pd.DataFrame(
+            {name: values for name, values in columns.items() if name != "t"},
+            index=pd.Index(columns["t"], name="t"),
+        )
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
-REQUIRED = tuple(field.name for field in dataclasses.fields(Run) if field.name in ARRAYS and field.default is dataclasses.MISSING)
+REQUIRED = tuple(
+    field.name
+    for field in dataclasses.fields(Run)
+    if field.name in ARRAYS and field.default is dataclasses.MISSING
+)
 EDGES = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}  # names of columns
 
 
@@ -284,7 +333,11 @@ def _read_csv(path: Path) -> dict[str, Any]:
     columns = dict(zip(names, table.T, strict=True))
     fields: dict[str, Any] = {"info": info, "V": columns.get("V"), "t": columns["t"]}
     for name in set(ARRAYS) - {"t", "V"}:
-        parts = [column for key, column in columns.items() if key.partition("[")[0] in EDGES.get(name, (name,))]
+        parts = [
+            column
+            for key, column in columns.items()
+            if key.partition("[")[0] in EDGES.get(name, (name,))
+        ]
         if parts or name in REQUIRED:
             fields[name] = np.stack(parts, axis=1)
     return fields

@@ -14,13 +14,29 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 
-def run(problem: Problem, observer: NumericObserver, exogenous: Floats, progress: Callable[[int], None] | None = None) -> Outputs:
+def run(
+    problem: Problem,
+    observer: NumericObserver,
+    exogenous: Floats,
+    progress: Callable[[int], None] | None = None,
+) -> Outputs:
     """The outputs of the closed loop along exogenous inputs (steps + 1 rows), by name (rows: time); progress is told of steps done."""
     simulation = problem.scenario.simulation
-    loop = close(problem.plant, problem.sensor, relay(observer, problem.plant.p), problem.controller, len(problem.tracked), simulation.step)
-    stepper = Stepper(loop.step, tree.pack(loop.state._replace(plant=problem.x0)), tree.pack(loop.params))
+    loop = close(
+        problem.plant,
+        problem.sensor,
+        relay(observer, problem.plant.p),
+        problem.controller,
+        len(problem.tracked),
+        simulation.step,
+    )
+    stepper = Stepper(
+        loop.step, tree.pack(loop.state._replace(plant=problem.x0)), tree.pack(loop.params)
+    )
     ends = np.cumsum([part.size for part in loop.outputs]).tolist()
-    where = Outputs(*(slice(end - part.size, end) for end, part in zip(ends, loop.outputs, strict=True)))
+    where = Outputs(
+        *(slice(end - part.size, end) for end, part in zip(ends, loop.outputs, strict=True))
+    )
     estimated = slice(problem.plant.n, problem.plant.n + tree.size(loop.state.observer))
     outputs = np.empty((exogenous.shape[0], ends[-1]))
     state = observer.start(simulation.seed)
@@ -28,7 +44,9 @@ def run(problem: Problem, observer: NumericObserver, exogenous: Floats, progress
         stepper.w[:] = row
         before = stepper.state.copy()
         stepper()  # for its reading alone, which does not depend on the estimate
-        state, estimate = observer.correct(state, Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy()))
+        state, estimate = observer.correct(
+            state, Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())
+        )
         before[estimated] = tree.pack(tuple(estimate))
         stepper.state[:] = before
         stepper()
@@ -42,4 +60,6 @@ def run(problem: Problem, observer: NumericObserver, exogenous: Floats, progress
 def relay(observer: NumericObserver, p: int) -> Observer:
     """What stands for the observer on the graph: its state is the estimate, written from outside before each step."""
     _, first = observer.correct(observer.start(0), Reading(np.full(p, np.nan), np.zeros(p)))
-    return Observer((), lambda params: tuple(first), lambda params, state, u, reading: (state, Estimate(*state)))
+    return Observer(
+        (), lambda params: tuple(first), lambda params, state, u, reading: (state, Estimate(*state))
+    )

@@ -26,7 +26,13 @@ from undeadzone.support.arrays import Floats
 Engine = Literal["interpret", "lanes"]
 
 
-def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Run:
+def simulate(
+    scenario: Scenario,
+    *,
+    check_step: bool = True,
+    progress: Callable[[int], None] | None = None,
+    engine: Engine = "interpret",
+) -> Run:
     """Simulate a scenario.
 
     check_step: in continuous time, run again with half the step and report the difference as `integration_error`.
@@ -37,7 +43,12 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     if isinstance(problem.observer, NumericObserver) and engine == "interpret":
-        return collect(problem, live.run(problem, problem.observer, inputs.exogenous(problem), progress), None, began)
+        return collect(
+            problem,
+            live.run(problem, problem.observer, inputs.exogenous(problem), progress),
+            None,
+            began,
+        )
     loop, state, exogenous = prepare(problem)
     if not check_step or problem.plant.Ts is not None:
         return collect(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
@@ -51,7 +62,12 @@ def simulate(scenario: Scenario, *, check_step: bool = True, progress: Callable[
 
     def finer() -> Outputs:
         halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        return Outputs(*(part[::2] for part in run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)))
+        return Outputs(
+            *(
+                part[::2]
+                for part in run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)
+            )
+        )
 
     with ThreadPoolExecutor(1) as beside:
         twin = beside.submit(finer)
@@ -75,17 +91,32 @@ def closed(problem: Problem) -> Loop:
     simulation = problem.scenario.simulation
     located = simulation.switching == "located"
     return close(
-        problem.plant, problem.sensor, graph_of(problem.observer), problem.controller, len(problem.tracked), simulation.step, located, simulation.order
+        problem.plant,
+        problem.sensor,
+        graph_of(problem.observer),
+        problem.controller,
+        len(problem.tracked),
+        simulation.step,
+        located,
+        simulation.order,
     )
 
 
-def run_loop(loop: Loop, state: Floats, exogenous: Floats, progress: Callable[[int], None] | None = None, engine: Engine = "interpret") -> Outputs:
+def run_loop(
+    loop: Loop,
+    state: Floats,
+    exogenous: Floats,
+    progress: Callable[[int], None] | None = None,
+    engine: Engine = "interpret",
+) -> Outputs:
     """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time). Raises InputError for an unknown engine."""
     params = tree.pack(loop.params)
     if engine == "lanes":
         from undeadzone.engine import lanes
 
-        outputs = lanes.run(lanes.build(loop.step, width=1), state, exogenous, params, progress=progress)[0][0]
+        outputs = lanes.run(
+            lanes.build(loop.step, width=1), state, exogenous, params, progress=progress
+        )[0][0]
     elif engine == "interpret":
         outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
     else:
@@ -101,5 +132,8 @@ def named(loop: Loop, outputs: Floats) -> Outputs:
 
 def _difference(coarse: Outputs, fine: Outputs) -> float:
     """The largest difference of x, x^, d^ between a run and its twin of half the step."""
-    gaps = [np.abs(getattr(coarse, name) - getattr(fine, name)).max() for name in ("x", "x_hat", "right", "left")]
+    gaps = [
+        np.abs(getattr(coarse, name) - getattr(fine, name)).max()
+        for name in ("x", "x_hat", "right", "left")
+    ]
     return float(max(gaps)) if np.isfinite(gaps).all() else float("inf")

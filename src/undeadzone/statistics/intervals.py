@@ -38,7 +38,10 @@ def describe(column: Floats) -> dict[str, Interval | Extreme]:
     found: dict[str, Interval | Extreme] = {"mean": mean(ordered), "std": deviation(ordered)}
     found |= {name: quantile(ordered, share) for name, share in QUANTILES.items()}
     beyond = float(-np.expm1(np.log(1 - LEVEL) / ordered.size))
-    return found | {"min": Extreme(float(ordered[0]), beyond), "max": Extreme(float(ordered[-1]), beyond)}
+    return found | {
+        "min": Extreme(float(ordered[0]), beyond),
+        "max": Extreme(float(ordered[-1]), beyond),
+    }
 
 
 def quantile(ordered: Floats, share: float) -> Interval:
@@ -65,7 +68,11 @@ def mean(column: Floats) -> Interval:
     if not np.isfinite(column[[0, -1]]).all():
         return Interval(np.nan, np.nan, np.nan)
     value = float(np.mean(column))
-    half = float(student(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size)) if column.size > 1 else np.inf
+    half = (
+        float(student(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size))
+        if column.size > 1
+        else np.inf
+    )
     return Interval(value, value - half, value + half)
 
 

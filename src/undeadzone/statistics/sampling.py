@@ -13,7 +13,9 @@ from undeadzone.errors import InputError
 from undeadzone.statistics import sobol
 from undeadzone.support.arrays import Floats
 
-STREAM: Final = 1 << 64  # added to the seed, which is below 2^63: these numbers are none of those of the noise
+STREAM: Final = (
+    1 << 64
+)  # added to the seed, which is below 2^63: these numbers are none of those of the noise
 NUMBERS, KEYS = 0, 1
 ROUNDS: Final = 10
 
@@ -79,9 +81,13 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
     if entries == 0 or count == 0:
         return np.empty((count, entries))
     if entries > sobol.DIMENSIONS:
-        raise InputError(f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, found {entries}; use random")
+        raise InputError(
+            f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, found {entries}; use random"
+        )
     if first + count > 2 ** (sobol.BITS - 1):
-        raise InputError(f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; use random")
+        raise InputError(
+            f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; use random"
+        )
     return sobol.points(seed, first, count, entries) + 0.5**sobol.BITS / 2
 
 

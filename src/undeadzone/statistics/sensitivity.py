@@ -50,7 +50,10 @@ def given(X: Floats, y: Floats) -> list[Given]:
     def estimate(rows: Floats) -> Floats:
         return np.stack([*rank_correlations(X[rows], y[rows]), first_order(X[rows], y[rows])])
 
-    (spearman, partial, first), errors = estimate(np.full(n, True)), student(GROUPS - 1) * jackknife(estimate, n)
+    (spearman, partial, first), errors = (
+        estimate(np.full(n, True)),
+        student(GROUPS - 1) * jackknife(estimate, n),
+    )
     floor = chance(y)
     return [
         Given(
@@ -70,14 +73,18 @@ def saltelli(blocks: Floats) -> list[Indices]:
         return []
     found = indices(blocks)
     errors = student(GROUPS - 1) * jackknife(lambda kept: indices(blocks[:, kept]), blocks.shape[1])
-    return [Indices(*map(_share, index, error)) for index, error in zip(found.T, errors.T, strict=True)]
+    return [
+        Indices(*map(_share, index, error)) for index, error in zip(found.T, errors.T, strict=True)
+    ]
 
 
 def indices(blocks: Floats) -> Floats:
     """[first, total] (2 x entries) of the rows f_A, f_B, f_AB1, ...: Saltelli's 2010 and Jansen's estimators, 0 where nothing varies."""
     f_A, f_B, *_ = blocks = blocks - blocks[:2].mean()
     f_AB, variance = blocks[2:], blocks[:2].var()
-    return np.stack([(f_B * (f_AB - f_A)).mean(axis=1), ((f_A - f_AB) ** 2).mean(axis=1) / 2]) / (variance or 1.0)
+    return np.stack([(f_B * (f_AB - f_A)).mean(axis=1), ((f_A - f_AB) ** 2).mean(axis=1) / 2]) / (
+        variance or 1.0
+    )
 
 
 def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -110,7 +117,9 @@ def first_order(X: Floats, y: Floats) -> Floats:
 def chance(y: Floats) -> float:
     """The first-order index that an entry without influence exceeds with probability 1 - LEVEL, from permutations of y."""
     random, x = np.random.default_rng(0), np.arange(y.size, dtype=float)
-    return float(np.quantile([_explained(x, random.permutation(y)) for _ in range(PERMUTATIONS)], LEVEL))
+    return float(
+        np.quantile([_explained(x, random.permutation(y)) for _ in range(PERMUTATIONS)], LEVEL)
+    )
 
 
 def _explained(x: Floats, y: Floats) -> float:
@@ -121,7 +130,9 @@ def _explained(x: Floats, y: Floats) -> float:
     dx, dy = (v - np.repeat(np.add.reduceat(v, starts) / sizes, sizes) for v in (x, y))
     xx, xy = np.add.reduceat(dx * dx, starts), np.add.reduceat(dx * dy, starts)
     sloped = xx > 0
-    within = float((dy * dy).sum() - (xy[sloped] ** 2 / xx[sloped]).sum()) / (n - count - int(sloped.sum()))
+    within = float((dy * dy).sum() - (xy[sloped] ** 2 / xx[sloped]).sum()) / (
+        n - count - int(sloped.sum())
+    )
     total = float(y.var(ddof=1))
     return 1 - within / total if total > 0 else 0.0
 
@@ -135,7 +146,9 @@ def _correlation(r: float, error: float, freedom: int) -> Correlation:
     if room < 1e-12:
         return Correlation(r, r, r, 0.0)
     low, high = np.tanh(np.arctanh(r) + np.array([-1, 1]) * error / room)
-    return Correlation(r, float(low), float(high), float(2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / room))))
+    return Correlation(
+        r, float(low), float(high), float(2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / room)))
+    )
 
 
 def _share(value: float, error: float) -> Interval:

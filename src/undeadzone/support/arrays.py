@@ -33,7 +33,9 @@ def numeric(value: Any) -> Floats:
     try:
         array = np.asarray(value)
     except ValueError:
-        raise ValueError("expected numbers in a rectangular list, found rows of different lengths") from None
+        raise ValueError(
+            "expected numbers in a rectangular list, found rows of different lengths"
+        ) from None
     if array.dtype == bool or array.dtype.kind not in "iuf":
         found = "a boolean" if array.dtype == bool else f"{value!r:.60}"
         raise ValueError(f"expected numbers, found {found}")
@@ -41,7 +43,9 @@ def numeric(value: Any) -> Floats:
     if not np.isfinite(array).all():
         raise ValueError("every number must be finite, found nan or inf")
     if np.abs(array).max(initial=0.0) > LARGEST:
-        raise ValueError(f"every number must be below {LARGEST:g} in size, found {np.abs(array).max():g}")
+        raise ValueError(
+            f"every number must be below {LARGEST:g} in size, found {np.abs(array).max():g}"
+        )
     return array
 
 
@@ -53,16 +57,33 @@ def array(key: str, value: Any) -> Floats:
         raise InputError(f"{key}: {error}") from None
 
 
-def matrix(key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = "") -> Floats:
+def matrix(
+    key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = ""
+) -> Floats:
     """A 2-D float array of the given shape (None: any). Raises ShapeError that names key, expected and found shape."""
     found = array(key, value)
     if found.ndim == 0:
         found = found.reshape(1, 1)
     shape = found.shape
-    if found.ndim != 2 or rows not in (None, shape[0]) or columns not in (None, shape[1]) or 0 in shape:
-        exact = f"a {rows} x {columns} matrix" if rows and columns else f"a matrix with {rows} rows" if rows else f"a matrix with {columns} columns"
+    if (
+        found.ndim != 2
+        or rows not in (None, shape[0])
+        or columns not in (None, shape[1])
+        or 0 in shape
+    ):
+        exact = (
+            f"a {rows} x {columns} matrix"
+            if rows and columns
+            else f"a matrix with {rows} rows"
+            if rows
+            else f"a matrix with {columns} columns"
+        )
         want = exact if rows or columns else "a matrix (a list of rows)"
-        have = f"a list of {shape[0]} number{'s' * (shape[0] != 1)}" if found.ndim == 1 else " x ".join(map(str, shape))
+        have = (
+            f"a list of {shape[0]} number{'s' * (shape[0] != 1)}"
+            if found.ndim == 1
+            else " x ".join(map(str, shape))
+        )
         raise ShapeError(f"{key}: expected {want}{why and ' (' + why + ')'}, found {have}")
     return found
 
@@ -76,7 +97,9 @@ def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
         found = np.full(size, float(found))
     if found.shape != (size,):
         have = " x ".join(map(str, found.shape))
-        raise ShapeError(f"{key}: expected {size} number{'s' * (size != 1)}{why and ' (' + why + ')'}, found {have}")
+        raise ShapeError(
+            f"{key}: expected {size} number{'s' * (size != 1)}{why and ' (' + why + ')'}, found {have}"
+        )
     return found
 
 
@@ -86,7 +109,9 @@ def series(key: str, value: Any) -> Floats:
     if found.size == 0:
         raise ShapeError(f"{key}: expected at least one number, found none")
     if found.ndim > 2 or (found.ndim == 2 and 1 not in found.shape):
-        raise ShapeError(f"{key}: expected a list of numbers, found {' x '.join(map(str, found.shape))}")
+        raise ShapeError(
+            f"{key}: expected a list of numbers, found {' x '.join(map(str, found.shape))}"
+        )
     return found.ravel()
 
 
@@ -95,7 +120,9 @@ def listed(numbers: Iterable[complex]) -> str:
     return ", ".join(f"{s.real:.4g}{s.imag:+.4g}j" if s.imag else f"{s.real:.4g}" for s in numbers)
 
 
-def scalar(key: str, value: Any, *, above: float | None = None, least: float | None = None) -> float:
+def scalar(
+    key: str, value: Any, *, above: float | None = None, least: float | None = None
+) -> float:
     """One finite number within bounds. Raises InputError, ShapeError."""
     found = array(key, value)
     if found.size != 1:

@@ -16,7 +16,9 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name once written; nothing is left half-written. Raises FileError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
+        )
         os.close(handle)
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot write: {reason(error)}") from None

@@ -68,7 +68,13 @@ def account(problem: Problem) -> Account:
     run = trial_run(problem)
     schedule = plan(problem, run)
     given = None if problem.model.nonlinear else constant_gains(problem.observer, problem.model)
-    return Account(problem, run, schedule, knowledge(problem, schedule, run), None if given is None else _gains(problem, schedule, *given))
+    return Account(
+        problem,
+        run,
+        schedule,
+        knowledge(problem, schedule, run),
+        None if given is None else _gains(problem, schedule, *given),
+    )
 
 
 def trial(of: Account, seed: int = 0) -> Trial | None:
@@ -80,11 +86,24 @@ def trial(of: Account, seed: int = 0) -> Trial | None:
     attack = falsify(given, V, seed=seed)
     cycle = None if found.certificate.certified else diverge(given, seed, TRIES)
     longest = max(of.problem.scenario.simulation.duration, of.schedule.duration)
-    drawn = courses(given, V, of.schedule, min(CONSTANTS / max(abs(found.rates.rate), 1e-300), longest), seed)
+    drawn = courses(
+        given, V, of.schedule, min(CONSTANTS / max(abs(found.rates.rate), 1e-300), longest), seed
+    )
     if attack.broken:
-        drawn.append(along("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100))
+        drawn.append(
+            along("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100)
+        )
     if cycle is not None and cycle.factor > GROWS:
-        drawn.append(along("cycle", given, V, growing(given, cycle), PERIODS * [*cycle.modes], cycle.seconds / 100))
+        drawn.append(
+            along(
+                "cycle",
+                given,
+                V,
+                growing(given, cycle),
+                PERIODS * [*cycle.modes],
+                cycle.seconds / 100,
+            )
+        )
     return Trial(attack, cycle, drawn)
 
 
@@ -97,7 +116,9 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
     speed = rates(linear, L, gamma, schedule, jump)
     if certificate.certified:
         return Gains(L, gamma, certificate, speed, settling(given, V, schedule), None, given, V)
-    return Gains(L, gamma, certificate, speed, None, _nearest(problem, schedule, L, gamma), given, V)
+    return Gains(
+        L, gamma, certificate, speed, None, _nearest(problem, schedule, L, gamma), given, V
+    )
 
 
 def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
@@ -105,4 +126,8 @@ def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> 
         found = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
     except StructureError:
         return None
-    return _gains(problem, schedule, found.dynamics.L, np.diag(found.dynamics.gamma)[::2]) if found.certified else None
+    return (
+        _gains(problem, schedule, found.dynamics.L, np.diag(found.dynamics.gamma)[::2])
+        if found.certified
+        else None
+    )

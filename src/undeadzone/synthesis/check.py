@@ -35,8 +35,15 @@ def check(scenario: Scenario) -> dict[str, Any]:
 def summary(of: Account) -> dict[str, Any]:
     """What `check` says of an account."""
     problem, schedule, known, gains = of.problem, of.schedule, of.known, of.gains
-    absent: dict[str, Any] = dict.fromkeys(("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region"))
-    found = {"title": problem.scenario.title, **absent, "never": [], "states": determined(problem, schedule)}
+    absent: dict[str, Any] = dict.fromkeys(
+        ("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region")
+    )
+    found = {
+        "title": problem.scenario.title,
+        **absent,
+        "never": [],
+        "states": determined(problem, schedule),
+    }
     reasons = []
     constant = constant_gains(problem.observer, problem.model)
     if constant is None:
@@ -52,18 +59,30 @@ def summary(of: Account) -> dict[str, Any]:
             "time_constant": speed.time_constant,
             "never": list(speed.never),
         }
-        reasons += [f"not certified: {proof.reason}"] * (not proof.certified) + ["the error grows along the reference"] * (speed.rate < 0)
+        reasons += [f"not certified: {proof.reason}"] * (not proof.certified) + [
+            "the error grows along the reference"
+        ] * (speed.rate < 0)
     elif problem.scenario.region is None:
-        reasons.append("no certificate and no rate: the model is nonlinear; certificates of such models hold on a declared [region]")
+        reasons.append(
+            "no certificate and no rate: the model is nonlinear; certificates of such models hold on a declared [region]"
+        )
     else:
         within = box(problem.scenario.region, problem.model)
         proof = certify_on(problem.model, *constant, within)
-        found |= {"certified": proof.certified, "margin": proof.margin, "left_region": _left(of.run, within)}
+        found |= {
+            "certified": proof.certified,
+            "margin": proof.margin,
+            "left_region": _left(of.run, within),
+        }
         reasons += [f"not certified: {proof.reason}"] * (not proof.certified)
     several = len(known) > 1
     identifiable = [{name: getattr(k, name) for name in DIRECTIONS} for k in known]
     std = [k.std for k in known]
-    reasons += [f"output {i}: {reason}" if several else reason for i, k in enumerate(known) for reason in k.reasons]
+    reasons += [
+        f"output {i}: {reason}" if several else reason
+        for i, k in enumerate(known)
+        for reason in k.reasons
+    ]
     told = {
         "identifiable": identifiable if several else identifiable[0],
         "std": std if several else std[0],
@@ -78,7 +97,11 @@ def _bounded(proof: Certificate, problem: Problem) -> dict[str, float] | None:
     model = problem.model
     push = l2_gain(proof.dynamics, E=model.linear.B / (model.Ts or 1.0))
     noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
-    return {"disturbance": push.disturbance, "noise": noisy.noise} if push.check.proved and noisy.check.proved else None
+    return (
+        {"disturbance": push.disturbance, "noise": noisy.noise}
+        if push.check.proved and noisy.check.proved
+        else None
+    )
 
 
 def _left(run: Run | None, within: Box) -> float | None:

@@ -6,7 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.convergence.floquet import NEUTRAL, TINY, error_matrices, product, transitions
+from undeadzone.analysis.convergence.floquet import (
+    NEUTRAL,
+    TINY,
+    error_matrices,
+    product,
+    transitions,
+)
 from undeadzone.analysis.convergence.mean_square import forced_mean_square, mean_squares
 from undeadzone.analysis.error_dynamics import delta
 from undeadzone.analysis.identifiability.linear import cures, invisible
@@ -20,7 +26,9 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.support.arrays import Floats
 
 PER_POLE = 49  # frequencies at which a candidate's margin is looked at, around each pole
-NUDGE = 1e-12  # of the schedule: the exosystem's state at a corner is that of the piece that follows
+NUDGE = (
+    1e-12  # of the schedule: the exosystem's state at a corner is that of the piece that follows
+)
 
 
 class Task(NamedTuple):
@@ -83,12 +91,17 @@ def make_task(problem: Problem, margin: float) -> Task:
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
     units = 1 / sizes(delta(model.linear, Ts).T, model.linear.C.T)
-    linear, flow = (Matrices(A / units[:, None] * units, B / units[:, None], C * units) for A, B, C in (model.linear, problem.flow.linear))
+    linear, flow = (
+        Matrices(A / units[:, None] * units, B / units[:, None], C * units)
+        for A, B, C in (model.linear, problem.flow.linear)
+    )
     horizon = problem.scenario.simulation.duration
     whole = planned(model, problem.reference, problem.tracked, problem.sensor, horizon)
     schedule = merged(whole)
     if not schedule.sides.any():
-        raise InputError(f"reference: it never leaves the dead zone, so that the sensor says nothing; {cures(model.linear, schedule)[0].text}")
+        raise InputError(
+            f"reference: it never leaves the dead zone, so that the sensor says nothing; {cures(model.linear, schedule)[0].text}"
+        )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
     S, push, source = _driven(problem, flow, units)
     hidden = invisible(linear, schedule.visited(), Ts)
@@ -98,7 +111,12 @@ def make_task(problem: Problem, margin: float) -> Task:
         push, source, basis, np.linalg.svd(basis)[0][:, basis.shape[1] :], np.empty((0, model.p, model.n)), margin,
     )  # fmt: skip
     near = np.tan(np.linspace(-1.5, 1.5, PER_POLE))
-    return watched(task, np.abs(np.concatenate([[0.0], *(abs(s.imag) + abs(s.real) * near for s in _poles(task.A, Ts))])))
+    return watched(
+        task,
+        np.abs(
+            np.concatenate([[0.0], *(abs(s.imag) + abs(s.real) * near for s in _poles(task.A, Ts))])
+        ),
+    )
 
 
 def watched(task: Task, w: Floats) -> Task:
@@ -110,7 +128,9 @@ def watched(task: Task, w: Floats) -> Task:
     return task._replace(resolvents=np.concatenate([task.resolvents, resolvents]))
 
 
-def score(task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bool = True) -> Scores:
+def score(
+    task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bool = True
+) -> Scores:
     """What candidates L (b, n, p), balanced, and gamma (b, p) are worth; nan for what is not asked."""
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * task.p)
     F, G = error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
@@ -119,7 +139,10 @@ def score(task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bo
     Z = np.zeros((3 * task.p, F.shape[-1]))
     Z[: task.p, : task.n], Z[task.p :, task.n :] = task.linear.C, np.eye(2 * task.p)
     if gains:
-        sources = np.broadcast_to(task.source, F.shape), G @ np.swapaxes(G, -1, -2) * (task.step if task.Ts is None else task.Ts**2)
+        sources = (
+            np.broadcast_to(task.source, F.shape),
+            G @ np.swapaxes(G, -1, -2) * (task.step if task.Ts is None else task.Ts**2),
+        )
         disturbance, noise = map(np.sqrt, mean_squares(F, Z, sources, task.schedule))
     if mismatch:
         F, _ = error_matrices(task.A, task.linear.C, L, Gamma, task.whole.sides)
@@ -133,18 +156,32 @@ def certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
     1 + G - Ts gamma / 2 >= margin is linear in L, and holds at L = 0 since Ts gamma <= 1.
     """
     room = 1 - task.margin - (0.0 if task.Ts is None else task.Ts / 2 * gamma)
-    response = (task.resolvents @ L[:, None]) * np.sqrt(W / room)[:, None, :, None] / np.sqrt(W * room)[:, None, None, :]
+    response = (
+        (task.resolvents @ L[:, None])
+        * np.sqrt(W / room)[:, None, :, None]
+        / np.sqrt(W * room)[:, None, None, :]
+    )
     hermitian = (response + np.swapaxes(response, -1, -2).conj()) / 2
-    least = (hermitian[..., 0, 0].real if task.p == 1 else np.linalg.eigvalsh(hermitian)[..., 0]).min(axis=1)
+    least = (
+        hermitian[..., 0, 0].real if task.p == 1 else np.linalg.eigvalsh(hermitian)[..., 0]
+    ).min(axis=1)
     return np.asarray(L * np.minimum(1.0, 1.0 / np.maximum(-least, TINY))[:, None, None])
 
 
 def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
     """The largest ln |multiplier|, those apart that unidentifiable errors keep on the unit circle."""
-    own = np.log(np.maximum(np.abs(np.linalg.eigvals(task.seen.T @ M @ task.seen)), TINY)).max(axis=-1) + size
+    own = (
+        np.log(np.maximum(np.abs(np.linalg.eigvals(task.seen.T @ M @ task.seen)), TINY)).max(
+            axis=-1
+        )
+        + size
+    )
     if not task.hidden.shape[1]:
         return own
-    kept = np.log(np.maximum(np.abs(np.linalg.eigvals(task.hidden.T @ M @ task.hidden)), TINY)) + size[:, None]
+    kept = (
+        np.log(np.maximum(np.abs(np.linalg.eigvals(task.hidden.T @ M @ task.hidden)), TINY))
+        + size[:, None]
+    )
     return np.maximum(own, np.where(np.abs(kept) < NEUTRAL, -np.inf, kept).max(axis=-1))
 
 
@@ -157,7 +194,9 @@ def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Fl
     target = np.vstack([Pi / units[:, None], Gamma])
     A, B, _ = flow
     both = np.hstack([A, B])
-    kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.count_nonzero(B, axis=1) == 0) & (np.diag(A) == 0)
+    kinematic = (
+        (np.count_nonzero(A, axis=1) == 1) & (np.count_nonzero(B, axis=1) == 0) & (np.diag(A) == 0)
+    )
     S = problem.reference.S
     hold: Floats = np.eye(n)
     spread: Floats = B @ B.T
@@ -177,4 +216,9 @@ def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Fl
 def _poles(A: Floats, Ts: float | None) -> np.ndarray:
     """Poles [1/s] of A, or of a sampled A in delta form mapped back to continuous time."""
     poles = np.linalg.eigvals(A)
-    return np.asarray(poles if Ts is None else np.log(np.maximum(np.abs(1 + Ts * poles), TINY)) / Ts + 1j * np.angle(1 + Ts * poles) / Ts)
+    return np.asarray(
+        poles
+        if Ts is None
+        else np.log(np.maximum(np.abs(1 + Ts * poles), TINY)) / Ts
+        + 1j * np.angle(1 + Ts * poles) / Ts
+    )

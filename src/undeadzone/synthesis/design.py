@@ -18,7 +18,16 @@ from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenari
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.criteria import make_task
-from undeadzone.synthesis.gain_search import RATE, ROUNDS, STARTS, Candidate, Weights, assess, balanced, fastest
+from undeadzone.synthesis.gain_search import (
+    RATE,
+    ROUNDS,
+    STARTS,
+    Candidate,
+    Weights,
+    assess,
+    balanced,
+    fastest,
+)
 from undeadzone.synthesis.knowledge import determined, knowledge
 
 
@@ -38,12 +47,18 @@ def design(
     _, flow, _ = systems(scenario)
     if flow.nonlinear or scenario.sensor.kind == "jump":
         what = "plant: a nonlinear plant" if flow.nonlinear else "sensor.kind: a jump sensor"
-        raise InputError(f"{what} has no automatic design; choose gains and judge them by simulation")
+        raise InputError(
+            f"{what} has no automatic design; choose gains and judge them by simulation"
+        )
     if not isinstance(scenario.controller, StateFeedback):
         raise InputError("controller.method: a design plans on z = r; use state_feedback")
     if reason := certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason:
         raise StructureError(f"plant: no gains can be certified: {reason}")
-    problem = resolve_scenario(msgspec.structs.replace(scenario, observer=Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)))
+    problem = resolve_scenario(
+        msgspec.structs.replace(
+            scenario, observer=Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
+        )
+    )
     task = make_task(problem, margin)
     present = _present(scenario, problem)
     before = None if present is None else assess(task, *present)
@@ -51,12 +66,18 @@ def design(
     if maximise == "knee":
         found = balanced(task, linear, before, seed, progress)
     else:
-        found = fastest(task, linear, maximise if isinstance(maximise, Weights) else RATE, seed, progress)
+        found = fastest(
+            task, linear, maximise if isinstance(maximise, Weights) else RATE, seed, progress
+        )
     proof = found.certificate
     schedule = task.whole
     return Design(
         title=scenario.title,
-        chosen=maximise if isinstance(maximise, str) else "rate / (" + " ".join(f"{name}^{power:g}" for name, power in maximise._asdict().items()) + ")",
+        chosen=maximise
+        if isinstance(maximise, str)
+        else "rate / ("
+        + " ".join(f"{name}^{power:g}" for name, power in maximise._asdict().items())
+        + ")",
         seed=seed,
         Ts=problem.model.Ts,
         A=linear.A.tolist(),
@@ -87,7 +108,11 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
     if not isinstance(scenario.observer, Certified):
         return None
     gains = constant_gains(scenario.observer.build(problem.model, problem.sensor), problem.model)
-    return gains if gains is not None and certify(problem.model.linear, *gains, problem.model.Ts).certified else None
+    return (
+        gains
+        if gains is not None and certify(problem.model.linear, *gains, problem.model.Ts).certified
+        else None
+    )
 
 
 def _point(candidate: Candidate) -> Point:

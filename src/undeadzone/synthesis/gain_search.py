@@ -62,13 +62,23 @@ class Synthesis(NamedTuple):
 Tick = Callable[[int], None]
 
 
-def fastest(task: Task, linear: Matrices, weights: Weights = RATE, seed: int = 0, tick: Tick | None = None) -> Synthesis:
+def fastest(
+    task: Task, linear: Matrices, weights: Weights = RATE, seed: int = 0, tick: Tick | None = None
+) -> Synthesis:
     """The certified gains of the largest rate, or of the best trade that `weights` name; tick(1) is called STARTS times."""
-    best, certificate = _proved(task, linear, _search(task, weights, seed, tick), lambda task: _cost(task, weights))
+    best, certificate = _proved(
+        task, linear, _search(task, weights, seed, tick), lambda task: _cost(task, weights)
+    )
     return Synthesis(best, certificate, [best], ())
 
 
-def balanced(task: Task, linear: Matrices, present: Candidate | None = None, seed: int = 0, tick: Tick | None = None) -> Synthesis:
+def balanced(
+    task: Task,
+    linear: Matrices,
+    present: Candidate | None = None,
+    seed: int = 0,
+    tick: Tick | None = None,
+) -> Synthesis:
     """The front of rate, disturbance and noise, and its knee: the point whose largest normalised loss is smallest.
 
     A loss is a logarithm between the least (0) and greatest (1) on the front. Where points of the front, or of a search
@@ -76,21 +86,43 @@ def balanced(task: Task, linear: Matrices, present: Candidate | None = None, see
     where none does, a remark says in what the knee is worse. tick(1) is called STARTS + ROUNDS times.
     """
     quickest = _search(task, RATE, seed, tick)
-    limit = float(score(task, *_gains(task, quickest[None]), mismatch=False, gains=False).rate[0]) * FLOOR
+    limit = (
+        float(score(task, *_gains(task, quickest[None]), mismatch=False, gains=False).rate[0])
+        * FLOOR
+    )
 
     def costs(task: Task, points: Floats) -> Floats:
         L, gamma = _gains(task, points)
         found = score(task, L, gamma, mismatch=False)
         admitted = found.rate > limit
-        logs = np.log(np.stack([1 / np.where(admitted, found.rate, 1.0), found.disturbance, found.noise], axis=1))
+        logs = np.log(
+            np.stack(
+                [1 / np.where(admitted, found.rate, 1.0), found.disturbance, found.noise], axis=1
+            )
+        )
         return np.where(admitted[:, None], logs, np.inf)
 
-    points, found = pareto(lambda x: costs(task, x), *_box(task), seed, quickest[None], rounds=ROUNDS, tick=lambda: tick(1) if tick else None)
+    points, found = pareto(
+        lambda x: costs(task, x),
+        *_box(task),
+        seed,
+        quickest[None],
+        rounds=ROUNDS,
+        tick=lambda: tick(1) if tick else None,
+    )
     bars = [np.full(3, np.inf)]
     if present is not None:
         level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
         bars = [level - BETTER, level, *bars]
-        near = evolve(lambda x: (costs(task, x) - level).max(axis=1), *_box(task), seed, _population(task), LONG, _point(task, present), NEAR)[0]
+        near = evolve(
+            lambda x: (costs(task, x) - level).max(axis=1),
+            *_box(task),
+            seed,
+            _population(task),
+            LONG,
+            _point(task, present),
+            NEAR,
+        )[0]
         points, found = np.vstack([points, near]), np.vstack([found, costs(task, near[None])])
         admitted = np.isfinite(found).all(axis=1)
         points, found = points[admitted], found[admitted]
@@ -100,15 +132,23 @@ def balanced(task: Task, linear: Matrices, present: Candidate | None = None, see
     def loss(task: Task) -> Callable[[Floats], Floats]:
         def cost(points: Floats) -> Floats:
             given = costs(task, points)
-            return np.asarray(scalar(given, *frame, np.ones((1, 3)))[0] + WORSE * (given >= bar).any(axis=1))
+            return np.asarray(
+                scalar(given, *frame, np.ones((1, 3)))[0] + WORSE * (given >= bar).any(axis=1)
+            )
 
         return cost
 
     start = points[np.argmin(loss(task)(points))]
     best, certificate = _proved(task, linear, start, loss)
     remarks = []
-    if present is not None and (worse := [name for name in ("rate", "disturbance", "noise") if not _beats(best, present, name)]):
-        remarks.append(f"no certified gains were found that beat the present ones in rate, disturbance and noise at once: these lose in {' and '.join(worse)}")
+    if present is not None and (
+        worse := [
+            name for name in ("rate", "disturbance", "noise") if not _beats(best, present, name)
+        ]
+    ):
+        remarks.append(
+            f"no certified gains were found that beat the present ones in rate, disturbance and noise at once: these lose in {' and '.join(worse)}"
+        )
     return Synthesis(best, certificate, _front(task, linear, points), tuple(remarks))
 
 
@@ -148,7 +188,13 @@ def _search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> Float
 def _cost(task: Task, weights: Weights) -> Callable[[Floats], Floats]:
     def cost(points: Floats) -> Floats:
         L, gamma = _gains(task, points)
-        found = score(task, L, gamma, mismatch=weights.mismatch > 0, gains=weights.disturbance > 0 or weights.noise > 0)
+        found = score(
+            task,
+            L,
+            gamma,
+            mismatch=weights.mismatch > 0,
+            gains=weights.disturbance > 0 or weights.noise > 0,
+        )
         total = -np.log(np.maximum(found.rate, 1e-300))
         for name, weight in weights._asdict().items():
             if weight:
@@ -158,15 +204,27 @@ def _cost(task: Task, weights: Weights) -> Callable[[Floats], Floats]:
     return cost
 
 
-def _proved(task: Task, linear: Matrices, point: Floats, cost: Callable[[Task], Callable[[Floats], Floats]]) -> tuple[Candidate, Certificate]:
+def _proved(
+    task: Task, linear: Matrices, point: Floats, cost: Callable[[Task], Callable[[Floats], Floats]]
+) -> tuple[Candidate, Certificate]:
     """The point polished by Nelder and Mead's method and proved; where the exact margin is missed, its frequency is watched too."""
     from scipy.optimize import minimize
 
     low, high = _box(task)
     for _ in range(5):
         here = cost(task)
-        options = {"maxfev": 150 * point.size, "xatol": 1e-9, "fatol": 1e-12, "adaptive": point.size > 4}
-        point = minimize(lambda x: float(here(np.clip(x, low, high)[None])[0]), point, method="Nelder-Mead", options=options).x.clip(low, high)  # noqa: B023
+        options = {
+            "maxfev": 150 * point.size,
+            "xatol": 1e-9,
+            "fatol": 1e-12,
+            "adaptive": point.size > 4,
+        }
+        point = minimize(
+            lambda x: float(here(np.clip(x, low, high)[None])[0]),
+            point,
+            method="Nelder-Mead",
+            options=options,
+        ).x.clip(low, high)
         candidate = _candidate(task, point)
         certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
         if certificate.certified and certificate.margin > task.margin * (1 - 1e-6):
@@ -196,7 +254,12 @@ def _gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
 def _point(task: Task, gains: Candidate) -> Floats:
     """The point whose `_gains` these are, as near as the box allows."""
     L, gamma = gains.L / task.units[:, None], np.maximum(gains.gamma, 1e-300)
-    return np.clip(np.concatenate([np.arcsinh(L / task.poles.min()).ravel(), np.log(gamma), np.zeros(task.p - 1)]), *_box(task))
+    return np.clip(
+        np.concatenate(
+            [np.arcsinh(L / task.poles.min()).ravel(), np.log(gamma), np.zeros(task.p - 1)]
+        ),
+        *_box(task),
+    )
 
 
 def _population(task: Task) -> int:

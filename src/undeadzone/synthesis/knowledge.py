@@ -6,7 +6,13 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Known
 from undeadzone.analysis.identifiability.information import deviations
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, cures, invisible, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import (
+    DIRECTIONS,
+    cures,
+    invisible,
+    unknown_bias,
+    verdicts,
+)
 from undeadzone.analysis.side_schedule import Schedule, planned, recorded
 from undeadzone.controllers import StateFeedback
 from undeadzone.scenario.problem import Problem
@@ -26,7 +32,13 @@ def trial_run(problem: Problem) -> Run | None:
 def plan(problem: Problem, run: Run | None) -> Schedule:
     """The sides along a run, or along the reference where there is none."""
     if run is None:
-        return planned(problem.model, problem.reference, problem.tracked, problem.sensor, problem.scenario.simulation.duration)
+        return planned(
+            problem.model,
+            problem.reference,
+            problem.tracked,
+            problem.sensor,
+            problem.scenario.simulation.duration,
+        )
     return recorded(run.z, problem.sensor, run.info.step, problem.model.Ts)
 
 
@@ -39,19 +51,44 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     model, sensor, scenario = problem.model, problem.sensor, problem.scenario
     if model.nonlinear and run is not None:
         unsaid = dict.fromkeys(DIRECTIONS, np.inf)
-        return [Known(**{**verdict, "std": verdict["std"] or unsaid}, cures=[]) for verdict in run.info.identifiable]
+        return [
+            Known(**{**verdict, "std": verdict["std"] or unsaid}, cures=[])
+            for verdict in run.info.identifiable
+        ]
     linear, jump = model.linear, sensor.kind == "jump"
     bias, process = unknown_bias(scenario.disturbance, linear.B), None
     if isinstance(scenario.disturbance, Random):
-        density = 2 * np.asarray(scenario.disturbance.rms, float) ** 2 * scenario.disturbance.correlation_time
-        process = linear.B * np.broadcast_to(density, model.m) @ linear.B.T / (1.0 if model.Ts is None else model.Ts)
+        density = (
+            2
+            * np.asarray(scenario.disturbance.rms, float) ** 2
+            * scenario.disturbance.correlation_time
+        )
+        process = (
+            linear.B
+            * np.broadcast_to(density, model.m)
+            @ linear.B.T
+            / (1.0 if model.Ts is None else model.Ts)
+        )
     found = verdicts(linear, schedule, bias, jump)
     help_ = cures(linear, schedule, bias, jump)
     std = (
-        [{} for _ in found] if jump else deviations(linear, schedule, sensor.rms, scenario.simulation.step, scenario.simulation.duration, bias, process).widths
+        [{} for _ in found]
+        if jump
+        else deviations(
+            linear,
+            schedule,
+            sensor.rms,
+            scenario.simulation.step,
+            scenario.simulation.duration,
+            bias,
+            process,
+        ).widths
     )
     return [
-        Known(**verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]}, cures=[cure.text for cure in help_ if cure.output == i])
+        Known(
+            **verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]},
+            cures=[cure.text for cure in help_ if cure.output == i],
+        )
         for i, verdict in enumerate(found)
     ]
 
@@ -62,5 +99,7 @@ def determined(problem: Problem, schedule: Schedule) -> list[bool]:
         return []
     linear = problem.model.linear
     bias = unknown_bias(problem.scenario.disturbance, linear.B)
-    hidden = invisible(linear, schedule.visited(problem.model.n), schedule.Ts, bias, problem.sensor.kind == "jump")
+    hidden = invisible(
+        linear, schedule.visited(problem.model.n), schedule.Ts, bias, problem.sensor.kind == "jump"
+    )
     return [hidden.state(i) for i in range(problem.model.n)]

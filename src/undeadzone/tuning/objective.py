@@ -43,7 +43,9 @@ class Objective(NamedTuple):
 
     def scenario(self, index: int, point: Floats) -> Scenario:
         """A scenario with the numbers of a candidate."""
-        return with_numbers(self.scenarios[index], dict(zip(self.names, point.tolist(), strict=True)))
+        return with_numbers(
+            self.scenarios[index], dict(zip(self.names, point.tolist(), strict=True))
+        )
 
     def problems(self, points: Floats) -> list[Problems | None]:
         """The problems of each candidate (candidates x numbers), one per scenario; None where one is refused."""
@@ -52,21 +54,38 @@ class Objective(NamedTuple):
     def margins(self, candidates: Sequence[Problems | None]) -> Floats:
         """The least margin of each candidate's certificates: inf if none is asked for, -inf where refused."""
         wanted = self.what.certified
-        found = [-np.inf if problems is None else min(map(certified_margin, problems)) if wanted else np.inf for problems in candidates]
+        found = [
+            -np.inf
+            if problems is None
+            else min(map(certified_margin, problems))
+            if wanted
+            else np.inf
+            for problems in candidates
+        ]
         return np.array(found)
 
     def costs(self, candidates: Sequence[Problems], threads: int | None = None) -> Floats:
         """What candidates cost, each at least one."""
-        return self.scores([self.losses(k, problems, threads) for k, problems in enumerate(zip(*candidates, strict=True))])
+        return self.scores(
+            [
+                self.losses(k, problems, threads)
+                for k, problems in enumerate(zip(*candidates, strict=True))
+            ]
+        )
 
-    def losses(self, index: int, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
+    def losses(
+        self, index: int, candidates: Sequence[Problem], threads: int | None = None
+    ) -> Floats:
         """What each candidate loses in each run of a scenario (candidates x runs)."""
         given = self.benches[index]
         return losses(self.what.metric, given, given.rows(candidates, threads))
 
     def scores(self, lost: Sequence[Floats]) -> Floats:
         """The mean of the framed statistics of losses (candidates x runs) in each scenario."""
-        framed = [(statistic(self.what.statistic, each) - frame.zero) / (frame.one - frame.zero) for each, frame in zip(lost, self.frames, strict=True)]
+        framed = [
+            (statistic(self.what.statistic, each) - frame.zero) / (frame.one - frame.zero)
+            for each, frame in zip(lost, self.frames, strict=True)
+        ]
         return np.mean(framed, axis=0)
 
     def _each(self, point: Floats) -> Problems | None:
@@ -79,7 +98,15 @@ class Objective(NamedTuple):
         return self._replace(benches=tuple(given.redrawn(runs, seed) for given in self.benches))
 
 
-def objective(what: Tune, scenarios: Sequence[Scenario], frames: Sequence[Frame], names: Sequence[str], probes: Floats, runs: int, seed: int) -> Objective:
+def objective(
+    what: Tune,
+    scenarios: Sequence[Scenario],
+    frames: Sequence[Frame],
+    names: Sequence[str],
+    probes: Floats,
+    runs: int,
+    seed: int,
+) -> Objective:
     """The objective on the first `runs` runs of a seed; probes: candidates that move whatever others will move, the first one possible.
 
     Raises InputError and its kinds.
@@ -115,18 +142,32 @@ def losses(metric: str, given: Bench | Singles, found: Floats) -> Floats:
     else:
         edge, _, index = metric.removeprefix("d_").partition("_error")
         nominal = float(getattr(problem.sensor, edge)[int(index[1:-1])])
-        size = np.abs(column[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, given.varied))
+        size = np.abs(
+            column[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, given.varied)
+        )
     with np.errstate(over="ignore", invalid="ignore"):
-        rate = np.log1p(np.nan_to_num(column["peak_tracking"], nan=0.0)) / np.maximum(column["settling_time"], problem.scenario.simulation.step)
-    return np.where(column["diverged"] != 0, LIMIT * (1 + rate / (1 + rate)), np.minimum(np.nan_to_num(size, nan=LIMIT), LIMIT))
+        rate = np.log1p(np.nan_to_num(column["peak_tracking"], nan=0.0)) / np.maximum(
+            column["settling_time"], problem.scenario.simulation.step
+        )
+    return np.where(
+        column["diverged"] != 0,
+        LIMIT * (1 + rate / (1 + rate)),
+        np.minimum(np.nan_to_num(size, nan=LIMIT), LIMIT),
+    )
 
 
 def certified_margin(problem: Problem) -> float:
     """The margin of the certificate; below 0 where the gains have none."""
     gains = constant_gains(problem.observer, problem.model)
     if gains is None or problem.model.nonlinear:
-        why = "a nonlinear model has no certificate" if gains is not None else "this observer has no constant gains L and gamma to certify"
-        raise InputError(f"tune.certified: {why}; leave certified out{', or use method = certified' * (gains is None)}")
+        why = (
+            "a nonlinear model has no certificate"
+            if gains is not None
+            else "this observer has no constant gains L and gamma to certify"
+        )
+        raise InputError(
+            f"tune.certified: {why}; leave certified out{', or use method = certified' * (gains is None)}"
+        )
     proof = certify(problem.model.linear, *gains, problem.model.Ts)
     return proof.margin if proof.certified else min(proof.margin, -1e-9)
 
@@ -141,6 +182,10 @@ def _possible(scenario: Scenario) -> Problem | None:
 
 def _check_metric(metric: str, problem: Problem) -> None:
     errors = [f"d_{edge}_error[{i}]" for i in range(problem.plant.p) for edge in EDGES]
-    known = [name for name in metrics.columns(problem.plant) if name != "diverged" and not name.startswith("d_")] + errors
+    known = [
+        name
+        for name in metrics.columns(problem.plant)
+        if name != "diverged" and not name.startswith("d_")
+    ] + errors
     if metric not in known:
         raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")

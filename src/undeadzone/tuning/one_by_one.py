@@ -34,16 +34,30 @@ class Singles(NamedTuple):
 
     def redrawn(self, runs: int, seed: int) -> Singles:
         """Other runs: the first `runs` of a seed; one if nothing differs between them."""
-        alike = not (self.problem.sensor.noise.any() or self.problem.sensor.noise_before.any() or inputs.random_disturbance(self.problem))
+        alike = not (
+            self.problem.sensor.noise.any()
+            or self.problem.sensor.noise_before.any()
+            or inputs.random_disturbance(self.problem)
+        )
         return Singles(self.problem, 1 if alike else runs, seed)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
         """The metrics (candidates x runs x columns) of candidates."""
-        return np.stack([np.concatenate([self._row(candidate, run) for run in range(self.runs)]) for candidate in candidates])
+        return np.stack(
+            [
+                np.concatenate([self._row(candidate, run) for run in range(self.runs)])
+                for candidate in candidates
+            ]
+        )
 
     def _row(self, candidate: Problem, run: int) -> Floats:
         assert isinstance(candidate.observer, NumericObserver)
-        return row(candidate, live.run(candidate, candidate.observer, inputs.exogenous(candidate, run=run, seed=self.seed)))
+        return row(
+            candidate,
+            live.run(
+                candidate, candidate.observer, inputs.exogenous(candidate, run=run, seed=self.seed)
+            ),
+        )
 
 
 def singles(problem: Problem) -> Singles:
@@ -72,7 +86,9 @@ def row(problem: Problem, out: Outputs) -> Floats:
         effort=np.array([[(out.u**2).sum()]]),
         right=out.right[-1:],
         left=out.left[-1:],
-        tip=np.array([[((place["tip"] - place["tip_r"])[tail] ** 2).sum()]]) if place else np.empty((1, 0)),
+        tip=np.array([[((place["tip"] - place["tip_r"])[tail] ** 2).sum()]])
+        if place
+        else np.empty((1, 0)),
     )
     states = np.hstack([out.x, out.x_hat, out.right, out.left])[-1:]
     return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))

@@ -39,7 +39,11 @@ class Parameter(NamedTuple):
 
     def value(self, u: Floats) -> Floats:
         """The number at the share u, 0 to 1, of the range."""
-        found = self.low * (self.high / self.low) ** u if self.log else self.low + u * (self.high - self.low)
+        found = (
+            self.low * (self.high / self.low) ** u
+            if self.log
+            else self.low + u * (self.high - self.low)
+        )
         return np.clip(np.round(found) if self.whole else found, self.low, self.high)
 
     def share(self, value: float) -> float:
@@ -51,7 +55,9 @@ class Parameter(NamedTuple):
 
 def numbers(scenario: Scenario) -> dict[str, Number]:
     """Every number of the options, by address."""
-    return {name: number for part in PARTS for name, number in _numbers(part, getattr(scenario, part))}
+    return {
+        name: number for part in PARTS for name, number in _numbers(part, getattr(scenario, part))
+    }
 
 
 def with_numbers(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
@@ -63,26 +69,42 @@ def with_numbers(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
 
 def named(address: str, known: Mapping[str, Number]) -> list[str]:
     """The numbers that an address stands for; a list may be indexed as the column that it is, one number as a list. Raises InputError."""
-    for form in (address, re.sub(r",[0:]\]$", "]", address), re.sub(r"\[[0:](,[0:])?\]$", "", address)):
+    for form in (
+        address,
+        re.sub(r",[0:]\]$", "]", address),
+        re.sub(r"\[[0:](,[0:])?\]$", "", address),
+    ):
         if names := matching(form, known):
             return names
     key, place = stem(address), TABLE.place(address)
     there = [name for name in known if stem(name) == key]
     if there and known[there[0]].value is None:
-        raise InputError(f"{place}: the scenario gives no {key}; write it there, entry by entry, or name another number")
+        raise InputError(
+            f"{place}: the scenario gives no {key}; write it there, entry by entry, or name another number"
+        )
     if there:
-        raise InputError(f"{place}: no such entry; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}")
+        raise InputError(
+            f"{place}: no such entry; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}"
+        )
     stems = sorted({stem(name) for name in known})
     near = difflib.get_close_matches(key, stems, 1)
-    raise InputError(f"{place}: no number of that name in the options; {f'did you mean {near[0]!r}?' if near else 'there are ' + ', '.join(stems)}")
+    raise InputError(
+        f"{place}: no number of that name in the options; {f'did you mean {near[0]!r}?' if near else 'there are ' + ', '.join(stems)}"
+    )
 
 
 def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:
     """What is tuned. Raises InputError: nothing, an address that is not there or there twice, bounds that cannot be."""
     if not entries:
-        raise InputError(f"tune: nothing to tune; name a number and its bounds in a table [tune]: {TABLE.example}")
+        raise InputError(
+            f"tune: nothing to tune; name a number and its bounds in a table [tune]: {TABLE.example}"
+        )
     known = numbers(scenario)
-    found = [_parameter(address, name, given, known[name]) for address, given in entries.items() for name in named(address, known)]
+    found = [
+        _parameter(address, name, given, known[name])
+        for address, given in entries.items()
+        for name in named(address, known)
+    ]
     names = [parameter.name for parameter in found]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{TABLE.place(twice[0])}: tuned twice; keep one entry that names it")
@@ -103,7 +125,10 @@ def _numbers(name: str, value: Any, kind: Any = None) -> Iterator[tuple[str, Num
     elif isinstance(value, np.ndarray | list | tuple):
         array = np.asarray(value, float)
         for index in np.ndindex(array.shape):
-            yield name + (f"[{','.join(map(str, index))}]" if index else ""), Number(float(array[index]), False)
+            yield (
+                name + (f"[{','.join(map(str, index))}]" if index else ""),
+                Number(float(array[index]), False),
+            )
 
 
 def _with(node: Any, path: list[str], value: float) -> Any:
@@ -116,19 +141,37 @@ def _with(node: Any, path: list[str], value: float) -> Any:
         new = np.array(old, float)
         new[tuple(map(int, index[1:-1].split(",")))] = value
     else:
-        new = int(value) if isinstance(old, int) and not isinstance(old, bool) and value == int(value) else float(value)
-    return node | {name: new} if isinstance(node, dict) else msgspec.structs.replace(node, **{name: new})
+        new = (
+            int(value)
+            if isinstance(old, int) and not isinstance(old, bool) and value == int(value)
+            else float(value)
+        )
+    return (
+        node | {name: new}
+        if isinstance(node, dict)
+        else msgspec.structs.replace(node, **{name: new})
+    )
 
 
 def _parameter(address: str, name: str, given: Range, number: Number) -> Parameter:
     place, (low, high) = TABLE.place(address), given.between
     if not -LARGEST <= low < high <= LARGEST:
-        raise InputError(f"{place}.between: expected [low, high] with low < high, found [{low:g}, {high:g}]")
+        raise InputError(
+            f"{place}.between: expected [low, high] with low < high, found [{low:g}, {high:g}]"
+        )
     if given.log and low <= 0:
-        raise InputError(f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}; leave out log or raise it")
-    start, whose = (number.value, f"the scenario's {name}") if given.start is None else (given.start, "start")
+        raise InputError(
+            f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}; leave out log or raise it"
+        )
+    start, whose = (
+        (number.value, f"the scenario's {name}") if given.start is None else (given.start, "start")
+    )
     if start is None:
         start = float(np.sqrt(low * high) if given.log else (low + high) / 2)
     if not low <= start <= high:
-        raise InputError(f"{place}: {whose} = {start:g} lies outside [{low:g}, {high:g}]; widen between{', or give start' * (given.start is None)}")
-    return Parameter(name, low, high, given.log, number.whole, float(np.round(start) if number.whole else start))
+        raise InputError(
+            f"{place}: {whose} = {start:g} lies outside [{low:g}, {high:g}]; widen between{', or give start' * (given.start is None)}"
+        )
+    return Parameter(
+        name, low, high, given.log, number.whole, float(np.round(start) if number.whole else start)
+    )

@@ -87,14 +87,23 @@ class Tuned:
     @property
     def improved(self) -> bool:
         """Whether held-out runs are better: fewer diverge, or as many and all that is known of the change is an improvement."""
-        before, after = (sum(getattr(each, name).diverged.value for each in self.held_out) for name in ("before", "after"))
-        better = self.change.value < 0 and (self.change.high < 0 or not np.isfinite(self.change.high))
+        before, after = (
+            sum(getattr(each, name).diverged.value for each in self.held_out)
+            for name in ("before", "after")
+        )
+        better = self.change.value < 0 and (
+            self.change.high < 0 or not np.isfinite(self.change.high)
+        )
         return after < before or (after == before and better)
 
     @property
     def at_edge(self) -> list[str]:
         """The tuned numbers that lie at an end of their range: a wider one may do better."""
-        return [p.name for p, value in zip(self.parameters, self.values, strict=True) if not EDGE < p.share(value) < 1 - EDGE]
+        return [
+            p.name
+            for p, value in zip(self.parameters, self.values, strict=True)
+            if not EDGE < p.share(value) < 1 - EDGE
+        ]
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly; files that it names stay where they are. Raises FileError."""
@@ -104,17 +113,28 @@ class Tuned:
             f"# Tuned by undeadzone {undeadzone.__version__}: {self.what.statistic} {self.what.metric} {before:.4g} -> {after:.4g} on held-out runs,\n"
             f"# {len(self.trials)} candidates on {self.what.runs} runs each, seed {self.seed}.\n"
         )
-        return write_text(head + toml.dumps(anchored(self.scenarios[index], Path(os.path.relpath(Path(), path.parent)))), path)
+        return write_text(
+            head
+            + toml.dumps(
+                anchored(self.scenarios[index], Path(os.path.relpath(Path(), path.parent)))
+            ),
+            path,
+        )
 
     def summary(self) -> dict[str, Any]:
         """Everything found, ready for JSON; null where there is no bound."""
-        ranges = [{"name": p.name, "low": p.low, "high": p.high, "log": p.log, "start": p.start} for p in self.parameters]
+        ranges = [
+            {"name": p.name, "low": p.low, "high": p.high, "log": p.log, "start": p.start}
+            for p in self.parameters
+        ]
         found = {
             "titles": [scenario.title for scenario in self.scenarios],
             "metric": self.what.metric,
             "statistic": self.what.statistic,
             "confidence": LEVEL,
-            "parameters": [{**each, "value": value} for each, value in zip(ranges, self.values, strict=True)],
+            "parameters": [
+                {**each, "value": value} for each, value in zip(ranges, self.values, strict=True)
+            ],
             "at_edge": self.at_edge,
             "seed": self.seed,
             "runs": self.what.runs,
@@ -125,20 +145,41 @@ class Tuned:
             "held_out": {
                 "seed": self.seed + 1,
                 "change": self.change._asdict(),
-                "scenarios": [{"before": _plain(each.before), "after": _plain(each.after), "runs": each.runs} for each in self.held_out],
+                "scenarios": [
+                    {"before": _plain(each.before), "after": _plain(each.after), "runs": each.runs}
+                    for each in self.held_out
+                ],
             },
             "improved": self.improved,
             "certified": None if self.margin is None else self.certified,
             "margin": self.margin,
-            "history": [{"values": list(trial.point), "cost": trial.cost, "margin": trial.margin, "stage": trial.stage} for trial in self.trials],
+            "history": [
+                {
+                    "values": list(trial.point),
+                    "cost": trial.cost,
+                    "margin": trial.margin,
+                    "stage": trial.stage,
+                }
+                for trial in self.trials
+            ],
         }
         return dict(finite(found))
 
 
-def judged(on: Objective, found: tuple[Parameter, ...], trials: list[Trial], best: Trial, seed: int, threads: int | None = None) -> Tuned:
+def judged(
+    on: Objective,
+    found: tuple[Parameter, ...],
+    trials: list[Trial],
+    best: Trial,
+    seed: int,
+    threads: int | None = None,
+) -> Tuned:
     """The result of the best of the trials, judged on held-out runs, those of the next seed."""
     scenarios = tuple(on.scenario(k, np.array(best.point)) for k in range(len(on.scenarios)))
-    pairs = [[resolve_scenario(scenario) for scenario in pair] for pair in zip(on.scenarios, scenarios, strict=True)]
+    pairs = [
+        [resolve_scenario(scenario) for scenario in pair]
+        for pair in zip(on.scenarios, scenarios, strict=True)
+    ]
     first = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
     others = on.redrawn(on.what.held_out, seed + 1)
     lost = [others.losses(k, pair, threads) for k, pair in enumerate(pairs)]
@@ -152,7 +193,9 @@ def judged(on: Objective, found: tuple[Parameter, ...], trials: list[Trial], bes
         trials=tuple(trials),
         runs=len(trials) * sum(each.shape[1] for each in first),
         cost=(float(on.scores(first)[0]), best.cost),
-        held_out=tuple(HeldOut(worth(name, before), worth(name, after), before.size) for before, after in lost),
+        held_out=tuple(
+            HeldOut(worth(name, before), worth(name, after), before.size) for before, after in lost
+        ),
         change=change(others, lost, seed),
         margin=best.margin if on.what.certified else None,
     )
@@ -170,7 +213,10 @@ def worth(name: str, lost: Floats) -> Worth:
         return Worth(Interval(np.nan, np.nan, np.nan), diverged)
     if name == "worst":
         return Worth(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
-    return Worth(statistics.mean(kept) if name == "mean" else statistics.quantile(kept, QUANTILES[name]), diverged)
+    return Worth(
+        statistics.mean(kept) if name == "mean" else statistics.quantile(kept, QUANTILES[name]),
+        diverged,
+    )
 
 
 def change(on: Objective, lost: list[Floats], seed: int) -> Interval:

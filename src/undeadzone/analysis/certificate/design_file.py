@@ -63,7 +63,9 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def model(self) -> Matrices:
         """A, B, C as arrays."""
         n = len(self.A)
-        return Matrices(matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n))
+        return Matrices(
+            matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n)
+        )
 
     @property
     def L(self) -> Floats:
@@ -79,8 +81,14 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Prove the gains again for a model from P and W, by eigenvalues alone. Raises ProofError."""
         n, p = len(self.A), len(self.C)
         if model.C.shape != (p, n):
-            raise ProofError(f"{what}: the design is for {n} states and {p} outputs, the model has {model.C.shape[1]} and {model.C.shape[0]}")
-        found = recheck(dynamics(model, self.L, self.gamma, Ts), matrix("P", self.P, n, n), vector("W", self.W, p))
+            raise ProofError(
+                f"{what}: the design is for {n} states and {p} outputs, the model has {model.C.shape[1]} and {model.C.shape[0]}"
+            )
+        found = recheck(
+            dynamics(model, self.L, self.gamma, Ts),
+            matrix("P", self.P, n, n),
+            vector("W", self.W, p),
+        )
         if not found.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality {found.lmi:.3g}, least of P {found.P:.3g}; "

@@ -49,7 +49,9 @@ def slopes_on(model: System, box: Box) -> Slopes:
     everything = function(moved, A)
 
     def at(points: Floats) -> Floats:
-        found = everything(np.broadcast_to(numbers, (numbers.size, len(points))), points.T)[1].full()
+        found = everything(np.broadcast_to(numbers, (numbers.size, len(points))), points.T)[
+            1
+        ].full()
         return found.reshape(n, len(points), n).transpose(1, 0, 2)
 
     def bounded(value: ca.SX) -> Callable[[Box], Interval]:
@@ -65,7 +67,9 @@ def slopes_on(model: System, box: Box) -> Slopes:
     def bounds() -> tuple[Callable[[Box], Interval], Callable[[Box], Interval]]:
         some = ca.vec(A)[varying.tolist()]
         try:
-            enclosure(everything)([Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])])
+            enclosure(everything)(
+                [Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])]
+            )
             return bounded(some), bounded(ca.densify(ca.jacobian(some, w)))
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None

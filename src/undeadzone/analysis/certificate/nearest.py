@@ -27,7 +27,9 @@ class Nearest(NamedTuple):
     distance: float
 
 
-def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01) -> Nearest:
+def nearest(
+    linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01
+) -> Nearest:
     """The gains nearest to L (n x p) whose margin is `least` or more; L itself if it has that.
 
     With the weights W that suit L best, the admissible gains are an intersection of half-spaces, one per frequency and
@@ -37,7 +39,9 @@ def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None,
     """
     given = dynamics(linear, L, gamma, Ts)
     if given.Ts is not None:
-        given = given._replace(gamma=given.gamma / max(1.0, given.Ts * np.linalg.eigvalsh(given.gamma)[-1]))
+        given = given._replace(
+            gamma=given.gamma / max(1.0, given.Ts * np.linalg.eigvalsh(given.gamma)[-1])
+        )
     certificate = certify_dynamics(given)
     if certificate.margin == -np.inf:
         raise StructureError(f"observer.L: no gains can be certified: {certificate.reason}")
@@ -49,7 +53,10 @@ def nearest(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None,
         if certificate.certified and certificate.margin >= least:
             break
     shape = _metric(given, W)
-    change, size = (float(np.linalg.norm(shape.T @ (gains / np.sqrt(W)))) for gains in (given.L - share * found, given.L))
+    change, size = (
+        float(np.linalg.norm(shape.T @ (gains / np.sqrt(W))))
+        for gains in (given.L - share * found, given.L)
+    )
     return Nearest(certificate, change / size)
 
 
@@ -82,7 +89,12 @@ def _project(given: Dynamics, W: Floats, least: float) -> Floats:
     observed = C * root[:, None]
     inward = np.linalg.inv(_metric(given, W)).T
     target = start / root  # L in units where W = 1
-    L, seen, normals, levels = target, [set[float]() for _ in given.steps], np.zeros((0, target.size)), np.zeros(0)
+    L, seen, normals, levels = (
+        target,
+        [set[float]() for _ in given.steps],
+        np.zeros((0, target.size)),
+        np.zeros(0),
+    )
     for _ in range(200):
         done = True
         for step, frequencies in zip(given.steps, seen, strict=True):
@@ -97,7 +109,10 @@ def _project(given: Dynamics, W: Floats, least: float) -> Floats:
                 for v in directions.T[values < least]:
                     slope = np.real((v.conj() @ rows)[:, None] * v)
                     normals = np.vstack([normals, (inward.T @ slope).ravel()])
-                    levels = np.append(levels, least * (1 + 1e-3) - np.real(v.conj() @ D @ v) - (slope * target).sum())
+                    levels = np.append(
+                        levels,
+                        least * (1 + 1e-3) - np.real(v.conj() @ D @ v) - (slope * target).sum(),
+                    )
         if done:
             break
         move, active = _least_distance(normals, levels)
@@ -114,7 +129,11 @@ def _metric(given: Dynamics, W: Floats) -> Floats:
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
     (A,), C, Ts = given.A, given.C * np.sqrt(W)[:, None], given.Ts
-    Q = solve_continuous_lyapunov(A.T, -C.T @ C) if Ts is None else solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
+    Q = (
+        solve_continuous_lyapunov(A.T, -C.T @ C)
+        if Ts is None
+        else solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
+    )
     values, vectors = np.linalg.eigh(Q)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 
@@ -122,7 +141,11 @@ def _metric(given: Dynamics, W: Floats) -> Floats:
 def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
     """(s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; 0 or its limit at w = inf."""
     if Ts is None:
-        return np.zeros(A.shape, complex) if np.isinf(w) else np.linalg.inv(1j * w * np.eye(A.shape[0]) - A)
+        return (
+            np.zeros(A.shape, complex)
+            if np.isinf(w)
+            else np.linalg.inv(1j * w * np.eye(A.shape[0]) - A)
+        )
     s = -2 / Ts if np.isinf(w) else 1j * w / (1 - 1j * w * Ts / 2)
     return np.linalg.inv(s * np.eye(A.shape[0]) - A)
 
@@ -160,7 +183,12 @@ def _decays(given: Dynamics, rate: float) -> bool:
             root = np.sqrt(Ts)
             M = np.block([[M, root * np.vstack([PF.T, -Y.T])], [root * np.hstack([PF, -Y]), -P]])
             N = np.block([[N, root * active.T], [root * active, -P]])
-        return [-x[-1] * np.eye(len(M)) - M, -x[-1] * np.eye(len(N)) - N, W - LEAST, P - LEAST * np.eye(n)]
+        return [
+            -x[-1] * np.eye(len(M)) - M,
+            -x[-1] * np.eye(len(N)) - N,
+            W - LEAST,
+            P - LEAST * np.eye(n),
+        ]
 
     cost = np.zeros(entries + n * p + p)
     cost[-1] = -1.0

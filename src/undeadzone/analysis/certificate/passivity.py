@@ -65,15 +65,35 @@ def certify_dynamics(given: Dynamics, W: Floats | None = None) -> Certificate:
     """
     trivial = np.eye(given.A[0].shape[0]), np.ones(given.C.shape[0])
     if reason := _unstable(given):
-        return Certificate(False, reason, -np.inf, None, Storage(*trivial, given.gamma), given, recheck(given, *trivial))
+        return Certificate(
+            False,
+            reason,
+            -np.inf,
+            None,
+            Storage(*trivial, given.gamma),
+            given,
+            recheck(given, *trivial),
+        )
     scaling = balance(given)
     scaled = scaling.dynamics(given)
-    W, least, w = _weights(scaled) if W is None else (W * scaling.output**2, *margin(scaled, W * scaling.output**2))
+    W, least, w = (
+        _weights(scaled)
+        if W is None
+        else (W * scaling.output**2, *margin(scaled, W * scaling.output**2))
+    )
     found = storage(scaled.inequality(W))
     P, W = trivial if found is None else (scaling.storage(found), scaling.weights(W))
     proof = recheck(given, P, W)
     w = None if w is None else w / scaling.time
-    return Certificate(proof.proved, "" if proof.proved else _reason(given, least, w), least, w, Storage(P, W, given.gamma), given, proof)
+    return Certificate(
+        proof.proved,
+        "" if proof.proved else _reason(given, least, w),
+        least,
+        w,
+        Storage(P, W, given.gamma),
+        given,
+        proof,
+    )
 
 
 def recheck(given: Dynamics, P: Floats, W: Floats) -> Check:
@@ -105,10 +125,14 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
 
     A, C = delta(linear, Ts), linear.C
     if growth(A, Ts) >= 0:
-        raise StructureError("observer.L: missing; there is a default only for a stable model, give L")
+        raise StructureError(
+            "observer.L: missing; there is a default only for a stable model, give L"
+        )
     q = 2 * float(np.linalg.norm(A, 2))
     if Ts is None:
-        return np.asarray(np.linalg.solve(solve_continuous_lyapunov(A.T, -q * np.eye(A.shape[0])), C.T))
+        return np.asarray(
+            np.linalg.solve(solve_continuous_lyapunov(A.T, -q * np.eye(A.shape[0])), C.T)
+        )
     L = np.linalg.solve(Ts * solve_discrete_lyapunov(linear.A.T, q * np.eye(A.shape[0])), C.T)
     # What is left of the LMI after PL = C' and a Schur complement; it must stay below 1, half of it is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
@@ -153,7 +177,9 @@ def _deepest(given: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
         return given.extended(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
 
     start = np.append(np.ones(groups.shape[1] - 1), 0.0)
-    found = optimise(family, -np.eye(start.size)[-1], start, lambda P, q: [weights(q) - LEAST], passes=1)
+    found = optimise(
+        family, -np.eye(start.size)[-1], start, lambda P, q: [weights(q) - LEAST], passes=1
+    )
     return None if found is None else (found.P, np.maximum(weights(found.q), LEAST))
 
 
@@ -185,7 +211,10 @@ def _unstable(given: Dynamics) -> str:
         return f"the model has a chain of integrators or a repeated undamped mode{where}: while the sensor is silent the error grows, so no common V exists"
     what, then = "undamped mode", "the error can be kept bounded"
     if np.linalg.svd(given.A[k], compute_uv=False)[-1] < 1e-9 * size or size == 0:
-        what, then = "integrator", "the error can be kept bounded, but of the widths only their sum can be known"
+        what, then = (
+            "integrator",
+            "the error can be kept bounded, but of the widths only their sum can be known",
+        )
     return f"the model is only marginally stable{where} (an {what}): while the sensor is silent the error stays, so no strict V exists; {then}"
 
 

@@ -30,7 +30,9 @@ CORNERS = 16  # of the box that the first search takes
 CURE = "; the Jacobian there is singular: width identifiable, centre not: add a spring, gravity, an absolute reference pulse, or a known start"
 
 
-def certify_on(model: System, L: Floats, gamma: Floats, box: Box, parts: int = PARTS) -> Certificate:
+def certify_on(
+    model: System, L: Floats, gamma: Floats, box: Box, parts: int = PARTS
+) -> Certificate:
     """Whether gains L (n x p), gamma (p), both [1/s], are certified while x, x^ and u stay in a box; of a sampled model too.
 
     Its dynamics hold the vertices, and its margin is that at them. A 'no' names the point of the box where there is no V, or says
@@ -45,7 +47,9 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
     For a linear model `passivity.passive_gain`. Raises InputError for a sampled model, StructureError where no V exists.
     """
     if model.Ts is not None:
-        raise InputError("design_on: takes a model in continuous time; `certify_on` then judges its gains in sampled time")
+        raise InputError(
+            "design_on: takes a model in continuous time; `certify_on` then judges its gains in sampled time"
+        )
     found = slopes_on(model, box)
     none = _certified(model, np.zeros((model.n, model.p)), gamma, box, found, PARTS)
     if not none.certified:
@@ -60,15 +64,23 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
     trace = np.eye(n)[np.triu_indices(n)]
     solution = minimise(trace, blocks)
     if solution is None:
-        raise StructureError("no gains were found on the region: the Jacobians are too far apart for the solver")
-    return _certified(model, np.linalg.solve(symmetric(solution, n), model.linear.C.T), gamma, box, found, PARTS)
+        raise StructureError(
+            "no gains were found on the region: the Jacobians are too far apart for the solver"
+        )
+    return _certified(
+        model, np.linalg.solve(symmetric(solution, n), model.linear.C.T), gamma, box, found, PARTS
+    )
 
 
-def _certified(model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int) -> Certificate:
+def _certified(
+    model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int
+) -> Certificate:
     points = _start(box)
     for _ in range(ROUNDS):
         points = points[_different(slopes.at(points))]
-        given = Dynamics(tuple(slopes.at(points)), model.linear.C, L, adaptation(gamma, model.p), model.Ts)
+        given = Dynamics(
+            tuple(slopes.at(points)), model.linear.C, L, adaptation(gamma, model.p), model.Ts
+        )
         found = certify_dynamics(given)
         if not found.certified:
             return found._replace(reason=_why(found, points, model.n))
@@ -78,7 +90,10 @@ def _certified(model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes
         points = np.vstack([points, missed])
         if np.isnan(points).any():
             break
-    return found._replace(certified=False, reason=f"not proved: one V serves the Jacobians at {len(given.A)} points, but not surely on all of the region")
+    return found._replace(
+        certified=False,
+        reason=f"not proved: one V serves the Jacobians at {len(given.A)} points, but not surely on all of the region",
+    )
 
 
 def _start(box: Box) -> Floats:
@@ -94,7 +109,9 @@ def _start(box: Box) -> Floats:
 def _different(A: Floats) -> Floats:
     """The first of each set of equal matrices, as their numbers."""
     scale = max(float(np.abs(A).max()), 1e-300)
-    return np.sort(np.unique(np.round(A / scale, 12).reshape(len(A), -1), axis=0, return_index=True)[1])
+    return np.sort(
+        np.unique(np.round(A / scale, 12).reshape(len(A), -1), axis=0, return_index=True)[1]
+    )
 
 
 def _why(found: Certificate, points: Floats, n: int) -> str:
@@ -106,7 +123,9 @@ def _why(found: Certificate, points: Floats, n: int) -> str:
         return f"each Jacobian on the region has a V, but they share none{margin}: more damping or a smaller region would help"
     k = 0 if failing[0] == 0 else min(failing, key=lambda k: own[k].margin)
     singular = np.linalg.svd(found.dynamics.A[k], compute_uv=False)
-    return f"at {_point(points[k], n)} {own[k].reason}{CURE * bool(singular[-1] < 1e-9 * singular[0])}"
+    return (
+        f"at {_point(points[k], n)} {own[k].reason}{CURE * bool(singular[-1] < 1e-9 * singular[0])}"
+    )
 
 
 def _point(point: Floats, n: int) -> str:
@@ -129,13 +148,21 @@ class _Form(NamedTuple):
     def depth(self, c: Floats, loose: Floats | float = 0.0, turns: Floats | float = 0.0) -> Floats:
         """The least eigenvalue of -M, less rounding, for every c (N x K) within +-loose and turns (N x (n + m) x K) of these; -inf if unbounded."""
         c = c - self.mean
-        total = np.abs(c) + loose + np.abs(turns).sum(axis=1) if np.ndim(turns) else np.abs(c) + loose
+        total = (
+            np.abs(c) + loose + np.abs(turns).sum(axis=1) if np.ndim(turns) else np.abs(c) + loose
+        )
         bounded = np.isfinite(total).all(axis=1)
         M = self.identity - np.tensordot(c[bounded], self.slope, 1)
         if np.ndim(turns):
-            M = M - np.tensordot(np.asarray(loose)[bounded], self.size, 1) - _absolute(np.tensordot(np.asarray(turns)[bounded], self.slope, 1)).sum(axis=1)
+            M = (
+                M
+                - np.tensordot(np.asarray(loose)[bounded], self.size, 1)
+                - _absolute(np.tensordot(np.asarray(turns)[bounded], self.slope, 1)).sum(axis=1)
+            )
         found = np.full(len(c), -np.inf)
-        found[bounded] = np.linalg.eigvalsh(M)[:, 0] - self.rounding[0] - total[bounded] @ self.rounding[1]
+        found[bounded] = (
+            np.linalg.eigvalsh(M)[:, 0] - self.rounding[0] - total[bounded] @ self.rounding[1]
+        )
         return found
 
 
@@ -160,7 +187,13 @@ def _form(found: Certificate, entries: tuple[Integers, Integers]) -> _Form:
     slope = T.T @ X @ T
     unit = 8 * (len(M) + len(X) + 4) * np.finfo(float).eps
     around = [np.linalg.norm(np.abs(T.T) @ np.abs(part) @ np.abs(T)) for part in (size, *X)]
-    return _Form(mean[entries], -T.T @ M @ T, slope, _absolute(slope), (unit * (around[0] + len(M)), unit * np.array(around[1:])))
+    return _Form(
+        mean[entries],
+        -T.T @ M @ T,
+        slope,
+        _absolute(slope),
+        (unit * (around[0] + len(M)), unit * np.array(around[1:])),
+    )
 
 
 def _missed(found: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
@@ -172,7 +205,9 @@ def _missed(found: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
     enough = float(form.depth(np.array(found.dynamics.A)[:, *slopes.entries]).min()) / 2
     low, high = box.low[None], box.high[None]
     while low.size and parts > 0:
-        (later_low, low), (later_high, high) = ((side[:-AT_ONCE], side[-AT_ONCE:]) for side in (low, high))
+        (later_low, low), (later_high, high) = (
+            (side[:-AT_ONCE], side[-AT_ONCE:]) for side in (low, high)
+        )
         parts -= len(low)
         centre = (low + high) / 2
         reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
@@ -185,7 +220,11 @@ def _missed(found: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
             return centre[short][np.argsort(depth[short])[:WORST]]
         weight = np.linalg.norm(form.slope, axis=(1, 2))
         effect = (np.abs(turns) + doubt)[open_] @ weight
-        share = np.where(np.isfinite(effect).all(axis=1, keepdims=True), effect, (high - low) / (box.high - box.low))
+        share = np.where(
+            np.isfinite(effect).all(axis=1, keepdims=True),
+            effect,
+            (high - low) / (box.high - box.low),
+        )
         k, split = np.arange(len(low)), np.argmax(share, axis=1)
         below, above = high.copy(), low.copy()
         below[k, split] = above[k, split] = centre[k, split]

@@ -25,7 +25,9 @@ class Response(NamedTuple):
         finite = np.isfinite(w)
         G = np.zeros((w.size, *self.D.shape), complex)
         s = 1j * w[finite]
-        G[finite] = self.C @ np.linalg.solve(s[:, None, None] * np.eye(self.A.shape[0]) - self.A, self.L[None].astype(complex))
+        G[finite] = self.C @ np.linalg.solve(
+            s[:, None, None] * np.eye(self.A.shape[0]) - self.A, self.L[None].astype(complex)
+        )
         G += self.D
         return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
 
@@ -79,8 +81,13 @@ def worst(G: Response) -> Worst:
 def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
     """Eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
     corner, size = pencil[n:, n:], np.linalg.norm(pencil[:n, :n])
-    if np.linalg.norm(pencil[:n, n:]) * np.linalg.norm(pencil[n:, :n]) < 1e4 * size * np.linalg.svd(corner, compute_uv=False)[-1]:
-        return np.linalg.eigvals(pencil[:n, :n] - pencil[:n, n:] @ np.linalg.solve(corner, pencil[n:, :n]))
+    if (
+        np.linalg.norm(pencil[:n, n:]) * np.linalg.norm(pencil[n:, :n])
+        < 1e4 * size * np.linalg.svd(corner, compute_uv=False)[-1]
+    ):
+        return np.linalg.eigvals(
+            pencil[:n, :n] - pencil[:n, n:] @ np.linalg.solve(corner, pencil[n:, :n])
+        )
     from scipy.linalg import eigvals
 
     mass = np.diag(np.r_[np.ones(n), np.zeros(corner.shape[0])])

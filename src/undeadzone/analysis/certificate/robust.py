@@ -13,7 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.dissipation import LEAST, Check, Found, Inequality, check, optimise
-from undeadzone.analysis.error_dynamics import Dynamics, Scaling, Storage, adaptation, balance, delta, growth
+from undeadzone.analysis.error_dynamics import (
+    Dynamics,
+    Scaling,
+    Storage,
+    adaptation,
+    balance,
+    delta,
+    growth,
+)
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats, matrix, vector
@@ -49,7 +57,12 @@ class Sector(NamedTuple):
     check: Check
 
 
-def l2_gain(given: Dynamics, E: Floats | None = None, noise: Floats | None = None, output: Floats | None = None) -> Gain:
+def l2_gain(
+    given: Dynamics,
+    E: Floats | None = None,
+    noise: Floats | None = None,
+    output: Floats | None = None,
+) -> Gain:
     """The paper's BIBO claim as numbers: the least sum of squared gains from w and v to z = output x~.
 
     E (n x q): x~' = ... + E w. noise (p): the reading of an active output i is off by noise_i v_i. output (rows x n): C
@@ -61,7 +74,9 @@ def l2_gain(given: Dynamics, E: Floats | None = None, noise: Floats | None = Non
     groups = given.groups.shape[1]
     sizes = np.array([max(np.linalg.norm(np.vstack(channel)), 1e-300) for channel in channels])
     size = max(float(np.linalg.norm(z)), 1e-300)
-    unit = [Channel(*(part / s for part in channel)) for channel, s in zip(channels, sizes, strict=True)]
+    unit = [
+        Channel(*(part / s for part in channel)) for channel, s in zip(channels, sizes, strict=True)
+    ]
 
     def family(q: Floats) -> Inequality:
         return _driven(scaled, q[:groups], q[groups:], unit, z / size)
@@ -69,7 +84,11 @@ def l2_gain(given: Dynamics, E: Floats | None = None, noise: Floats | None = Non
     found = _prove(family, np.r_[np.zeros(groups), np.square(sizes / sizes.max(initial=1e-300))])
     if found is None:
         return Gain(np.inf, np.inf, _nothing(given), UNPROVED)
-    V = Storage(size**2 * scaling.storage(found.P), size**2 * scaling.weights(given.groups @ found.q[:groups]), given.gamma)
+    V = Storage(
+        size**2 * scaling.storage(found.P),
+        size**2 * scaling.weights(given.groups @ found.q[:groups]),
+        given.gamma,
+    )
     gains = iter(np.sqrt(found.q[groups:]) * sizes * size)
     disturbance, noisy = (0.0 if signal is None else float(next(gains)) for signal in (E, noise))
     return Gain(disturbance, noisy, V, check(family(found.q), found.P))
@@ -107,13 +126,23 @@ def sector(given: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) -> 
 
     def family(q: Floats) -> Inequality:
         T = q[groups:]
-        return scaled.extended(given.groups @ q[:groups], E, [(0, 0, h.T * T @ h), (2, 2, -np.diag(T))])
+        return scaled.extended(
+            given.groups @ q[:groups], E, [(0, 0, h.T * T @ h), (2, 2, -np.diag(T))]
+        )
 
-    found = _deepest(family, np.ones(groups + k), lambda P, q: [q - LEAST, groups + k - q.sum(keepdims=True)])
+    found = _deepest(
+        family, np.ones(groups + k), lambda P, q: [q - LEAST, groups + k - q.sum(keepdims=True)]
+    )
     if found is None:
         return Sector(False, _nothing(given), UNPROVED)
     proof = check(family(found.q), found.P)
-    return Sector(proof.proved, Storage(scaling.storage(found.P), scaling.weights(given.groups @ found.q[:groups]), given.gamma), proof)
+    return Sector(
+        proof.proved,
+        Storage(
+            scaling.storage(found.P), scaling.weights(given.groups @ found.q[:groups]), given.gamma
+        ),
+        proof,
+    )
 
 
 def ultimate_bound(
@@ -155,9 +184,13 @@ def ultimate_bound(
 
     def at(rate: float) -> tuple[Found | None, Callable[[Floats], Inequality], float, float]:
         def family(q: Floats) -> Inequality:
-            return _driven(scaled, q[:groups], q[groups:], channels, np.zeros((0, z.shape[1])), rate)
+            return _driven(
+                scaled, q[:groups], q[groups:], channels, np.zeros((0, z.shape[1])), rate
+            )
 
-        cost = np.r_[fed / (2 * rate) if sigma > 0 else held, np.full(len(channels), 1 / (2 * rate))]
+        cost = np.r_[
+            fed / (2 * rate) if sigma > 0 else held, np.full(len(channels), 1 / (2 * rate))
+        ]
         found = _prove(family, cost, confine)
         if found is None:
             return None, family, np.inf, np.inf
@@ -170,10 +203,19 @@ def ultimate_bound(
     if found is None:
         return Ultimate(np.inf, np.inf, 0.0, _nothing(given), UNPROVED)
     V = Storage(scaling.storage(found.P), scaling.weights(given.groups @ found.q[:groups]), V.gamma)
-    return Ultimate(bound, level * scaling.time, rate / scaling.time, V, check(family(found.q), found.P))
+    return Ultimate(
+        bound, level * scaling.time, rate / scaling.time, V, check(family(found.q), found.P)
+    )
 
 
-def closed_loop(model: Matrices, plants: Sequence[Matrices], L: Floats, K: Floats, gamma: Floats, Ts: float | None = None) -> Dynamics:
+def closed_loop(
+    model: Matrices,
+    plants: Sequence[Matrices],
+    L: Floats,
+    K: Floats,
+    gamma: Floats,
+    Ts: float | None = None,
+) -> Dynamics:
     """Error dynamics of (x - x_ref, x~) under u = u_ff - K (x^ - x_ref), one vertex per plant; x~ is x - x^ of the model.
 
     `passivity.certify_dynamics` of it proves convergence for every plant between the vertices, also a varying one, when
@@ -188,7 +230,13 @@ def closed_loop(model: Matrices, plants: Sequence[Matrices], L: Floats, K: Float
         dA, dB = A_k - A, B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
     L = matrix("L", L, n, p, "states x outputs")
-    return Dynamics(tuple(vertices), np.hstack([np.zeros((p, n)), C]), np.vstack([np.zeros((n, p)), L]), adaptation(gamma, p), Ts)
+    return Dynamics(
+        tuple(vertices),
+        np.hstack([np.zeros((p, n)), C]),
+        np.vstack([np.zeros((n, p)), L]),
+        adaptation(gamma, p),
+        Ts,
+    )
 
 
 def project(d_hat: Floats, V: Storage, limit: Floats) -> Floats:
@@ -206,7 +254,9 @@ class Channel(NamedTuple):
     reading: Floats
 
 
-def _channels(given: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats | None, output: Floats | None) -> tuple[list[Channel], Floats]:
+def _channels(
+    given: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats | None, output: Floats | None
+) -> tuple[list[Channel], Floats]:
     """Disturbance and noise where given, and the rows z, in scaled quantities."""
     n, p = given.L.shape
     found = []
@@ -214,12 +264,24 @@ def _channels(given: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats
         E = matrix("E", E, n, None, "one row per state")
         found.append(Channel(scaling.time * E / scaling.state[:, None], np.zeros((p, E.shape[1]))))
     if noise is not None:
-        found.append(Channel(np.zeros((n, p)), np.diag(vector("noise", noise, p, "one per output") / scaling.output)))
+        found.append(
+            Channel(
+                np.zeros((n, p)),
+                np.diag(vector("noise", noise, p, "one per output") / scaling.output),
+            )
+        )
     z = given.C if output is None else matrix("output", output, None, n, "one column per state")
     return found, z * scaling.state
 
 
-def _driven(given: Dynamics, weights: Floats, mu: Floats, channels: list[Channel], z: Floats, decay: float = 0.0) -> Inequality:
+def _driven(
+    given: Dynamics,
+    weights: Floats,
+    mu: Floats,
+    channels: list[Channel],
+    z: Floats,
+    decay: float = 0.0,
+) -> Inequality:
     """V' + 2 decay x~'P x~ + |z x~|^2 - sum of mu |w|^2 over the channels < 0 in (x~, e, w)."""
     W = given.groups @ weights
     counts = [channel.state.shape[1] for channel in channels]
@@ -241,12 +303,26 @@ def _leaking(given: Dynamics, sigma: float) -> Dynamics:
     if given.Ts is None:
         return given
     if given.Ts * sigma * gamma.max() >= 1:
-        raise InputError(f"sigma: Ts sigma gamma must be below 1, found {given.Ts * sigma * gamma.max():g}")
+        raise InputError(
+            f"sigma: Ts sigma gamma must be below 1, found {given.Ts * sigma * gamma.max():g}"
+        )
     return given._replace(gamma=np.diag(gamma / (1 - given.Ts * sigma * gamma)))
 
 
-def _deepest(family: Callable[[Floats], Inequality], start: Floats, extra: Callable[[Floats, Floats], list[Floats]]) -> Found | None:
-    return optimise(family, np.zeros(start.size), start, extra, True, lambda found: check(family(found.q), found.P).proved, 4)
+def _deepest(
+    family: Callable[[Floats], Inequality],
+    start: Floats,
+    extra: Callable[[Floats, Floats], list[Floats]],
+) -> Found | None:
+    return optimise(
+        family,
+        np.zeros(start.size),
+        start,
+        extra,
+        True,
+        lambda found: check(family(found.q), found.P).proved,
+        4,
+    )
 
 
 def _prove(
@@ -267,7 +343,9 @@ def _prove(
     if deep is None:
         return None
     for share in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0):
-        found = Found(*(share * inner + (1 - share) * outer for inner, outer in zip(deep, best, strict=True)))
+        found = Found(
+            *(share * inner + (1 - share) * outer for inner, outer in zip(deep, best, strict=True))
+        )
         if (found.q > 0).all() and check(family(found.q), found.P).proved:
             return found
     return None

@@ -52,7 +52,14 @@ class Cycle(NamedTuple):
     modes: tuple[Mode, ...]
 
 
-def falsify(given: Dynamics, V: Storage, trajectories: int = 100_000, switches: int = 60, seed: int = 0, library: int = 160) -> Attack:
+def falsify(
+    given: Dynamics,
+    V: Storage,
+    trajectories: int = 100_000,
+    switches: int = 60,
+    seed: int = 0,
+    library: int = 160,
+) -> Attack:
     """Try to make V rise. One trajectory in twenty always takes the worst of 24 modes, the others switch at random.
 
     They start at random, and at the directions that single modes raise most. The errors are kept in coordinates where V
@@ -64,7 +71,9 @@ def falsify(given: Dynamics, V: Storage, trajectories: int = 100_000, switches: 
     maps = passages(given, modes, lambda F: forward @ F[np.ix_(kept, kept)] @ back)
     groups = 200
     size = -(-trajectories // groups)
-    states = rng.normal(size=(groups, size, len(forward))) * 10 ** rng.uniform(-1, 1, (groups, size, len(forward)))
+    states = rng.normal(size=(groups, size, len(forward))) * 10 ** rng.uniform(
+        -1, 1, (groups, size, len(forward))
+    )
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(modes), size=groups), 0]
     states /= np.linalg.norm(states, axis=2, keepdims=True)
     rise, start, mode, log = -np.inf, states[0, 0], modes[0], np.zeros((groups, size))
@@ -84,7 +93,9 @@ def falsify(given: Dynamics, V: Storage, trajectories: int = 100_000, switches: 
         states = following / np.sqrt(np.maximum(lengths, 1e-300))[..., None]
     errors = np.zeros(kept.size)
     errors[kept] = back @ start
-    return Attack(rise > ROUNDING, rise, errors, mode, float(np.exp(min(log.max(), 700.0))), groups * size)
+    return Attack(
+        rise > ROUNDING, rise, errors, mode, float(np.exp(min(log.max(), 700.0))), groups * size
+    )
 
 
 def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
@@ -116,7 +127,9 @@ def diverge(given: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
     logs = np.log(times[chosen])
     if given.Ts is None:
-        logs = minimize(lambda logs: -growth_rate(logs), logs, method="Nelder-Mead", options={"maxiter": 150}).x
+        logs = minimize(
+            lambda logs: -growth_rate(logs), logs, method="Nelder-Mead", options={"maxiter": 150}
+        ).x
     cycle = timed(logs)
     seconds = sum(mode.seconds for mode in cycle)
     return Cycle(float(np.exp(min(growth_rate(logs) * seconds, 700.0))), seconds, tuple(cycle))
@@ -128,11 +141,15 @@ def generator(given: Dynamics, mode: Mode) -> Floats:
     innovation = mode.theta[:, None] * np.hstack([given.C, -mode.S])
     innovation[~mode.S.any(axis=1)] = 0.0
     widths = given.gamma.shape[0]
-    free = np.vstack([np.hstack([A, np.zeros((len(A), widths))]), np.zeros((widths, len(A) + widths))])
+    free = np.vstack(
+        [np.hstack([A, np.zeros((len(A), widths))]), np.zeros((widths, len(A) + widths))]
+    )
     return np.asarray(free + np.vstack([-given.L, given.gamma @ mode.S.T]) @ innovation)
 
 
-def passages(given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = lambda F: F) -> Floats:
+def passages(
+    given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = lambda F: F
+) -> Floats:
     """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled), in coordinates where F is moved(F)."""
     F = np.stack([moved(generator(given, mode)) for mode in modes])
     seconds = np.array([mode.seconds for mode in modes])
@@ -144,7 +161,9 @@ def passages(given: Dynamics, modes: list[Mode], moved: Callable[[Floats], Float
 def _library(given: Dynamics, rng: np.random.Generator, count: int) -> list[Mode]:
     """Modes of every side pattern at every vertex, then random ones with mixed vertices and shares, from short to long."""
     p, vertices = given.C.shape[0], len(given.A)
-    fast = max(float(np.abs(np.linalg.eigvals(A - given.L @ given.C)).max()) for A in given.A) + float(np.abs(given.gamma).max())
+    fast = max(
+        float(np.abs(np.linalg.eigvals(A - given.L @ given.C)).max()) for A in given.A
+    ) + float(np.abs(given.gamma).max())
     slow = max(min(abs(growth(A, given.Ts)) for A in given.A), 1e-3 * fast)
     times = 10 ** rng.uniform(np.log10(1e-2 / fast), np.log10(3 / slow), count)
     if given.Ts is not None:
@@ -153,7 +172,11 @@ def _library(given: Dynamics, rng: np.random.Generator, count: int) -> list[Mode
     found = []
     for k in range(count):
         sides = corners[k % len(corners)] if k < count // 2 else corners[rng.integers(len(corners))]
-        at = np.eye(vertices)[(k // len(corners)) % vertices] if k < count // 2 else rng.dirichlet(np.full(vertices, 0.5))
+        at = (
+            np.eye(vertices)[(k // len(corners)) % vertices]
+            if k < count // 2
+            else rng.dirichlet(np.full(vertices, 0.5))
+        )
         theta = np.ones(p) if k < count // 2 else np.where(rng.random(p) < 0.5, 1.0, rng.random(p))
         found.append(Mode(at, pattern(sides), theta, float(times[k])))
     return found

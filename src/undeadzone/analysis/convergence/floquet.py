@@ -38,7 +38,9 @@ class Rates(NamedTuple):
     gain: float
 
 
-def rates(linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: bool = False) -> Rates:
+def rates(
+    linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: bool = False
+) -> Rates:
     """The rate of x~ -> 0, d~ -> 0 for gains L (n x p), gamma (see `errordynamics.adaptation`), [1/s] both.
 
     A schedule that is not periodic is taken as repeated: the rate is then its mean over many such passes. Widths that are
@@ -55,14 +57,31 @@ def rates(linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: 
         M, size = product(transitions(F[:, part][:, :, part] * units / units[:, None], schedule))
     T = schedule.duration
     if not np.isfinite(M).all():
-        return Rates(-np.inf, np.inf, np.array([np.inf]), np.zeros((part.size, 0)), (), T, schedule.periodic, np.inf)
+        return Rates(
+            -np.inf,
+            np.inf,
+            np.array([np.inf]),
+            np.zeros((part.size, 0)),
+            (),
+            T,
+            schedule.periodic,
+            np.inf,
+        )
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [hidden.basis.shape[1]], axis=1)
 
     multipliers, kept = np.linalg.eig(U.T @ M @ U)
     stays = np.abs(np.log(np.maximum(np.abs(multipliers), TINY)) + size) < NEUTRAL
-    never = hidden._replace(basis=hidden.basis @ np.hstack([kept[:, stays].real, kept[:, stays].imag])) if stays.any() else None
+    never = (
+        hidden._replace(basis=hidden.basis @ np.hstack([kept[:, stays].real, kept[:, stays].imag]))
+        if stays.any()
+        else None
+    )
     dying, vectors = np.linalg.eig(V.T @ M @ V)
-    logs = np.log(np.maximum(np.abs(mu := np.append(multipliers[~stays], dying)), TINY)) + size + 1j * np.angle(mu)
+    logs = (
+        np.log(np.maximum(np.abs(mu := np.append(multipliers[~stays], dying)), TINY))
+        + size
+        + 1j * np.angle(mu)
+    )
     ways = np.hstack([U @ kept[:, ~stays], V @ vectors]) * units[:, None]
     slowest = np.flatnonzero(logs.real > logs.real.max(initial=-np.inf) - 1e-7)
     slow = np.zeros((part.size, slowest.size))
@@ -80,7 +99,9 @@ def rates(linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: 
     )
 
 
-def error_matrices(A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats) -> tuple[Floats, Floats]:
+def error_matrices(
+    A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats
+) -> tuple[Floats, Floats]:
     """(F, G): (x~, d~)' = F (x~, d~) + G v on each of K sides (K x p), v noise on z; L (..., n, p), gamma (..., 2p, 2p), delta form if A is.
 
     x~' = A x~ - L e, d~' = Gamma S'e with e = C x~ - S d~ + v on the active outputs, 0 on the silent ones.
@@ -90,7 +111,10 @@ def error_matrices(A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats
     S = np.stack([pattern(tuple(row)) for row in sides.astype(int)])
     active = np.abs(sides)
     rows = np.concatenate([C * active[:, :, None], -S], axis=2)
-    G = np.concatenate([-L[..., None, :, :] * active[:, None, :], gamma[..., None, :, :] @ S.transpose(0, 2, 1)], axis=-2)
+    G = np.concatenate(
+        [-L[..., None, :, :] * active[:, None, :], gamma[..., None, :, :] @ S.transpose(0, 2, 1)],
+        axis=-2,
+    )
     F = np.asarray(G @ rows)
     F[..., :n, :n] += A
     return F, G
@@ -108,7 +132,9 @@ def product(factors: Floats) -> tuple[Floats, Floats]:
     size = np.zeros(factors.shape[:-3])
     while factors.shape[-3] > 1:
         if factors.shape[-3] % 2:
-            identity = np.broadcast_to(np.eye(factors.shape[-1]), (*size.shape, 1, *factors.shape[-2:]))
+            identity = np.broadcast_to(
+                np.eye(factors.shape[-1]), (*size.shape, 1, *factors.shape[-2:])
+            )
             factors = np.concatenate([factors, identity], axis=-3)
         factors = factors[..., 1::2, :, :] @ factors[..., ::2, :, :]
         norms = np.maximum(np.abs(factors).max(axis=(-2, -1)), TINY)

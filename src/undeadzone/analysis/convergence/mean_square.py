@@ -31,7 +31,15 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
     """Every span of a schedule for x' = F x (or x+ = (I + Ts F) x), F (..., K, N, N), and the weight H (..., N, N) of x."""
     if schedule.Ts is not None:
         identity = np.broadcast_to(np.eye(F.shape[-1]), F.shape)
-        return _power(Span(identity + schedule.Ts * F, np.broadcast_to(H, F.shape), 0 * F, np.ones((F.shape[-3], 1, 1))), schedule.spans.astype(int))
+        return _power(
+            Span(
+                identity + schedule.Ts * F,
+                np.broadcast_to(H, F.shape),
+                0 * F,
+                np.ones((F.shape[-3], 1, 1)),
+            ),
+            schedule.spans.astype(int),
+        )
     norm = np.abs(F).sum(axis=-1).max(axis=-1).reshape(-1, F.shape[-3]).max(axis=0)
     halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
@@ -45,7 +53,9 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
     return _power(Span(Phi, G, GG, h), 2**halvings)
 
 
-def mean_squares(F: Floats, Z: Floats, sources: Sequence[Floats], schedule: Schedule) -> list[Floats]:
+def mean_squares(
+    F: Floats, Z: Floats, sources: Sequence[Floats], schedule: Schedule
+) -> list[Floats]:
     """Mean over a pass of |Z x|^2 in the steady state of x' = F x + v, v white of covariance (..., K, N, N) per second, for each source.
 
     Sampled, x+ = (I + Ts F) x + v with that covariance per step, and the mean is over the samples. Large if x does not settle.
@@ -71,7 +81,9 @@ def mean_squares(F: Floats, Z: Floats, sources: Sequence[Floats], schedule: Sche
     return found
 
 
-def forced_mean_square(F: Floats, Z: Floats, push: Floats, S: Floats, starts: Floats, schedule: Schedule) -> Floats:
+def forced_mean_square(
+    F: Floats, Z: Floats, push: Floats, S: Floats, starts: Floats, schedule: Schedule
+) -> Floats:
     """Mean over a pass of sum_j |Z x_j|^2 in the steady state of x_j' = F x_j + push_j w, w' = S w (delta forms if sampled).
 
     push (J, N, k); starts (K, k): w at the start of each span. The pass is taken as repeated.
@@ -86,7 +98,12 @@ def forced_mean_square(F: Floats, Z: Floats, push: Floats, S: Floats, starts: Fl
         over = spans(joined, weight, schedule)
 
         def onward(x: Floats, span: int, Phi: Floats = over.Phi) -> Floats:
-            return np.asarray((Phi[..., span, :N, :N] @ x[..., None] + Phi[..., span, :N, N:] @ starts[span, :, None])[..., 0])
+            return np.asarray(
+                (
+                    Phi[..., span, :N, :N] @ x[..., None]
+                    + Phi[..., span, :N, N:] @ starts[span, :, None]
+                )[..., 0]
+            )
 
         x = np.zeros((*F.shape[:-3], N))
         for span in range(starts.shape[0]):
@@ -95,18 +112,30 @@ def forced_mean_square(F: Floats, Z: Floats, push: Floats, S: Floats, starts: Fl
         x = (np.linalg.pinv(once, rcond=1e-12) @ x[..., None])[..., 0]
         for span, w in enumerate(starts):
             both = np.concatenate([x, np.broadcast_to(w, (*x.shape[:-1], k))], axis=-1)
-            total = total + (both[..., None, :] @ over.G[..., span, :, :] @ both[..., None])[..., 0, 0]
+            total = (
+                total + (both[..., None, :] @ over.G[..., span, :, :] @ both[..., None])[..., 0, 0]
+            )
             x = onward(x, span)
     return np.asarray(total / schedule.spans.sum())
 
 
 def _power(one: Span, times: Floats) -> Span:
     """Each span as often as `times` says (K), by doubling."""
-    found = Span(np.broadcast_to(np.eye(one.Phi.shape[-1]), one.Phi.shape), 0 * one.G, 0 * one.GG, 0 * one.length)
+    found = Span(
+        np.broadcast_to(np.eye(one.Phi.shape[-1]), one.Phi.shape),
+        0 * one.G,
+        0 * one.GG,
+        0 * one.length,
+    )
     while True:
         odd = times % 2 == 1
         if odd.any():
-            found = Span(*(np.where(odd[:, None, None], new, old) for new, old in zip(_then(found, one), found, strict=True)))
+            found = Span(
+                *(
+                    np.where(odd[:, None, None], new, old)
+                    for new, old in zip(_then(found, one), found, strict=True)
+                )
+            )
         times = times // 2
         if not times.any():
             return found
@@ -115,7 +144,12 @@ def _power(one: Span, times: Floats) -> Span:
 
 def _then(a: Span, b: Span) -> Span:
     Pt = _t(a.Phi)
-    return Span(b.Phi @ a.Phi, a.G + Pt @ b.G @ a.Phi, a.GG + b.length * a.G + Pt @ b.GG @ a.Phi, a.length + b.length)
+    return Span(
+        b.Phi @ a.Phi,
+        a.G + Pt @ b.G @ a.Phi,
+        a.GG + b.length * a.G + Pt @ b.GG @ a.Phi,
+        a.length + b.length,
+    )
 
 
 def _along(Phi: Floats, covariance: Floats, k: int) -> Floats:

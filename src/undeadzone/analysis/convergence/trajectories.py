@@ -13,7 +13,10 @@ from undeadzone.analysis.error_dynamics import Dynamics, Storage, pattern
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.support.arrays import Floats
 
-SWITCHES, PIECES = 120, 10  # of a course; pieces between two switches, unless that is less than a sample
+SWITCHES, PIECES = (
+    120,
+    10,
+)  # of a course; pieces between two switches, unless that is less than a sample
 RANDOM = 12  # random courses
 WINDOW = 8  # switches: in every so many a fair adversary takes each full side pattern at least once
 
@@ -26,7 +29,9 @@ class Course(NamedTuple):
     V: Floats
 
 
-def courses(given: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0) -> list[Course]:
+def courses(
+    given: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0
+) -> list[Course]:
     """V from one random error, for about `seconds`: random ones, an adversary, a fair one, and the schedule.
 
     An adversary switches to what leaves V largest. The fair one must also read every output on both of its sides, each
@@ -59,26 +64,45 @@ def courses(given: Dynamics, V: Storage, schedule: Schedule, seconds: float, see
         return chosen
 
     def random() -> Any:
-        return np.repeat(rng.integers(len(modes), size=SWITCHES), rng.integers(1, window + 1, SWITCHES))[:SWITCHES]
+        return np.repeat(
+            rng.integers(len(modes), size=SWITCHES), rng.integers(1, window + 1, SWITCHES)
+        )[:SWITCHES]
 
     def course(kind: str, chosen: Any) -> Course:
-        return _course(kind, V, start, pieces[np.repeat(chosen, count)], np.full(SWITCHES * count, step))
+        return _course(
+            kind, V, start, pieces[np.repeat(chosen, count)], np.full(SWITCHES * count, step)
+        )
 
     found = [course("random", random()) for _ in range(RANDOM)]
     found += [course("adversary", adversary(False)), course("fair adversary", adversary(True))]
     return [*found, along("reference", given, V, start, _passes(given, schedule, seconds), step)]
 
 
-def along(kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float) -> Course:
+def along(
+    kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float
+) -> Course:
     """V from an error [x~; d~] along modes, seen every `step` [s] or so, and at every switch."""
-    counts = [max(1, round(mode.seconds / (step if given.Ts is None else given.Ts))) for mode in modes]
-    pieces = [mode._replace(seconds=mode.seconds / count) for mode, count in zip(modes, counts, strict=True)]
-    return _course(kind, V, start, np.repeat(passages(given, pieces), counts, axis=0), np.repeat([piece.seconds for piece in pieces], counts))
+    counts = [
+        max(1, round(mode.seconds / (step if given.Ts is None else given.Ts))) for mode in modes
+    ]
+    pieces = [
+        mode._replace(seconds=mode.seconds / count)
+        for mode, count in zip(modes, counts, strict=True)
+    ]
+    return _course(
+        kind,
+        V,
+        start,
+        np.repeat(passages(given, pieces), counts, axis=0),
+        np.repeat([piece.seconds for piece in pieces], counts),
+    )
 
 
 def growing(given: Dynamics, cycle: Cycle) -> Floats:
     """The error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
-    period = np.linalg.multi_dot([np.eye(given.L.shape[0] + given.gamma.shape[0]), *passages(given, [*cycle.modes])[::-1]])
+    period = np.linalg.multi_dot(
+        [np.eye(given.L.shape[0] + given.gamma.shape[0]), *passages(given, [*cycle.modes])[::-1]]
+    )
     values, vectors = np.linalg.eig(period)
     return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
 
@@ -103,7 +127,9 @@ def settling(given: Dynamics, V: Storage, schedule: Schedule, share: float = 0.0
             return None
         passes.append(passes[-1] @ passes[-1])
     count, done = 0, np.eye(len(M))
-    for k in range(len(passes) - 2, -1, -1):  # the most passes that do not suffice, by their binary digits
+    for k in range(
+        len(passes) - 2, -1, -1
+    ):  # the most passes that do not suffice, by their binary digits
         if left(passes[k] @ done) > share:
             count, done = count + 2**k, passes[k] @ done
     return (count + 1) * schedule.duration
@@ -112,12 +138,20 @@ def settling(given: Dynamics, V: Storage, schedule: Schedule, share: float = 0.0
 def _mode(given: Dynamics, sides: Floats, seconds: float) -> Mode:
     """A mode at the mean of the vertices with the whole innovation."""
     vertices = len(given.A)
-    return Mode(np.full(vertices, 1 / vertices), pattern(tuple(sides.astype(int))), np.ones(given.C.shape[0]), seconds)
+    return Mode(
+        np.full(vertices, 1 / vertices),
+        pattern(tuple(sides.astype(int))),
+        np.ones(given.C.shape[0]),
+        seconds,
+    )
 
 
 def _passes(given: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
     """The modes of a schedule, passed again and again, for that time or up to a sample more."""
-    once = [_mode(given, sides, span * (given.Ts or 1.0)) for sides, span in zip(*merged(schedule)[:2], strict=True)]
+    once = [
+        _mode(given, sides, span * (given.Ts or 1.0))
+        for sides, span in zip(*merged(schedule)[:2], strict=True)
+    ]
     found, left = list[Mode](), seconds
     while left > 0:
         mode = once[len(found) % len(once)]

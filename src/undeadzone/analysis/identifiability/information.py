@@ -56,22 +56,37 @@ def deviations(
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
-    found = information(linear, schedule, np.maximum(noise, least) ** 2, step, duration, bias, process)
+    found = information(
+        linear, schedule, np.maximum(noise, least) ** 2, step, duration, bias, process
+    )
     hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
     scale = hidden.scale
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]
-    covariance = np.outer(scale, scale) * (seen @ _inverse(seen.T @ (found * np.outer(scale, scale)) @ seen) @ seen.T)
+    covariance = np.outer(scale, scale) * (
+        seen @ _inverse(seen.T @ (found * np.outer(scale, scale)) @ seen) @ seen.T
+    )
 
     def widths(i: int) -> dict[str, float]:
         pair = covariance[n + 2 * i : n + 2 * i + 2, n + 2 * i : n + 2 * i + 2]
-        return {name: float(np.sqrt(np.array(g) @ pair @ np.array(g))) if hidden.width(i, name) else np.inf for name, g in DIRECTIONS.items()}
+        return {
+            name: float(np.sqrt(np.array(g) @ pair @ np.array(g)))
+            if hidden.width(i, name)
+            else np.inf
+            for name, g in DIRECTIONS.items()
+        }
 
     states = np.array([np.sqrt(covariance[i, i]) if hidden.state(i) else np.inf for i in range(n)])
     return Deviations([widths(i) for i in range(p)], states, covariance, found)
 
 
 def information(
-    linear: Matrices, schedule: Schedule, variance: Floats, step: float, duration: float, bias: Floats | None = None, process: Floats | None = None
+    linear: Matrices,
+    schedule: Schedule,
+    variance: Floats,
+    step: float,
+    duration: float,
+    bias: Floats | None = None,
+    process: Floats | None = None,
 ) -> Floats:
     """The information matrix of [x(0); d; beta], per stretch of constant side, put together by doubling.
 
@@ -86,11 +101,22 @@ def information(
         Q[:n, :n] = process
     once = None
     for sides, span in zip(*merged(schedule)[:2], strict=True):
-        rows = np.hstack([linear.C * np.abs(sides)[:, None], -pattern(tuple(sides.astype(int))), np.zeros((p, B.shape[1]))])
+        rows = np.hstack(
+            [
+                linear.C * np.abs(sides)[:, None],
+                -pattern(tuple(sides.astype(int))),
+                np.zeros((p, B.shape[1])),
+            ]
+        )
         if schedule.Ts is None:
             stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span, step)
         else:
-            stretch = repeat(Stretch(F + np.diag(np.r_[np.zeros(n), np.ones(size - n)]), Q, rows.T / variance @ rows), round(span))
+            stretch = repeat(
+                Stretch(
+                    F + np.diag(np.r_[np.zeros(n), np.ones(size - n)]), Q, rows.T / variance @ rows
+                ),
+                round(span),
+            )
         once = stretch if once is None else then(once, stretch)
     assert once is not None
     return repeat(once, max(1, int(duration / schedule.duration * (1 + 1e-12)))).H
@@ -98,7 +124,9 @@ def information(
 
 def then(first: Stretch, second: Stretch) -> Stretch:
     """One stretch after another."""
-    both = np.linalg.solve(np.eye(first.Q.shape[0]) + first.Q @ second.H, np.hstack([first.Phi, first.Q]))
+    both = np.linalg.solve(
+        np.eye(first.Q.shape[0]) + first.Q @ second.H, np.hstack([first.Phi, first.Q])
+    )
     Phi, Q = np.hsplit(both, 2)
     H = first.H + first.Phi.T @ second.H @ Phi
     Q = second.Q + second.Phi @ Q @ second.Phi.T
@@ -128,7 +156,9 @@ def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
     parts = max(1.0, float(np.linalg.norm(F, 1)) * span, span / step if Q.any() else 1.0)
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
-    return repeat(Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part)), 2**halvings)
+    return repeat(
+        Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part)), 2**halvings
+    )
 
 
 def _gramian(F: Floats, Q: Floats, span: float) -> Floats:
@@ -144,4 +174,6 @@ def _inverse(information: Floats) -> Floats:
     """The inverse of a positive semidefinite matrix, infinite where rounding leaves nothing."""
     unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
-    return np.asarray((vectors / np.maximum(values, np.finfo(float).tiny)) @ vectors.T / np.outer(unit, unit))
+    return np.asarray(
+        (vectors / np.maximum(values, np.finfo(float).tiny)) @ vectors.T / np.outer(unit, unit)
+    )

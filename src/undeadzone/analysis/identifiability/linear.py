@@ -40,7 +40,11 @@ class Invisible(NamedTuple):
     def width(self, i: int, name: str) -> bool:
         """Whether `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l of output i is determined nevertheless."""
         first = self.n + 2 * i
-        return not bool((np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > self.present).any())
+        return not bool(
+            (
+                np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > self.present
+            ).any()
+        )
 
     def within(self, part: np.ndarray) -> Invisible:
         """Those that leave every unknown outside `part` (bool) as it is."""
@@ -53,7 +57,14 @@ class Invisible(NamedTuple):
         found = [f"x[{i}]" for i in range(self.n) if not self.state(i)]
         for i in outputs:
             lost = [name for name in DIRECTIONS if not self.width(i, name)]
-            found += [f"{name}[{i}]" for name in (["centre"] if lost and "width" not in lost else [name for name in lost if name in ("right", "left")])]
+            found += [
+                f"{name}[{i}]"
+                for name in (
+                    ["centre"]
+                    if lost and "width" not in lost
+                    else [name for name in lost if name in ("right", "left")]
+                )
+            ]
         return tuple(found)
 
 
@@ -83,7 +94,13 @@ class Cure(NamedTuple):
     text: str
 
 
-def invisible(linear: Matrices, visited: np.ndarray, Ts: float | None = None, bias: Floats | None = None, jump: bool = False) -> Invisible:
+def invisible(
+    linear: Matrices,
+    visited: np.ndarray,
+    Ts: float | None = None,
+    bias: Floats | None = None,
+    jump: bool = False,
+) -> Invisible:
     """The changes of [x(0); d; beta] that no reading shows, given which [right, left] sides are visited (p x 2, bool).
 
     They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is the subspace that the
@@ -96,7 +113,11 @@ def invisible(linear: Matrices, visited: np.ndarray, Ts: float | None = None, bi
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
     rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
-    rate, output, drive = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300), np.linalg.norm(C, axis=1), np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    rate, output, drive = (
+        max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300),
+        np.linalg.norm(C, axis=1),
+        np.maximum(np.linalg.norm(B, axis=0), 1e-300),
+    )
     A, C, B, tolerance = A / rate, C / output[:, None], B / drive, TOLERANCE + rounding / rate
     U = _unobservable(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
@@ -104,40 +125,74 @@ def invisible(linear: Matrices, visited: np.ndarray, Ts: float | None = None, bi
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
         S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[1]))]))
-    return Invisible(_null(np.vstack(rows), tolerance), np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
+    return Invisible(
+        _null(np.vstack(rows), tolerance),
+        np.concatenate([state, np.repeat(output, 2), rate / drive]),
+        n,
+    )
 
 
-def verdicts(linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False) -> list[Verdict]:
+def verdicts(
+    linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
+) -> list[Verdict]:
     """What the readings along a schedule tell of each output's widths; bias: directions (n x b) of unknown constant inputs."""
     visited = schedule.visited(linear.A.shape[0])
     if jump:
-        return [Verdict(bool(r), bool(l), bool(r and l), bool(r and l), tuple(unreached(schedule, visited, i))) for i, (r, l) in enumerate(visited)]
+        return [
+            Verdict(
+                bool(r),
+                bool(l),
+                bool(r and l),
+                bool(r and l),
+                tuple(unreached(schedule, visited, i)),
+            )
+            for i, (r, l) in enumerate(visited)
+        ]
     hidden = invisible(linear, visited, schedule.Ts, bias)
-    reasons = [(*unreached(schedule, visited, i), *_confounded(linear, schedule, bias, i)) for i in range(visited.shape[0])]
-    return [Verdict(**{name: hidden.width(i, name) for name in DIRECTIONS}, reasons=why, std=None) for i, why in enumerate(reasons)]
+    reasons = [
+        (*unreached(schedule, visited, i), *_confounded(linear, schedule, bias, i))
+        for i in range(visited.shape[0])
+    ]
+    return [
+        Verdict(**{name: hidden.width(i, name) for name in DIRECTIONS}, reasons=why, std=None)
+        for i, why in enumerate(reasons)
+    ]
 
 
-def cures(linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False) -> list[Cure]:
+def cures(
+    linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
+) -> list[Cure]:
     """What would turn the 'no' of `verdicts` into a 'yes'; nothing where there is none."""
     visited = schedule.visited(linear.A.shape[0])
-    help_ = "no reference can: {}, or add a sensor without a dead zone; or assume the centre, d_r - d_l"
+    help_ = (
+        "no reference can: {}, or add a sensor without a dead zone; or assume the centre, d_r - d_l"
+    )
     found = []
     for i in range(visited.shape[0]):
         if not visited[i].all():
             found.append(_reach(schedule, i))
         if not jump:
-            found += [Cure(i, None, None, help_.format(remedy)) for remedy in _confounded(linear, schedule, bias, i).values()]
+            found += [
+                Cure(i, None, None, help_.format(remedy))
+                for remedy in _confounded(linear, schedule, bias, i).values()
+            ]
     return found
 
 
 def unknown_bias(disturbance: Disturbance | None, B: Floats) -> Floats | None:
     """The columns of B (n x b) on which a step or the offset of sines disturbs for ever, unknown to the observer; None if there is none."""
-    level = disturbance.amplitude if isinstance(disturbance, Step) else getattr(disturbance, "offset", 0.0)
+    level = (
+        disturbance.amplitude
+        if isinstance(disturbance, Step)
+        else getattr(disturbance, "offset", 0.0)
+    )
     biased = np.broadcast_to(np.asarray(level, float).ravel() != 0, B.shape[1:])
     return B[:, biased] if biased.any() else None
 
 
-def _confounded(linear: Matrices, schedule: Schedule, bias: Floats | None, i: int) -> dict[str, str]:
+def _confounded(
+    linear: Matrices, schedule: Schedule, bias: Floats | None, i: int
+) -> dict[str, str]:
     """Why widths of output i stay unknown although their sides are visited, and the remedy: {reason: remedy}."""
     visited = schedule.visited(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
@@ -150,22 +205,50 @@ def _confounded(linear: Matrices, schedule: Schedule, bias: Floats | None, i: in
         return {}
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
     if known(None):
-        return {f"the centre is not identifiable: constant input bias, {what} and bias cannot be told apart": "calibrate the input"}
-    left = "only the width d_r + d_l can be known" if len(edges) == 2 else f"the {what} cannot be told from a shift of the state"
-    return {f"the centre is not identifiable: A is singular (an integrator), {left}": "let the plant pass a place where z is known"}
+        return {
+            f"the centre is not identifiable: constant input bias, {what} and bias cannot be told apart": "calibrate the input"
+        }
+    left = (
+        "only the width d_r + d_l can be known"
+        if len(edges) == 2
+        else f"the {what} cannot be told from a shift of the state"
+    )
+    return {
+        f"the centre is not identifiable: A is singular (an integrator), {left}": "let the plant pass a place where z is known"
+    }
 
 
 def unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     """Why each edge of output i that is not visited (p x 2, [right, left]) is not, in words."""
     reasons = []
     for name, edge, seen, room, peak, level, word in (
-        ("right", "d_r", visited[i, 0], schedule.levels[i, 0] - schedule.high[i], schedule.high[i], schedule.levels[i, 0], "below"),
-        ("left", "-d_l", visited[i, 1], schedule.levels[i, 1] + schedule.low[i], schedule.low[i], -schedule.levels[i, 1], "above"),
+        (
+            "right",
+            "d_r",
+            visited[i, 0],
+            schedule.levels[i, 0] - schedule.high[i],
+            schedule.high[i],
+            schedule.levels[i, 0],
+            "below",
+        ),
+        (
+            "left",
+            "-d_l",
+            visited[i, 1],
+            schedule.levels[i, 1] + schedule.low[i],
+            schedule.low[i],
+            -schedule.levels[i, 1],
+            "above",
+        ),
     ):
         if not seen and room >= 0:
-            reasons.append(f"the {name} edge is never reached: the output stays {word} {edge}, {peak:.4g} against {level:.4g}")
+            reasons.append(
+                f"the {name} edge is never reached: the output stays {word} {edge}, {peak:.4g} against {level:.4g}"
+            )
         elif not seen:
-            reasons.append(f"the {name} edge is hardly reached: too few samples lie beyond {edge} to tell it from the state")
+            reasons.append(
+                f"the {name} edge is hardly reached: too few samples lie beyond {edge} to tell it from the state"
+            )
     return reasons
 
 
@@ -175,12 +258,24 @@ def _reach(schedule: Schedule, i: int) -> Cure:
     mean = 0.0 if abs(mean) <= 1e-9 * (high - low) else mean
     up, down = max(right - high, 0.0), max(low + left, 0.0)
     if high - low <= 1e-9 * max(abs(high), abs(low), right, left):
-        return Cure(i, None, None, f"let output {i} move: a swing of {max(right - mean, mean + left):.4g} about {mean:.4g} reaches both edges")
+        return Cure(
+            i,
+            None,
+            None,
+            f"let output {i} move: a swing of {max(right - mean, mean + left):.4g} about {mean:.4g} reaches both edges",
+        )
     factor = max((right - mean) / (high - mean), (mean + left) / (mean - low), 1.0)
     shift = up - down
-    if high - low >= right + left and abs(shift) < (factor - 1) * max(high - mean, mean - low) * (1 - 1e-9):
+    if high - low >= right + left and abs(shift) < (factor - 1) * max(high - mean, mean - low) * (
+        1 - 1e-9
+    ):
         return Cure(i, None, shift, f"shift output {i} by {shift:.4g}: it then reaches both edges")
-    return Cure(i, factor, None, f"make the swing of output {i} about its mean, {mean:.4g}, {factor:.4g} times as large: it then reaches both edges")
+    return Cure(
+        i,
+        factor,
+        None,
+        f"make the swing of output {i} about its mean, {mean:.4g}, {factor:.4g} times as large: it then reaches both edges",
+    )
 
 
 def _unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:

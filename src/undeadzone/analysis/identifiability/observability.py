@@ -56,12 +56,19 @@ class Observability(NamedTuple):
     def gap(self) -> tuple[float, float]:
         """The largest share that counts as none, and the smallest that does not: the further apart, the surer."""
         null = self.singular <= self.tolerance
-        return float(self.singular[null].max(initial=0.0)), float(self.singular[~null].min(initial=np.inf))
+        return float(self.singular[null].max(initial=0.0)), float(
+            self.singular[~null].min(initial=np.inf)
+        )
 
     def std(self, i: int) -> dict[str, float]:
         """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
         pair = self.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-        return {name: float(np.sqrt(np.array(g) @ pair @ np.array(g))) if self.hidden.width(i, name) else np.inf for name, g in DIRECTIONS.items()}
+        return {
+            name: float(np.sqrt(np.array(g) @ pair @ np.array(g)))
+            if self.hidden.width(i, name)
+            else np.inf
+            for name, g in DIRECTIONS.items()
+        }
 
 
 def observability(
@@ -81,10 +88,15 @@ def observability(
     x(0) as far as it is known beforehand, infinite where it is not.
     """
     n, p = model.n, model.p
-    course = linearised(model, x, u, step, np.zeros((model.m, 0)) if bias is None else bias, uncertain)
+    course = linearised(
+        model, x, u, step, np.zeros((model.m, 0)) if bias is None else bias, uncertain
+    )
     root = _root(course, side, variance, n)
     if prior is not None:
-        start = np.eye(n, root.shape[1])[np.isfinite(prior)] / np.asarray(prior)[np.isfinite(prior), None]
+        start = (
+            np.eye(n, root.shape[1])[np.isfinite(prior)]
+            / np.asarray(prior)[np.isfinite(prior), None]
+        )
         root = np.asarray(np.linalg.qr(np.vstack([root, start]), mode="r"))
     size = np.linalg.norm(root, axis=0)
     size[n : n + 2 * p] = np.repeat(size[n : n + 2 * p].reshape(p, 2).max(axis=1), 2)
@@ -97,10 +109,19 @@ def observability(
     known = singular > course.tolerance
     spread = scale[n:, None] * W[known].T / singular[known]
     follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
-    return Observability(root, Invisible(W[~known].T, scale[n:], 0, max(PRESENT, 10 * course.tolerance)), follow, singular, course.tolerance, spread @ spread.T)
+    return Observability(
+        root,
+        Invisible(W[~known].T, scale[n:], 0, max(PRESENT, 10 * course.tolerance)),
+        follow,
+        singular,
+        course.tolerance,
+        spread @ spread.T,
+    )
 
 
-def linearised(model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()) -> Course:
+def linearised(
+    model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
+) -> Course:
     """The plant's linearisation along a run.
 
     A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and for large sampled plants, steps
@@ -110,7 +131,9 @@ def linearised(model: System, x: Floats, u: Floats, step: float, bias: Floats, u
     rates = _derivatives(model, model.move if model.rate is None else model.rate, bias, uncertain)
     work = rates.n_instructions() * len(x)
     if model.Ts is not None and (model.rate is None or 8 * work <= WORK):
-        steps, outputs = _along(_derivatives(model, model.move, bias, uncertain), model, x, u, uncertain)
+        steps, outputs = _along(
+            _derivatives(model, model.move, bias, uncertain), model, x, u, uncertain
+        )
         return _course(steps, outputs, np.arange(len(x)), TOLERANCE[0])
     stride = 2 * max(1, int(np.ceil(1.5 * work / WORK)))
     first = np.arange(0, len(x), stride)
@@ -119,7 +142,9 @@ def linearised(model: System, x: Floats, u: Floats, step: float, bias: Floats, u
     inputs = [u[at] for at in places]
     if model.Ts is not None:
         inputs = [np.add.reduceat(u, first) / np.diff(first, append=len(x))[:, None]] * 3
-    (A0, outputs), (A1, _), (A2, _) = (_along(rates, model, x[at], w, uncertain) for at, w in zip(places, inputs, strict=True))
+    (A0, outputs), (A1, _), (A2, _) = (
+        _along(rates, model, x[at], w, uncertain) for at, w in zip(places, inputs, strict=True)
+    )
     A0, A1, A2 = (np.pad(A, [(0, 0), (0, A.shape[2] - A.shape[1]), (0, 0)]) for A in (A0, A1, A2))
     h = step * (last - first)[:, None, None]
     steps = _expm(h / 6 * (A0 + 4 * A1 + A2) - h**2 / 12 * (A0 @ A2 - A2 @ A0))
@@ -128,7 +153,10 @@ def linearised(model: System, x: Floats, u: Floats, step: float, bias: Floats, u
 
 def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
     """([x; u], theta) -> the derivatives of move and of the output by [x; beta; theta], one column after the other."""
-    x, u, theta = (ca.SX.sym(name, size) for name, size in (("x", model.n), ("u", model.m), ("theta", len(uncertain))))
+    x, u, theta = (
+        ca.SX.sym(name, size)
+        for name, size in (("x", model.n), ("u", model.m), ("theta", len(uncertain)))
+    )
     params = model.params
     if model.nonlinear:
         params = ca.SX(params)
@@ -140,10 +168,17 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
     n, b = model.n, bias.shape[1]
     A = ca.horzcat(A[:, :n], ca.jacobian(moved, u) @ bias, A[:, n:])
     C = ca.horzcat(C[:, :n], ca.SX(model.p, b), C[:, n:])
-    return ca.Function("derivatives", [ca.vertcat(x, u), theta], [ca.densify(ca.vec(ca.vertcat(A, C)))], {"cse": True})
+    return ca.Function(
+        "derivatives",
+        [ca.vertcat(x, u), theta],
+        [ca.densify(ca.vec(ca.vertcat(A, C)))],
+        {"cse": True},
+    )
 
 
-def _along(function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]) -> tuple[Floats, Floats]:
+def _along(
+    function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]
+) -> tuple[Floats, Floats]:
     """The derivatives of move and of the output at each x and u (rows), from `_derivatives`."""
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
     values = mapped(function, len(x))(np.hstack([x, u]), theta)
@@ -156,7 +191,9 @@ def _course(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) ->
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
     end, n, s = good.size if good.all() else int(good.argmin()), *steps.shape[1:]
     constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
-    return Course(np.concatenate([steps[:end], constants], axis=1), outputs[:end], kept[:end], tolerance)
+    return Course(
+        np.concatenate([steps[:end], constants], axis=1), outputs[:end], kept[:end], tolerance
+    )
 
 
 def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
@@ -169,16 +206,34 @@ def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
     N, moving = s + 2 * p, np.r_[:n, n + 2 * p : s + 2 * p]
     if not K:
         return np.zeros((N, N))
-    side = side[: course.kept[-1] + max(1, course.kept[-1] - course.kept[-2]) // 2 + 1] if K > 1 else side[:1]
-    nearest = np.minimum(np.searchsorted((course.kept[1:] + course.kept[:-1]) / 2, np.arange(len(side)), "right"), K - 1)
-    weight = np.stack([np.add.reduceat(side == value, np.unique(nearest, return_index=True)[1], axis=0) for value in (1.0, -1.0)], axis=2)
+    side = (
+        side[: course.kept[-1] + max(1, course.kept[-1] - course.kept[-2]) // 2 + 1]
+        if K > 1
+        else side[:1]
+    )
+    nearest = np.minimum(
+        np.searchsorted((course.kept[1:] + course.kept[:-1]) / 2, np.arange(len(side)), "right"),
+        K - 1,
+    )
+    weight = np.stack(
+        [
+            np.add.reduceat(side == value, np.unique(nearest, return_index=True)[1], axis=0)
+            for value in (1.0, -1.0)
+        ],
+        axis=2,
+    )
     weight = np.sqrt(weight / variance[:, None])
     growth = float(np.log(np.linalg.norm(course.steps, axis=(1, 2)).max() / np.sqrt(s)))
     length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
     blocks = -(-K // length)
     pad = [(0, blocks * length - K), (0, 0), (0, 0)]
-    C, weight = (np.pad(part, pad).reshape(blocks, length, *part.shape[1:]) for part in (course.outputs, weight))
-    F = np.concatenate([course.steps, np.broadcast_to(np.eye(s), (pad[0][1], s, s))]).reshape(blocks, length, s, s)
+    C, weight = (
+        np.pad(part, pad).reshape(blocks, length, *part.shape[1:])
+        for part in (course.outputs, weight)
+    )
+    F = np.concatenate([course.steps, np.broadcast_to(np.eye(s), (pad[0][1], s, s))]).reshape(
+        blocks, length, s, s
+    )
     rows, S = np.zeros((blocks, length, p, 2, N)), np.broadcast_to(np.eye(s), (blocks, s, s))
     for k in range(length):
         rows[:, k, :, :, moving] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
@@ -191,7 +246,9 @@ def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
     root, T = np.zeros((0, N)), np.eye(N)
     for block in range(blocks)[::-1]:
         T[np.ix_(moving, moving)] = S[block]
-        _, singular, V = np.linalg.svd(np.vstack([root @ (T * size[:, None] / size), own[block] / size]), full_matrices=False)
+        _, singular, V = np.linalg.svd(
+            np.vstack([root @ (T * size[:, None] / size), own[block] / size]), full_matrices=False
+        )
         root = np.minimum(singular, CAP)[:, None] * V
     return np.pad(root * size, [(0, N - len(root)), (0, 0)])
 
@@ -212,7 +269,9 @@ def _expm(X: Floats) -> Floats:
 def symmetric(model: System, change: Floats) -> bool:
     """Whether the motion is the same from everywhere along a constant change of the state (n)."""
     still = np.eye(model.n) if model.Ts is not None and model.rate is None else 0.0
-    function = _derivatives(model, model.move if model.rate is None else model.rate, np.zeros((model.m, 0)), ())
+    function = _derivatives(
+        model, model.move if model.rate is None else model.rate, np.zeros((model.m, 0)), ()
+    )
     x, u = np.split(np.random.default_rng(0).normal(size=(8, model.n + model.m)), [model.n], axis=1)
     A = _along(function, model, x, u, ())[0] - still
     return bool((np.abs(A @ change) <= 1e-9 * np.abs(A).max() * np.abs(change).max()).all())

@@ -54,7 +54,9 @@ def relative_degree(linear: Matrices) -> int:
     A, B, C = linear
     n = A.shape[0]
     rows = [C]
-    while len(rows) < n and abs((rows[-1] @ B).item()) <= 1e-9 * float(np.linalg.norm(rows[-1]) * np.linalg.norm(B)):
+    while len(rows) < n and abs((rows[-1] @ B).item()) <= 1e-9 * float(
+        np.linalg.norm(rows[-1]) * np.linalg.norm(B)
+    ):
         rows.append(rows[-1] @ A)
     seen = np.vstack(rows)
     b = (rows[-1] @ B).item()
@@ -86,9 +88,17 @@ def approximating(
         )
     flow = model.linear if model.flow is None else model.flow
     r = relative_degree(flow)
-    speed, bandwidth = in_poles(model, "controller.speed", speed, 40.0), in_poles(model, "controller.bandwidth", bandwidth, 10.0)
-    gain, leak = in_poles(model, "controller.gain", gain, 50.0 * fastest_pole(model)), in_poles(model, "controller.leak", leak, 0.01)
-    basis = basis_on(positive("controller.reach", reach, r, f"|z| and its derivatives up to order {r - 1}"))
+    speed, bandwidth = (
+        in_poles(model, "controller.speed", speed, 40.0),
+        in_poles(model, "controller.bandwidth", bandwidth, 10.0),
+    )
+    gain, leak = (
+        in_poles(model, "controller.gain", gain, 50.0 * fastest_pole(model)),
+        in_poles(model, "controller.leak", leak, 0.01),
+    )
+    basis = basis_on(
+        positive("controller.reach", reach, r, f"|z| and its derivatives up to order {r - 1}")
+    )
     chain = companion(np.zeros(r))
     L = observer_gain(chain, np.full(r, -speed), None)[:, 0]
     rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])
@@ -97,7 +107,9 @@ def approximating(
     if model.Ts is not None:
         per_step, keep, moving = model.Ts, 1.0, zoh(chain, model.Ts)
         injected = observer_gain(moving, np.full(r, -speed), model.Ts)[:, 0]
-    feedback, slide = (np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1] for order in (r, r - 1))
+    feedback, slide = (
+        np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1] for order in (r, r - 1)
+    )
     params = Params(
         basis.params, moving.A, moving.B[:, 0], injected, L[-1], rows[:r], rows[r], np.float64(b), feedback,
         np.append(slide, 1.0), np.float64(gain * per_step), np.float64(leak * per_step),
@@ -107,7 +119,9 @@ def approximating(
         e = estimate.z_inverse - s.x[0]
         phi = basis.phi(p.basis, s.x)
         error = s.x - p.reference @ target.x_ref
-        wanted = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error  # f + b u
+        wanted = (
+            p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
+        )  # f + b u
         u = (wanted - ca.dot(s.W, phi)) / p.b
         learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
         return State(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u

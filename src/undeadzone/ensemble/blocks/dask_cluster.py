@@ -20,7 +20,10 @@ from undeadzone.ensemble.blocks.job import Job, versions
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
 from undeadzone.support.arrays import Floats
 
-LONGEST, SHORTEST = 1.5, 0.1  # [s] of a task: below the latter, the few ms that scheduling takes are no longer few
+LONGEST, SHORTEST = (
+    1.5,
+    0.1,
+)  # [s] of a task: below the latter, the few ms that scheduling takes are no longer few
 LARGEST = 2**24  # [bytes] of a task's rows
 AHEAD = 2  # tasks for each thread of the cluster: one at work, one waiting
 REACH = 5.0  # [s] to connect to a scheduler
@@ -28,14 +31,22 @@ DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C i
 PATIENCE = 20.0  # [s] without a result until it matters that no worker is there
 
 
-def results(prepare: Callable[[], Job], blocks: Sequence[int], *, workers: int | None = None, cluster: str | None = None) -> Iterator[tuple[int, Floats]]:
+def results(
+    prepare: Callable[[], Job],
+    blocks: Sequence[int],
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+) -> Iterator[tuple[int, Floats]]:
     """(block, its rows) as they are computed, in any order, by that many local processes or the cluster at an address.
 
     prepare: picklable, such as a `functools.partial` of a function of an importable module. Raises InputError and
     ClusterError; what a block raises on a worker is raised here.
     """
     if (workers is None) == (cluster is None) or (workers is not None and workers < 1):
-        raise InputError(f"workers, cluster: expected a number of local processes, 1 or more, or an address; found {workers} and {cluster}")
+        raise InputError(
+            f"workers, cluster: expected a number of local processes, 1 or more, or an address; found {workers} and {cluster}"
+        )
     where = cluster if cluster is not None else f"{workers} local workers"
     payload = pickle.dumps(prepare)
     with _client(where, workers, cluster) as client:
@@ -48,7 +59,9 @@ def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
     return max(1, min(int(LONGEST / seconds), LARGEST // size, max(share, int(SHORTEST / seconds))))
 
 
-def _balanced(where: str, client: Any, payload: bytes, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
+def _balanced(
+    where: str, client: Any, payload: bytes, blocks: Sequence[int]
+) -> Iterator[tuple[int, Floats]]:
     here = versions()
     finished: SimpleQueue[Any] = SimpleQueue()
     running: dict[Any, Sequence[int]] = {}
@@ -57,7 +70,9 @@ def _balanced(where: str, client: Any, payload: bytes, blocks: Sequence[int]) ->
         with _one_line(where):
             threads = max(1, sum(client.nthreads().values()))
             while given < len(blocks) and len(running) < AHEAD * threads:
-                batch = blocks[given : given + batch_size(seconds, size, len(blocks) - given, threads)]
+                batch = blocks[
+                    given : given + batch_size(seconds, size, len(blocks) - given, threads)
+                ]
                 given += len(batch)
                 future = client.submit(_compute, payload, here, batch, pure=False)
                 running[future] = batch
@@ -75,10 +90,14 @@ def _next(where: str, client: Any, finished: SimpleQueue[Any]) -> Any:
             return finished.get(timeout=PATIENCE)
         except Empty:
             if not client.nthreads():
-                raise ClusterError(f"{where}: no worker is there; start some (dask worker {where})") from None
+                raise ClusterError(
+                    f"{where}: no worker is there; start some (dask worker {where})"
+                ) from None
 
 
-def _compute(payload: bytes, expected: dict[str, str], blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+def _compute(
+    payload: bytes, expected: dict[str, str], blocks: Sequence[int]
+) -> tuple[float, list[Floats]]:
     """On a worker: the seconds that blocks took, and their rows."""
     job = _prepared(payload, tuple(expected.items()))
     began = time.perf_counter()
@@ -89,8 +108,14 @@ def _compute(payload: bytes, expected: dict[str, str], blocks: Sequence[int]) ->
 @functools.lru_cache(maxsize=2)
 def _prepared(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
     found = versions()
-    if differ := [f"{name} {found[name]} there, {version} here" for name, version in expected if found[name] != version]:
-        raise ClusterError(f"a worker of the cluster has other versions: {', '.join(differ)}; the last bits would differ, so install the same")
+    if differ := [
+        f"{name} {found[name]} there, {version} here"
+        for name, version in expected
+        if found[name] != version
+    ]:
+        raise ClusterError(
+            f"a worker of the cluster has other versions: {', '.join(differ)}; the last bits would differ, so install the same"
+        )
     return pickle.loads(payload)()
 
 
@@ -100,15 +125,28 @@ def _client(where: str, workers: int | None, cluster: str | None) -> Iterator[An
         from distributed import Client, LocalCluster
         from distributed.utils import silence_logging_cmgr
     except ImportError:
-        raise InputError("workers, cluster: the package distributed is missing; pip install 'undeadzone[dask]'") from None
+        raise InputError(
+            "workers, cluster: the package distributed is missing; pip install 'undeadzone[dask]'"
+        ) from None
     if cluster is None:
-        options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL, "preload": [DEAF]}
-        with LocalCluster(n_workers=workers, threads_per_worker=1, **options) as local, Client(local, set_as_default=False) as client:
+        options = {
+            "host": "127.0.0.1",
+            "dashboard_address": "127.0.0.1:0",
+            "silence_logs": logging.CRITICAL,
+            "preload": [DEAF],
+        }
+        with (
+            LocalCluster(n_workers=workers, threads_per_worker=1, **options) as local,
+            Client(local, set_as_default=False) as client,
+        ):
             yield client
         return
     with ThreadPoolExecutor(1) as beside:  # a notebook's own thread has an event loop already
         beside.submit(asyncio.run, _reach(cluster)).result()
-    with silence_logging_cmgr(logging.CRITICAL), Client(cluster, timeout=REACH, set_as_default=False) as client:
+    with (
+        silence_logging_cmgr(logging.CRITICAL),
+        Client(cluster, timeout=REACH, set_as_default=False) as client,
+    ):
         with _one_line(where):  # a worker that cannot read a task would die of it
             client.run_on_scheduler(exec, "import undeadzone")
             client.run(exec, "import undeadzone")
@@ -121,9 +159,13 @@ async def _reach(cluster: str) -> None:
     from distributed.security import Security
 
     try:
-        comm = await asyncio.wait_for(connect(cluster, timeout=REACH, **Security().get_connection_args("client")), 2 * REACH)
+        comm = await asyncio.wait_for(
+            connect(cluster, timeout=REACH, **Security().get_connection_args("client")), 2 * REACH
+        )
     except Exception as error:  # whatever a server that is no scheduler makes of it
-        raise ClusterError(f"{cluster}: no Dask scheduler answers there: {str(error) or 'silence'}") from None
+        raise ClusterError(
+            f"{cluster}: no Dask scheduler answers there: {str(error) or 'silence'}"
+        ) from None
     await comm.close()
 
 
@@ -137,10 +179,14 @@ def _one_line(where: str) -> Iterator[None]:
     except UndeadzoneError:
         raise
     except KilledWorker as error:
-        raise ClusterError(f"{where}: {error.allowed_failures + 1} workers died one after the other at the same blocks; out of memory?") from None
+        raise ClusterError(
+            f"{where}: {error.allowed_failures + 1} workers died one after the other at the same blocks; out of memory?"
+        ) from None
     except CancelledError:
         raise ClusterError(f"{where}: the scheduler has gone") from None
     except ImportError as error:
-        raise ClusterError(f"{where}: {error.name} cannot be imported there; install it on the scheduler and on every worker") from None
+        raise ClusterError(
+            f"{where}: {error.name} cannot be imported there; install it on the scheduler and on every worker"
+        ) from None
     except OSError as error:
         raise ClusterError(f"{where}: {error}") from None

@@ -43,7 +43,10 @@ class Job(Protocol):
 
 def versions() -> dict[str, str]:
     """The packages that decide the last bits of the results."""
-    return {"undeadzone": undeadzone.__version__, **{name: _version(name) for name in ("casadi", "numba", "llvmlite", "numpy", "scipy")}}
+    return {
+        "undeadzone": undeadzone.__version__,
+        **{name: _version(name) for name in ("casadi", "numba", "llvmlite", "numpy", "scipy")},
+    }
 
 
 def _version(name: str) -> str:

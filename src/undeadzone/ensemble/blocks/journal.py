@@ -48,29 +48,49 @@ class Store(NamedTuple):
     def runs_done(self) -> int:
         """The number of runs that it holds."""
         last = self.layout.within(self.layout.blocks - 1)
-        return int(self.done.sum()) * self.layout.block - int(self.done[-1]) * (self.layout.block - (last.stop - last.start))
+        return int(self.done.sum()) * self.layout.block - int(self.done[-1]) * (
+            self.layout.block - (last.stop - last.start)
+        )
 
     def put(self, block: int, rows: Floats) -> None:
         """Keep the rows of a block (its runs x columns). Raises ShapeError, FileError (disk full, file removed)."""
         runs = self.layout.within(block)
         expected = (runs.stop - runs.start, len(self.layout.columns))
         if rows.shape != expected:
-            raise ShapeError(f"block {block}: expected {expected[0]} x {expected[1]}, found {' x '.join(map(str, rows.shape))}")
+            raise ShapeError(
+                f"block {block}: expected {expected[0]} x {expected[1]}, found {' x '.join(map(str, rows.shape))}"
+            )
         data = np.ascontiguousarray(rows.T, "<f8")
         if not os.fstat(self.file.fileno()).st_nlink:
             raise FileError(f"{self.path}: cannot write: it was removed")
         with _writing(self.path):
             for column, numbers in enumerate(data):
-                _write(self.file, self.start + (column * self.layout.runs + runs.start) * NUMBER, numbers.tobytes())
-            _write(self.file, _checksums(self.start, self.layout) + block * NUMBER, _checksum(block, data.tobytes()))
+                _write(
+                    self.file,
+                    self.start + (column * self.layout.runs + runs.start) * NUMBER,
+                    numbers.tobytes(),
+                )
+            _write(
+                self.file,
+                _checksums(self.start, self.layout) + block * NUMBER,
+                _checksum(block, data.tobytes()),
+            )
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
         """The columns by name (runs each), read from the file as they are used. Raises InputError while blocks are missing."""
         if not self.done.all():
-            raise InputError(f"{self.path}: {self.layout.runs - self.runs_done} of {self.layout.runs} runs are missing; resume it first")
+            raise InputError(
+                f"{self.path}: {self.layout.runs - self.runs_done} of {self.layout.runs} runs are missing; resume it first"
+            )
         shape = (len(self.layout.columns), self.layout.runs)
-        return dict(zip(self.layout.columns, np.memmap(self.file, "<f8", "r", self.start, shape), strict=True))
+        return dict(
+            zip(
+                self.layout.columns,
+                np.memmap(self.file, "<f8", "r", self.start, shape),
+                strict=True,
+            )
+        )
 
     def close(self) -> None:
         """Close and unlock; the file stays."""
@@ -92,7 +112,9 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
     header = _header(layout)
     with _writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = io.FileIO(path, "r+", opener=lambda name, flags: os.open(name, flags | os.O_CREAT, 0o666))
+        file = io.FileIO(
+            path, "r+", opener=lambda name, flags: os.open(name, flags | os.O_CREAT, 0o666)
+        )
     try:
         _lock(path, file)
         found = _read(file, 0, len(header) + OTHER_HEADER)
@@ -110,7 +132,11 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
 
 
 def _header(layout: Layout) -> bytes:
-    words = {"ensemble": 1, "runs": layout.runs, "columns": layout.columns, "block": layout.block} | layout.problem | versions()
+    words = (
+        {"ensemble": 1, "runs": layout.runs, "columns": layout.columns, "block": layout.block}
+        | layout.problem
+        | versions()
+    )
     line = json.dumps(words).encode() + b"\n"
     return line.ljust(-(-len(line) // PAGE) * PAGE, b"\0")
 
@@ -119,13 +145,23 @@ def _check(path: Path, found: bytes, header: bytes, resume: bool) -> None:
     try:
         there, here = (json.loads(text.partition(b"\n")[0]) for text in (found, header))
         there["ensemble"]
-        differences = [_difference(key, there.get(key), here.get(key)) for key in here | there if there.get(key) != here.get(key)]
+        differences = [
+            _difference(key, there.get(key), here.get(key))
+            for key in here | there
+            if there.get(key) != here.get(key)
+        ]
     except (ValueError, TypeError, AttributeError, KeyError):
-        raise FileError(f"{path}: is not an unfinished ensemble; choose another name or delete it") from None
+        raise FileError(
+            f"{path}: is not an unfinished ensemble; choose another name or delete it"
+        ) from None
     if not resume:
-        raise FileError(f"{path}: an unfinished ensemble is there; continue it with --resume, or delete it to start anew")
+        raise FileError(
+            f"{path}: an unfinished ensemble is there; continue it with --resume, or delete it to start anew"
+        )
     if differences:
-        raise InputError(f"{path}: holds another problem ({'; '.join(differences)}); delete it to start anew, or choose another name")
+        raise InputError(
+            f"{path}: holds another problem ({'; '.join(differences)}); delete it to start anew, or choose another name"
+        )
 
 
 def _difference(key: str, there: object, here: object) -> str:
@@ -140,9 +176,16 @@ def _done(file: io.FileIO, start: int, layout: Layout) -> npt.NDArray[np.bool_]:
     done = np.zeros(layout.blocks, bool)
     for block in np.flatnonzero(np.frombuffer(checksums, "<u8")):
         runs = layout.within(int(block))
-        offsets = (start + (column * layout.runs + runs.start) * NUMBER for column in range(len(layout.columns)))
-        data = b"".join(_read(file, offset, (runs.stop - runs.start) * NUMBER) for offset in offsets)
-        done[block] = _checksum(int(block), data) == checksums[block * NUMBER : (block + 1) * NUMBER]
+        offsets = (
+            start + (column * layout.runs + runs.start) * NUMBER
+            for column in range(len(layout.columns))
+        )
+        data = b"".join(
+            _read(file, offset, (runs.stop - runs.start) * NUMBER) for offset in offsets
+        )
+        done[block] = (
+            _checksum(int(block), data) == checksums[block * NUMBER : (block + 1) * NUMBER]
+        )
     return done
 
 
@@ -163,13 +206,17 @@ def _lock(path: Path, file: io.FileIO) -> None:
 
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        used = not os.fstat(file.fileno()).st_nlink  # finished and removed by another process between opening and locking
+        used = not os.fstat(
+            file.fileno()
+        ).st_nlink  # finished and removed by another process between opening and locking
     except BlockingIOError:
         used = True
     except OSError:  # some network file systems have no locks
         return
     if used:
-        raise FileError(f"{path}: another process is writing it; wait for it, or choose another name")
+        raise FileError(
+            f"{path}: another process is writing it; wait for it, or choose another name"
+        )
 
 
 def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:

@@ -51,12 +51,20 @@ def keeping(store: journal.Store) -> Iterator[None]:
         raise type(error)("; ".join(filter(None, (str(error), _leave(store))))) from None
     except BaseException as error:
         kept = _leave(store)
-        if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C within a lock of the thread pool ends as a RuntimeError
+        if isinstance(
+            error.__context__, KeyboardInterrupt
+        ):  # Ctrl-C within a lock of the thread pool ends as a RuntimeError
             raise KeyboardInterrupt(kept) from None
         raise
 
 
-def _results(prepare: Callable[[], Job], job: Job, blocks: list[int], workers: int | None, cluster: str | None) -> Generator[tuple[int, Floats], None, None]:
+def _results(
+    prepare: Callable[[], Job],
+    job: Job,
+    blocks: list[int],
+    workers: int | None,
+    cluster: str | None,
+) -> Generator[tuple[int, Floats], None, None]:
     if workers is not None or cluster is not None:
         from undeadzone.ensemble.blocks.dask_cluster import results
 

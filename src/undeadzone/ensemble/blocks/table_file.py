@@ -16,7 +16,9 @@ from undeadzone.support.files import reason, replacing
 
 HEADER: Final = "undeadzone"
 CHUNK: Final = 2**20  # rows in a row group of Parquet
-ZIP_SIZES: Final = 26  # where a local header in a zip file holds the lengths of its name and extra field
+ZIP_SIZES: Final = (
+    26  # where a local header in a zip file holds the lengths of its name and extra field
+)
 
 
 class Table(NamedTuple):
@@ -58,7 +60,9 @@ def load(path: Path) -> Table:
 def _write_npz(table: Table, path: Path) -> None:
     arrays: dict[str, Any] = {HEADER: np.frombuffer(table.header.encode(), np.uint8)}
     arrays |= {f"columns/{name}": values for name, values in table.columns.items()}
-    arrays |= {f"attached/{name}": np.ascontiguousarray(values) for name, values in table.attached.items()}
+    arrays |= {
+        f"attached/{name}": np.ascontiguousarray(values) for name, values in table.attached.items()
+    }
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)
 
@@ -75,9 +79,14 @@ def _read_npz(path: Path) -> Table:
             file.seek(sum(struct.unpack("<HH", file.read(4))), 1)
             np.lib.format.read_magic(file)
             shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-            found[entry.filename.removesuffix(".npy")] = np.memmap(path, dtype, "r", file.tell(), shape, "F" if fortran else "C")
+            found[entry.filename.removesuffix(".npy")] = np.memmap(
+                path, dtype, "r", file.tell(), shape, "F" if fortran else "C"
+            )
     header = found[HEADER].tobytes().decode()
-    columns, attached = ({n.removeprefix(kind): v for n, v in found.items() if n.startswith(kind)} for kind in ("columns/", "attached/"))
+    columns, attached = (
+        {n.removeprefix(kind): v for n, v in found.items() if n.startswith(kind)}
+        for kind in ("columns/", "attached/")
+    )
     return Table(header, columns, attached)
 
 
@@ -85,13 +94,26 @@ def _write_parquet(table: Table, path: Path) -> None:
     arrow = _arrow()
     import pyarrow.parquet as parquet
 
-    extra = {f"attached/{name}": np.ascontiguousarray(values, "<f8").tobytes() for name, values in table.attached.items()}
-    schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata={HEADER: table.header} | extra)
+    extra = {
+        f"attached/{name}": np.ascontiguousarray(values, "<f8").tobytes()
+        for name, values in table.attached.items()
+    }
+    schema = arrow.schema(
+        [(name, arrow.float64()) for name in table.columns], metadata={HEADER: table.header} | extra
+    )
     runs = len(next(iter(table.columns.values())))
-    with replacing(path) as temporary, parquet.ParquetWriter(temporary, schema, compression="zstd") as writer:
+    with (
+        replacing(path) as temporary,
+        parquet.ParquetWriter(temporary, schema, compression="zstd") as writer,
+    ):
         for start in range(0, runs, CHUNK):
-            rows = [np.asarray(values[start : start + CHUNK], float) for values in table.columns.values()]
-            writer.write_table(arrow.Table.from_arrays([arrow.array(part) for part in rows], schema=schema))
+            rows = [
+                np.asarray(values[start : start + CHUNK], float)
+                for values in table.columns.values()
+            ]
+            writer.write_table(
+                arrow.Table.from_arrays([arrow.array(part) for part in rows], schema=schema)
+            )
 
 
 def _read_parquet(path: Path) -> Table:
@@ -101,7 +123,11 @@ def _read_parquet(path: Path) -> Table:
     table = parquet.read_table(path)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
-    attached = {name.removeprefix("attached/"): np.frombuffer(value, "<f8") for name, value in metadata.items() if name.startswith("attached/")}
+    attached = {
+        name.removeprefix("attached/"): np.frombuffer(value, "<f8")
+        for name, value in metadata.items()
+        if name.startswith("attached/")
+    }
     return Table(metadata[HEADER].decode(), columns, attached)
 
 
@@ -109,5 +135,7 @@ def _arrow() -> Any:
     try:
         import pyarrow
     except ImportError:
-        raise InputError("a .parquet file needs pyarrow: pip install 'undeadzone[parquet]', or name it .npz") from None
+        raise InputError(
+            "a .parquet file needs pyarrow: pip install 'undeadzone[parquet]', or name it .npz"
+        ) from None
     return pyarrow

@@ -54,7 +54,9 @@ def least_squares(model: System, gain: float, forgetting: float, size: int) -> L
     forgetting = scalar("observer.forgetting", forgetting, least=0.0)
     count, per_step = size * model.p, 1.0 if model.Ts is None else model.Ts
     if model.Ts is not None and forgetting * per_step >= 1:
-        raise StepError(f"simulation.step: {per_step:g} s is too coarse for observer.forgetting: their product, {forgetting * per_step:.4g}, must be below 1")
+        raise StepError(
+            f"simulation.step: {per_step:g} s is too coarse for observer.forgetting: their product, {forgetting * per_step:.4g}, must be below 1"
+        )
 
     def flow(numbers: Any, W: Any, P: Any, zeta: Any, e: Any, told: Any) -> tuple[Any, Any]:
         step = P @ zeta.T
@@ -70,4 +72,9 @@ def least_squares(model: System, gain: float, forgetting: float, size: int) -> L
         after += ca.mmax(told) * numbers[0] * (after - after @ after / numbers[1])
         return learnt, after - P
 
-    return Law(np.array([forgetting * per_step, gain, 1 / per_step]), gain * np.eye(count), flow if model.Ts is None else jump, gain)
+    return Law(
+        np.array([forgetting * per_step, gain, 1 / per_step]),
+        gain * np.eye(count),
+        flow if model.Ts is None else jump,
+        gain,
+    )

@@ -14,7 +14,19 @@ from undeadzone import sensor as sensors
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
-from undeadzone.observers.parts.measured_kalman import Extension, Params, Prior, declared, kept, motion, numbers, prior, sample_time, shown, white
+from undeadzone.observers.parts.measured_kalman import (
+    Extension,
+    Params,
+    Prior,
+    declared,
+    kept,
+    motion,
+    numbers,
+    prior,
+    sample_time,
+    shown,
+    white,
+)
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.sensor import Zone, present
@@ -71,11 +83,24 @@ def claims(given: Declared, model: System, sensor: Zone, habits: Habits, stride:
     largest = float(ranges.max())
     drift = habits.drift * largest if given.drift is None else given.drift
     x_std = habits.x_std * largest if given.x_std is None else given.x_std
-    believed = prior(model, sensor, given.right, given.left, given.noise, x_std, drift, habits.noise * max(1.0, readings / CROWD) ** 0.5)
+    believed = prior(
+        model,
+        sensor,
+        given.right,
+        given.left,
+        given.noise,
+        x_std,
+        drift,
+        habits.noise * max(1.0, readings / CROWD) ** 0.5,
+    )
     swing = scalar("observer.swing", given.swing, least=0.0)
     if given.disturbance is None:
         return Claims(believed, agitation(model, swing * largest) ** 2, ranges)
-    return Claims(believed, nonnegative("observer.disturbance", given.disturbance, model.m, "one per input") ** 2, ranges)
+    return Claims(
+        believed,
+        nonnegative("observer.disturbance", given.disturbance, model.m, "one per input") ** 2,
+        ranges,
+    )
 
 
 def agitation(model: System, rms: float) -> Floats:
@@ -106,11 +131,15 @@ class State(NamedTuple):
 
 
 Sight = Callable[[Any], Any]  # from [x; d_r; d_l] to the reading y_i / m_i without noise
-Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian, Any, Any]]  # (q, belief, i, sight, y_i / m_i, side_i, present)
+Correct = Callable[
+    [Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian, Any, Any]
+]  # (q, belief, i, sight, y_i / m_i, side_i, present)
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
 
 
-def joint_filter(model: System, sensor: Zone, given: Claims, correct: Correct, predict: Predict) -> Observer:
+def joint_filter(
+    model: System, sensor: Zone, given: Claims, correct: Correct, predict: Predict
+) -> Observer:
     """The filter as an observer: its readings one output after the other, by `correct`, then its motion, by `predict`."""
     n, p = model.n, model.p
     extension: Extension = white(model, given.variance)
@@ -129,7 +158,15 @@ def joint_filter(model: System, sensor: Zone, given: Claims, correct: Correct, p
             innovations.append(e)
             variances.append(S)
         after = predict(belief, *motion(model, q, extension, belief, u))
-        found = shown(model, sensor, q, belief, reading, ca.vertcat(*innovations), ca.sqrt(ca.vertcat(*variances)))
+        found = shown(
+            model,
+            sensor,
+            q,
+            belief,
+            reading,
+            ca.vertcat(*innovations),
+            ca.sqrt(ca.vertcat(*variances)),
+        )
         return State(after.mean, triangle(after.cov, entries)), found
 
     return Observer(params, lambda q: State(q.mean, q.cov), step)

@@ -30,7 +30,9 @@ class Boxes(NamedTuple):
 
 def each(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
     """f on every part."""
-    return tree.rebuild(boxes[0], map(f, *((leaf for _, leaf in tree.leaves(box)) for box in boxes)))
+    return tree.rebuild(
+        boxes[0], map(f, *((leaf for _, leaf in tree.leaves(box)) for box in boxes))
+    )
 
 
 def meet(a: Bounds, b: Bounds) -> Bounds:
@@ -43,7 +45,9 @@ def cut(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[Any,
     row = (c @ frame).T
     size, z = ca.fabs(row), c @ x
     others = size.T @ radius - 2 * size * radius  # what else is in z, less the entry's own share
-    up = ca.fmax(lo - z - others, 0.0) / ca.fmax(size, 1 / FAR)  # by which the ends of an entry move
+    up = ca.fmax(lo - z - others, 0.0) / ca.fmax(
+        size, 1 / FAR
+    )  # by which the ends of an entry move
     down = ca.fmax(z - hi - others, 0.0) / ca.fmax(size, 1 / FAR)
     shift = (ca.fmin(up, 2 * radius) - ca.fmin(down, 2 * radius)) / 2
     return x + frame @ (ca.sign(row) * shift), ca.fmax(radius - (up + down) / 2, -radius)

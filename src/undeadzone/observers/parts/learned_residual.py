@@ -60,7 +60,15 @@ class State(NamedTuple):
 
 
 def learning(
-    model: System, sensor: Zone, L: Floats, compensator: Compensator, law: Law, *, filtered: bool, W0: Floats | None = None, limit: Floats | None = None
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    compensator: Compensator,
+    law: Law,
+    *,
+    filtered: bool,
+    W0: Floats | None = None,
+    limit: Floats | None = None,
 ) -> Observer:
     """The observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi, of any linear or nonlinear model.
 
@@ -69,11 +77,23 @@ def learning(
     Raises InputError for a jump sensor, of which nothing is taken off.
     """
     if sensor.kind == "jump":
-        raise InputError("observer.method: a jump sensor takes nothing off z, this method has nothing to learn; use 'certified' or 'censored'")
+        raise InputError(
+            "observer.method: a jump sensor takes nothing off z, this method has nothing to learn; use 'certified' or 'censored'"
+        )
     n, p, size = model.n, model.p, compensator.size
     keep = 0.0 if model.Ts is None else 1.0
     start = np.zeros(size * p) if W0 is None else W0
-    params = Params(model.params, L, sensor.slope, compensator.params, law.numbers, compensator.scale, start, limit, np.float64(law.rate))
+    params = Params(
+        model.params,
+        L,
+        sensor.slope,
+        compensator.params,
+        law.numbers,
+        compensator.scale,
+        start,
+        limit,
+        np.float64(law.rate),
+    )
 
     def init(q: Params) -> State:
         return State(np.zeros(n), q.W0, np.zeros((n, size * p if filtered else 0)), law.spread0)
@@ -108,7 +128,11 @@ def learning(
         after = State(moved, keep * s.W + added, sensitivity, keep * s.spread + spread)
         if model.Ts is not None:
             after = project(q, after)
-        right, left = (side * (functions(q, side * q.scale / 2, side * ca.SX.ones(p), side * q.scale / 2) @ s.W) for side in (1.0, -1.0))
+        right, left = (
+            side
+            * (functions(q, side * q.scale / 2, side * ca.SX.ones(p), side * q.scale / 2) @ s.W)
+            for side in (1.0, -1.0)
+        )
         return after, Estimate(s.x, z, right, left, ca.if_else(seen, inverse, z), e)
 
     return Observer(params, init, step, project)
@@ -138,5 +162,14 @@ def residual(model: System, sensor: Zone, given: Residual, basis: Basis) -> Obse
     L = injection(model, given.L, given.poles, given.speed, hiding(model, 6.0))
     gain = in_poles(model, "observer.gain", given.gain, 30.0)
     scale = positive("observer.reach", given.reach, model.p, "one per output")
-    compensator = Compensator(basis.params, lambda params, y, side, z: basis.phi(params, z), basis.size, False, scale)
-    return learning(model, sensor, L, compensator, gradient(model, gain, given.leak, basis.size), filtered=given.filtered)
+    compensator = Compensator(
+        basis.params, lambda params, y, side, z: basis.phi(params, z), basis.size, False, scale
+    )
+    return learning(
+        model,
+        sensor,
+        L,
+        compensator,
+        gradient(model, gain, given.leak, basis.size),
+        filtered=given.filtered,
+    )

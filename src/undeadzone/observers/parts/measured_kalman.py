@@ -11,7 +11,18 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, estimate
-from undeadzone.numerics.gaussian import Gaussian, advance, cut, linearise, mix, predict, symmetric, triangle, update, within
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    advance,
+    cut,
+    linearise,
+    mix,
+    predict,
+    symmetric,
+    triangle,
+    update,
+    within,
+)
 from undeadzone.plants.system import System, held
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
@@ -103,12 +114,20 @@ def prior(
     else:
         rms = nonnegative("observer.noise", noise, p, "one per output")
         if not rms.all():
-            raise InputError("observer.noise: must be positive, found 0; leave it out for a sensor without noise")
+            raise InputError(
+                "observer.noise: must be positive, found 0; leave it out for a sensor without noise"
+            )
         least = np.zeros(p)
-    spread = np.full(model.n, 5 * most) if x_std is None else nonnegative("observer.x_std", x_std, model.n, "one per state")
+    spread = (
+        np.full(model.n, 5 * most)
+        if x_std is None
+        else nonnegative("observer.x_std", x_std, model.n, "one per state")
+    )
     growth = scalar("observer.drift", wear * most if drift is None else drift, least=0.0) ** 2 * Ts
     return Prior(
-        np.concatenate([vector("observer.start", start, model.n, "one per state"), ranges.mean(axis=1)]),
+        np.concatenate(
+            [vector("observer.start", start, model.n, "one per state"), ranges.mean(axis=1)]
+        ),
         np.concatenate([spread, span / np.sqrt(12)]),
         np.maximum(rms, least) ** 2,
         np.maximum(sensor.threshold, 4 * rms * sensor.slope),
@@ -120,19 +139,28 @@ def prior(
 def sample_time(model: System) -> float:
     """The model's sample time [s]. Raises InputError in continuous time."""
     if model.Ts is None:
-        raise InputError('observer: this filter works on samples; set simulation.time = "sampled" (simulation.step is the sample time)')
+        raise InputError(
+            'observer: this filter works on samples; set simulation.time = "sampled" (simulation.step is the sample time)'
+        )
     return model.Ts
 
 
 def declared(right: Array, left: Array | None, p: int) -> Floats:
     """The declared ranges of all d_r, then all d_l (2p x 2); left: default that of right. Raises InputError, ShapeError."""
-    return np.concatenate([_ranges("observer.right", right, p), _ranges("observer.left", right if left is None else left, p)])
+    return np.concatenate(
+        [
+            _ranges("observer.right", right, p),
+            _ranges("observer.left", right if left is None else left, p),
+        ]
+    )
 
 
 def _ranges(key: str, value: Array, p: int) -> Floats:
     found = array(key, value)
     if found.shape not in ((2,), (p, 2)):
-        raise ShapeError(f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), found {' x '.join(map(str, found.shape)) or 'one number'}")
+        raise ShapeError(
+            f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), found {' x '.join(map(str, found.shape)) or 'one number'}"
+        )
     found = np.broadcast_to(found, (p, 2))
     if (found[:, 0] < 0).any() or (found[:, 0] >= found[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {found.tolist()}")
@@ -180,7 +208,10 @@ def measured_filter(
                 outside = (side[i] == edge) if jump else 0.0
                 told = ca.logic_and(ca.logic_or(quiet[i], outside), wait[len(waits)] <= 0)
                 excess, h = linearise(partial(beyond, q, i, edge), belief.mean)
-                sign, slack = edge * (1 - 2 * outside), ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0)
+                sign, slack = (
+                    edge * (1 - 2 * outside),
+                    ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0),
+                )
                 belief, used = cut(belief, sign * h, sign * excess - slack, q.R[i], told, DOUBT)
                 waits.append(ca.if_else(used, lasting, wait[len(waits)] - 1))
         return belief, ca.vertcat(*waits)
@@ -203,9 +234,13 @@ def measured_filter(
             belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
         move, Q = motion(model, q, extension, belief, u)
         if order == 1:
-            after = advance(belief, move, Q, None if extension.slope is None else extension.slope(q))
+            after = advance(
+                belief, move, Q, None if extension.slope is None else extension.slope(q)
+            )
         else:
-            after = predict(belief, move, Q, lasting, None if extension.bend is None else partial(bent, q, u))
+            after = predict(
+                belief, move, Q, lasting, None if extension.bend is None else partial(bent, q, u)
+            )
         told = claimed(q, n, extension, belief, bounds)
         found = shown(model, sensor, q, told, reading, e, e_std)
         if len(extension.cov):
@@ -217,7 +252,9 @@ def measured_filter(
             found = found._replace(w=w)
         if count := len(extension.parameters):
             spread = ca.sqrt(ca.fmax(ca.diag(told.cov)[-count:], 0.0))
-            found = found._replace(theta=q.model[list(extension.parameters)] + told.mean[-count:], theta_std=spread)
+            found = found._replace(
+                theta=q.model[list(extension.parameters)] + told.mean[-count:], theta_std=spread
+            )
         return State(after.mean, triangle(after.cov, entries), y, s.last, wait, u), found
 
     return Observer(params, init, step)
@@ -260,10 +297,16 @@ def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> 
 
 def kept(model: System, extension: Extension) -> ca.Sparsity:
     """The entries of the covariance's upper triangle that a filter keeps."""
-    return ca.Sparsity.upper(model.n + 2 * model.p + len(extension.cov)) if extension.entries is None else extension.entries
+    return (
+        ca.Sparsity.upper(model.n + 2 * model.p + len(extension.cov))
+        if extension.entries is None
+        else extension.entries
+    )
 
 
-def motion(model: System, q: Params, extension: Extension, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:
+def motion(
+    model: System, q: Params, extension: Extension, belief: Gaussian, u: Any
+) -> tuple[Callable[[Any], Any], Any]:
     """(the motion of [x; d; extra] over a step, the covariance that it adds)."""
     n, known = model.n, model.n + 2 * model.p
     noise_x, noise_extra = extension.noise(q, belief.mean[:n], u)
@@ -275,13 +318,17 @@ def motion(model: System, q: Params, extension: Extension, belief: Gaussian, u: 
     return move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
 
 
-def shown(model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any) -> Estimate:
+def shown(
+    model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
+) -> Estimate:
     """The belief as an `Estimate`; e, e_std: innovations and their standard deviations."""
     mean, cov = belief
     n, p, known = model.n, model.p, model.n + 2 * model.p
     x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
     variance = ca.diag(cov)
-    both = variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])
+    both = (
+        variance[n : n + p] + variance[n + p : known] + 2 * ca.diag(cov[n : n + p, n + p : known])
+    )
     std = ca.sqrt(ca.fmax(variance, 0.0))
     found = estimate(x, model.output(q.model, x), right, left, reading, q.slope, sensor.kind, e)
     return found._replace(
@@ -310,7 +357,9 @@ def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
     """
 
     def sure(a: Any, b: Any, c: Any) -> Any:
-        announced = ca.logic_and(ca.logic_and(b > gate, c > gate), ca.logic_and(2 * b - c > gate, a > 0))
+        announced = ca.logic_and(
+            ca.logic_and(b > gate, c > gate), ca.logic_and(2 * b - c > gate, a > 0)
+        )
         return ca.logic_or(a > 2 * gate, announced)
 
     return 1.0 * sure(y, last, previous) - 1.0 * sure(-y, -last, -previous)

@@ -30,7 +30,13 @@ def bank(member: Observer, claims: Sequence[Callable[[Any], Any]]) -> Observer:
         return State(tuple(member.init(q) for _ in claims), np.zeros(len(claims)))
 
     def step(q: Any, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-        moved, found = zip(*(member.step(claim(q), x, u, reading) for claim, x in zip(claims, s.members, strict=True)), strict=True)
+        moved, found = zip(
+            *(
+                member.step(claim(q), x, u, reading)
+                for claim, x in zip(claims, s.members, strict=True)
+            ),
+            strict=True,
+        )
         odds = s.odds + ca.vertcat(*(likelihood(one) for one in found))
         odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
         share = ca.exp(odds)

@@ -48,11 +48,15 @@ class State(NamedTuple):
     left: Any
 
 
-def adapted(gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone) -> Widths:
+def adapted(
+    gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
+) -> Widths:
     """Checked widths and their gain. Raises InputError, ShapeError."""
     found = nonnegative("observer.gamma", gamma, model.p, "one per output")
     if sensor.kind == "jump" and found.any():
-        raise InputError("observer.gamma: readings of a jump sensor only bound its widths, this method cannot adapt them; leave gamma out")
+        raise InputError(
+            "observer.gamma: readings of a jump sensor only bound its widths, this method cannot adapt them; leave gamma out"
+        )
     return Widths(found, *bounded_widths(widths0, width_max, model.p))
 
 
@@ -71,7 +75,16 @@ def output_error(
     per step when the model is sampled. where(law, state, C x^, reading): how much each side is adapted (p each, 0 to 1).
     """
     per_step, keep = (1.0, 0.0) if model.Ts is None else (model.Ts, 1.0)
-    params = Params(model.params, L, widths.gamma * per_step, law, widths.start[:, 0], widths.start[:, 1], widths.limit, sensor.slope)
+    params = Params(
+        model.params,
+        L,
+        widths.gamma * per_step,
+        law,
+        widths.start[:, 0],
+        widths.start[:, 1],
+        widths.limit,
+        sensor.slope,
+    )
 
     def project(p: Params, s: State) -> State:
         return State(s.x, *(ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left)))
@@ -86,6 +99,8 @@ def output_error(
             keep * s.right - p.gamma * e * right,
             keep * s.left + p.gamma * e * left,
         )
-        return after if model.Ts is None else project(p, after), estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
+        return after if model.Ts is None else project(p, after), estimate(
+            s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e
+        )
 
     return Observer(params, lambda p: State(np.zeros(model.n), p.right0, p.left0), step, project)

@@ -57,7 +57,11 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
     from scipy.linalg import solve_discrete_lyapunov
 
     a, b = 1 / correlation, 0.0 if washout is None else 1 / washout
-    F, W, C = np.array([[-a, 0.0], [b, -b]]), np.diag([2 * (a + b), 0.0]), np.array([1.0, -1.0])  # 2 (a + b): unit rms
+    F, W, C = (
+        np.array([[-a, 0.0], [b, -b]]),
+        np.diag([2 * (a + b), 0.0]),
+        np.array([1.0, -1.0]),
+    )  # 2 (a + b): unit rms
     if washout is None:
         F, W, C = F[:1, :1], W[:1, :1], C[:1]
     Fd, Q = sampled_noise(F, W, Ts)
@@ -68,7 +72,9 @@ def span(key: str, value: Any, Ts: float) -> float:
     """A time that samples resolve [s]. Raises InputError."""
     found = scalar(f"observer.{key}", value, above=0.0)
     if not 0.1 * Ts <= found <= 1e6 * Ts:
-        raise InputError(f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {found:.4g} s")
+        raise InputError(
+            f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {found:.4g} s"
+        )
     return found
 
 
@@ -94,13 +100,22 @@ class Tolerance(NamedTuple):
 
 def named(model: System, given: dict[str, float]) -> Tolerance:
     """Named parameters of a nonlinear plant, of absolute standard deviations. Raises InputError."""
-    std = {name: scalar(f"observer.uncertain.{name}", value, above=0.0) for name, value in given.items()}
+    std = {
+        name: scalar(f"observer.uncertain.{name}", value, above=0.0)
+        for name, value in given.items()
+    }
     if unknown := sorted(set(std) - set(model.names)):
-        raise InputError(f"observer.uncertain.{unknown[0]}: unknown parameter; the model has {', '.join(model.names) or 'none with a name'}")
+        raise InputError(
+            f"observer.uncertain.{unknown[0]}: unknown parameter; the model has {', '.join(model.names) or 'none with a name'}"
+        )
     pick = ca.DM(len(model.names), len(std))
     for k, name in enumerate(std):
         pick[model.names.index(name), k] = 1
-    return Tolerance(np.array([*std.values()]), np.zeros((0, model.n + model.m)), changed=lambda params, theta: params + pick @ theta)
+    return Tolerance(
+        np.array([*std.values()]),
+        np.zeros((0, model.n + model.m)),
+        changed=lambda params, theta: params + pick @ theta,
+    )
 
 
 def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
@@ -110,11 +125,18 @@ def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
     n, m = model.n, model.m
     if model.nonlinear:
         if isinstance(given, dict):
-            raise InputError("observer.tolerance: a nonlinear plant takes one number, for all of its parameters")
+            raise InputError(
+                "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
+            )
         std = scalar("observer.tolerance", given, least=0.0)
         return Tolerance(np.full(np.size(model.params) if std else 0, std), np.zeros((0, n + m)))
     AB = np.hstack(model.flow[:2])
-    names = {f"{name}[{i},{j}]": (i, j + (n if name == "B" else 0)) for name, columns in (("A", n), ("B", m)) for i in range(n) for j in range(columns)}
+    names = {
+        f"{name}[{i},{j}]": (i, j + (n if name == "B" else 0))
+        for name, columns in (("A", n), ("B", m))
+        for i in range(n)
+        for j in range(columns)
+    }
     if not isinstance(given, dict):
         free = np.flatnonzero(~((np.count_nonzero(AB, axis=1) == 1) & (AB.max(axis=1) == 1.0)))
         given = {name: given for name, (i, j) in names.items() if i in free and AB[i, j] != 0.0}
@@ -123,16 +145,25 @@ def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
         std = scalar(f"observer.tolerance.{name}", value, least=0.0)
         if name not in names or AB[names[name]] == 0.0:
             uncertain = ", ".join(name for name, at in names.items() if AB[at] != 0.0)
-            raise InputError(f"observer.tolerance.{name}: expected an entry of A or B that is not 0: {uncertain}")
+            raise InputError(
+                f"observer.tolerance.{name}: expected an entry of A or B that is not 0: {uncertain}"
+            )
         if std:
             found.append((std, names[name]))
     from scipy.linalg import expm_frechet
 
     square = np.vstack([AB, np.zeros((m, n + m))]) * model.Ts
-    slopes = [expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n] for _, at in found]
+    slopes = [
+        expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n]
+        for _, at in found
+    ]
     entries = tuple(at for _, at in found)
     return Tolerance(
-        np.array([std for std, _ in found]), np.concatenate([np.zeros((0, n + m)), *slopes]), entries, np.array([AB[at] for at in entries]), held(model)
+        np.array([std for std, _ in found]),
+        np.concatenate([np.zeros((0, n + m)), *slopes]),
+        entries,
+        np.array([AB[at] for at in entries]),
+        held(model),
     )
 
 
@@ -142,7 +173,14 @@ def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
     return found
 
 
-def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrated: float, tolerance: Tolerance) -> Extension:
+def unknowns(
+    model: System,
+    colour: Colour,
+    rms: Floats,
+    bias: Floats,
+    calibrated: float,
+    tolerance: Tolerance,
+) -> Extension:
     """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p; theta]."""
     from scipy.linalg import block_diag
 
@@ -163,7 +201,9 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
         else:
             regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
             after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
-        return after, ca.vertcat(constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta)
+        return after, ca.vertcat(
+            constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta
+        )
 
     def bend(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         """theta_i a_i [x; u] in the rows of A and B, held over the step."""
@@ -177,7 +217,9 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         static = [ca.SX(size, size) for size in (biased.shape[1], count)]
-        return ca.SX(n, n), ca.diagcat(static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1])
+        return ca.SX(n, n), ca.diagcat(
+            static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1]
+        )
 
     def small(q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
         """(the belief if the bias is `SMALL`, the log of its odds): what a reading of it as 0 leaves (docs/filters.md)."""
@@ -190,6 +232,27 @@ def unknowns(model: System, colour: Colour, rms: Floats, bias: Floats, calibrate
         return belief, odds
 
     odds = np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0)
-    numbers = Numbers(colour.F, colour.Q, variance, tolerance.slopes, tolerance.values, tolerance.held, rest, bias[bias > 0], odds)
-    cov = block_diag(np.diag(bias[bias > 0] ** 2), np.kron(colour.cov, np.diag(variance)), np.diag(tolerance.std**2))
-    return Extension(numbers, cov, move, noise, small if calibrated and bias.any() else None, bend if tolerance.entries else None)
+    numbers = Numbers(
+        colour.F,
+        colour.Q,
+        variance,
+        tolerance.slopes,
+        tolerance.values,
+        tolerance.held,
+        rest,
+        bias[bias > 0],
+        odds,
+    )
+    cov = block_diag(
+        np.diag(bias[bias > 0] ** 2),
+        np.kron(colour.cov, np.diag(variance)),
+        np.diag(tolerance.std**2),
+    )
+    return Extension(
+        numbers,
+        cov,
+        move,
+        noise,
+        small if calibrated and bias.any() else None,
+        bend if tolerance.entries else None,
+    )

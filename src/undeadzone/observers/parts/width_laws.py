@@ -39,14 +39,24 @@ class Law(NamedTuple):
     numbers: Any = None
     soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
     gains: bool = False
-    move: Callable[[Any, Edge], tuple[Any, Any]] = lambda numbers, edge: (edge.gamma * edge.push, NONE)
+    move: Callable[[Any, Edge], tuple[Any, Any]] = lambda numbers, edge: (
+        edge.gamma * edge.push,
+        NONE,
+    )
     reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
 
 
 GRADIENT = Law()
 
 
-class Gradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="gradient"):
+class Gradient(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="gradient",
+):
     """d^' = gamma push, (25) as repaired. Certified where M < 0."""
 
     def law(self, Ts: float | None) -> Law:
@@ -54,7 +64,14 @@ class Gradient(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return GRADIENT
 
 
-class Normalised(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="normalised"):
+class Normalised(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="normalised",
+):
     """The innovation, in x^' and d^' alike, is divided by 1 + weight y^2 (y in units of z): large signals count less.
 
     Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that M < 0 covers.
@@ -68,7 +85,14 @@ class Normalised(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return Law(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
 
 
-class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="least_squares"):
+class LeastSquares(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="least_squares",
+):
     """Recursive least squares: d^' = g push, g' = forgetting g - g^2 where the edge is active, g(0) = gamma, g <= gamma.
 
     forgetting [1/s]: rate at which old readings fade; reset: the share of gamma below which g is set back to gamma.
@@ -88,7 +112,9 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
         def flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
             growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
-            return edge.gain * edge.push, ca.if_else(edge.gain < edge.gamma, growth, ca.fmin(growth, 0.0))
+            return edge.gain * edge.push, ca.if_else(
+                edge.gain < edge.gamma, growth, ca.fmin(growth, 0.0)
+            )
 
         def step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
             after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
@@ -98,10 +124,19 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
         fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
-        return Law(np.array([fade, share]), gains=True, move=flow if Ts is None else step, reset=reset)
+        return Law(
+            np.array([fade, share]), gains=True, move=flow if Ts is None else step, reset=reset
+        )
 
 
-class Sigma(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="sigma"):
+class Sigma(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="sigma",
+):
     """d^' = gamma (push - leak (d^ - d^(0))), Ioannou and Kokotovic (1983): bounded without projection, at a price.
 
     Loses exactness: V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time and
@@ -113,10 +148,23 @@ class Sigma(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * (edge.width - edge.width0)), NONE))
+        return Law(
+            np.float64(leak),
+            move=lambda leak, edge: (
+                edge.gamma * (edge.push - leak * (edge.width - edge.width0)),
+                NONE,
+            ),
+        )
 
 
-class EModification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="e_modification"):
+class EModification(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="e_modification",
+):
     """d^' = gamma (push - leak |push| (d^ - d^(0))), Narendra and Annaswamy (1987): no leak where there is no error.
 
     With |d - d^(0)| <= D it keeps V where M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
@@ -127,7 +175,13 @@ class EModification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def law(self, Ts: float | None) -> Law:
         """The law. Raises InputError."""
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=lambda leak, edge: (edge.gamma * (edge.push - leak * ca.fabs(edge.push) * (edge.width - edge.width0)), NONE))
+        return Law(
+            np.float64(leak),
+            move=lambda leak, edge: (
+                edge.gamma * (edge.push - leak * ca.fabs(edge.push) * (edge.width - edge.width0)),
+                NONE,
+            ),
+        )
 
 
 Adaptation = Gradient | Normalised | LeastSquares | Sigma | EModification

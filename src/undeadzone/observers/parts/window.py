@@ -10,7 +10,12 @@ import numpy as np
 
 from undeadzone.support.arrays import Floats
 
-TIGHT = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}  # of OSQP, whose own tolerance is 1e-3
+TIGHT = {
+    "verbose": False,
+    "eps_abs": 1e-6,
+    "eps_rel": 1e-6,
+    "max_iter": 20000,
+}  # of OSQP, whose own tolerance is 1e-3
 
 
 class Window(NamedTuple):
@@ -41,14 +46,19 @@ class Weights(NamedTuple):
     ranges: Floats
 
 
-Solver = Callable[[Floats, Floats, Floats, Floats, Floats], Floats | None]  # (H, g, A, low, high) -> v, None if it failed
+Solver = Callable[
+    [Floats, Floats, Floats, Floats, Floats], Floats | None
+]  # (H, g, A, low, high) -> v, None if it failed
 
 
 def solver(plugin: str, unknowns: int, rows: int) -> Solver:
     """min v'Hv / 2 + g'v subject to low <= A v <= high, by one of CasADi's solvers for convex programmes."""
     sizes = {"h": ca.Sparsity.dense(unknowns, unknowns), "a": ca.Sparsity.dense(rows, unknowns)}
     programme = ca.conic("horizon", plugin, sizes, {"osqp": TIGHT} if plugin == "osqp" else {})
-    given, v = {name: np.zeros(programme.numel_in(name)) for name in programme.name_in()}, np.zeros(unknowns)
+    given, v = (
+        {name: np.zeros(programme.numel_in(name)) for name in programme.name_in()},
+        np.zeros(unknowns),
+    )
     given["lbx"][:], given["ubx"][:] = -np.inf, np.inf
     buffer, evaluate = programme.buffer()  # without it, conversions take longer than the solution
     for i, part in enumerate(given.values()):
@@ -62,7 +72,9 @@ def solver(plugin: str, unknowns: int, rows: int) -> Solver:
             evaluate()
         except RuntimeError:  # not solved, or not numbers any more
             return None
-        solved = buffer.ret() == 0 and bool(np.isfinite(v).all())  # which also keeps the buffer alive
+        solved = buffer.ret() == 0 and bool(
+            np.isfinite(v).all()
+        )  # which also keeps the buffer alive
         return v.copy() if solved else None
 
     return solve
@@ -95,18 +107,43 @@ def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
         x[:, known + j * m : known + (j + 1) * m] += window.G[j]
         xs.append(x)
         rests.append(rest)
-    z, z_rest = window.C @ np.stack(xs), (window.C @ np.stack(rests)[:, :, None])[:, :, 0] + window.offset
+    z, z_rest = (
+        window.C @ np.stack(xs),
+        (window.C @ np.stack(rests)[:, :, None])[:, :, 0] + window.offset,
+    )
     d, d_rest = root[n:], window.mean[0, n:]
     # What z is beyond either edge: M v + b, nodes x p rows.
     right, right_rest = (z - d[:p]).reshape(-1, unknowns), (z_rest - d_rest[:p]).ravel()
     left, left_rest = (z + d[p:]).reshape(-1, unknowns), (z_rest + d_rest[p:]).ravel()
-    y, side, silent = window.y.ravel(), window.side.ravel(), ((window.side == 0) & (window.seen > 0)).ravel()
+    y, side, silent = (
+        window.y.ravel(),
+        window.side.ravel(),
+        ((window.side == 0) & (window.seen > 0)).ravel(),
+    )
     noise, slack, gate = (np.tile(part, nodes) for part in weights[:3])
     active, rightward = side != 0, (side > 0)[:, None]
     M = (np.where(rightward, right, left) / noise[:, None])[active]
     b = ((y - np.where(side > 0, right_rest, left_rest)) / noise)[active]
     violation = np.hstack([np.zeros((nodes * p, shaken)), np.diag(slack)])
-    low = np.concatenate([np.full(nodes * p, -np.inf), np.where(silent, -gate - left_rest, -np.inf), weights.ranges[:, 0] - d_rest])
-    high = np.concatenate([np.where(silent, gate - right_rest, np.inf), np.full(nodes * p, np.inf), weights.ranges[:, 1] - d_rest])
-    v = solve(np.eye(unknowns) + M.T @ M, -M.T @ b, np.vstack([right - violation, left + violation, d]), low, high)
+    low = np.concatenate(
+        [
+            np.full(nodes * p, -np.inf),
+            np.where(silent, -gate - left_rest, -np.inf),
+            weights.ranges[:, 0] - d_rest,
+        ]
+    )
+    high = np.concatenate(
+        [
+            np.where(silent, gate - right_rest, np.inf),
+            np.full(nodes * p, np.inf),
+            weights.ranges[:, 1] - d_rest,
+        ]
+    )
+    v = solve(
+        np.eye(unknowns) + M.T @ M,
+        -M.T @ b,
+        np.vstack([right - violation, left + violation, d]),
+        low,
+        high,
+    )
     return None if v is None else np.concatenate([xs[-1] @ v + rests[-1], d @ v + d_rest])

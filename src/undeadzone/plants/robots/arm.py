@@ -69,8 +69,14 @@ def arm(chain: Chain, rest: float = 0.05) -> Arm:
     """The arm of a chain; rest: speed [rad/s] below which Coulomb friction fades, f v / sqrt(v^2 + rest^2)."""
     N = len(chain.joints)
     viscous, coulomb = ([f"{letter}{i + 1}" for i in range(N)] for letter in "bf")
-    parameters = chain.parameters | {"payload": 0.0} | dict(zip([*viscous, *coulomb], chain.friction.ravel(), strict=True))
-    params, q, v = (ca.SX.sym(name, size) for name, size in (("p", len(parameters)), ("q", N), ("v", N)))
+    parameters = (
+        chain.parameters
+        | {"payload": 0.0}
+        | dict(zip([*viscous, *coulomb], chain.friction.ravel(), strict=True))
+    )
+    params, q, v = (
+        ca.SX.sym(name, size) for name, size in (("p", len(parameters)), ("q", N), ("v", N))
+    )
     given = dict(zip(parameters, ca.vertsplit(params), strict=True))
     points = chain.points(given, q)
     tip = points[-1, :].T
@@ -87,7 +93,9 @@ def arm(chain: Chain, rest: float = 0.05) -> Arm:
         tuple(parameters),
         np.array(list(parameters.values()), float),
         function("mass", [q], chain.mass(given, q) + load * J.T @ J),
-        function("bias", [q, v], chain.bias(given, q, v) + load * J.T @ (swing - chain.gravity(given))),
+        function(
+            "bias", [q, v], chain.bias(given, q, v) + load * J.T @ (swing - chain.gravity(given))
+        ),
         function("friction", [v], b * v + f * v / ca.sqrt(v**2 + rest**2)),
         function("points", [q], points),
         function("turn", [q], chain.turn(given, q)),
@@ -123,8 +131,12 @@ def numbers(names: tuple[str, ...], values: Floats, given: Mapping[str, float], 
     for name in given:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
-            raise InputError(f"{key}.parameters.{name}: unknown; {f'did you mean {near[0]!r}? ' if near else ''}this arm has {', '.join(names)}")
-    found = dict(zip(names, values, strict=True)) | {name: scalar(f"{key}.parameters.{name}", value) for name, value in given.items()}
+            raise InputError(
+                f"{key}.parameters.{name}: unknown; {f'did you mean {near[0]!r}? ' if near else ''}this arm has {', '.join(names)}"
+            )
+    found = dict(zip(names, values, strict=True)) | {
+        name: scalar(f"{key}.parameters.{name}", value) for name, value in given.items()
+    }
     for name, value in found.items():
         if value < 0 and signless(name):
             raise InputError(f"{key}.parameters.{name}: must not be negative, found {value:g}")

@@ -35,12 +35,30 @@ def robot(plant: Plant, given: ArmOptions, key: str) -> System:
     def output(p: Any, x: Any) -> Any:
         return x[:N] - offset if given.measured == "position" else x[N:]
 
-    q0 = np.zeros(N) if plant.x0 is None else vector(f"{key}.x0", plant.x0, 2 * N, "the angle of each joint, then its speed")[:N]
-    x_eq = np.append(q0, np.zeros(N)) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, 2 * N, "one per state")
+    q0 = (
+        np.zeros(N)
+        if plant.x0 is None
+        else vector(f"{key}.x0", plant.x0, 2 * N, "the angle of each joint, then its speed")[:N]
+    )
+    x_eq = (
+        np.append(q0, np.zeros(N))
+        if plant.x_eq is None
+        else vector(f"{key}.x_eq", plant.x_eq, 2 * N, "one per state")
+    )
     gravity = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
     u_eq = gravity if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
     linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(params, move, output, linear, nonlinear=True, arm=body, flat=flat(body), limit=chain.torque, names=body.names)
+    return System(
+        params,
+        move,
+        output,
+        linear,
+        nonlinear=True,
+        arm=body,
+        flat=flat(body),
+        limit=chain.torque,
+        names=body.names,
+    )
 
 
 def flat(body: Arm) -> Flat:
@@ -59,7 +77,9 @@ def _chain(given: Rigid, plant: Plant, key: str) -> Chain:
 
         return urdf.chain(given.path, given.joints, given.tip, given.gravity)
     chain = planar.one_link() if isinstance(given, OneLink) else planar.two_link()
-    planar.check({name: plant.parameters.get(name, value) for name, value in chain.parameters.items()}, key)
+    planar.check(
+        {name: plant.parameters.get(name, value) for name, value in chain.parameters.items()}, key
+    )
     return chain
 
 
@@ -67,13 +87,19 @@ def _limited(given: Rigid, chain: Chain, key: str) -> Chain:
     """The chain with the limits that the scenario gives in place of its own."""
     N = len(chain.joints)
     if given.torque_max is not None:
-        chain = chain._replace(torque=positive(f"{key}.arm.torque_max", given.torque_max, N, "one per joint"))
+        chain = chain._replace(
+            torque=positive(f"{key}.arm.torque_max", given.torque_max, N, "one per joint")
+        )
     if given.limits is not None:
         limits = array(f"{key}.arm.limits", given.limits)
         if limits.shape not in ((2,), (N, 2)):
-            raise ShapeError(f"{key}.arm.limits: expected [lo, hi], or one per joint ({N} x 2), found {' x '.join(map(str, limits.shape)) or 'one number'}")
+            raise ShapeError(
+                f"{key}.arm.limits: expected [lo, hi], or one per joint ({N} x 2), found {' x '.join(map(str, limits.shape)) or 'one number'}"
+            )
         if (limits[..., 0] >= limits[..., 1]).any():
-            raise InputError(f"{key}.arm.limits: a range [lo, hi] must have lo < hi, found {limits.tolist()}")
+            raise InputError(
+                f"{key}.arm.limits: a range [lo, hi] must have lo < hi, found {limits.tolist()}"
+            )
         chain = chain._replace(limits=np.broadcast_to(limits, (N, 2)))
     return chain
 
@@ -82,9 +108,13 @@ def _stops(given: Rigid, chain: Chain, key: str) -> Any:
     """The torque (N) of the mechanical stops, a function of q and v."""
     if given.stops is None:
         return lambda q, v: 0.0
-    stiffness, damping = (scalar(f"{key}.arm.stops[{i}]", value, least=0.0) for i, value in enumerate(given.stops))
+    stiffness, damping = (
+        scalar(f"{key}.arm.stops[{i}]", value, least=0.0) for i, value in enumerate(given.stops)
+    )
     if not np.isfinite(chain.limits).any():
-        raise InputError(f"{key}.arm.stops: they stand where the joints' limits are, and these have none; give {key}.arm.limits")
+        raise InputError(
+            f"{key}.arm.stops: they stand where the joints' limits are, and these have none; give {key}.arm.limits"
+        )
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
 
     def hold(q: Any, v: Any) -> Any:
@@ -100,4 +130,6 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
             found = f"eigenvalues {values[0]:.3g} to {values[-1]:.3g}"
-            raise InputError(f"{key}.parameters: the arm's mass matrix is singular or negative ({found}): give every link mass and inertia")
+            raise InputError(
+                f"{key}.parameters: the arm's mass matrix is singular or negative ({found}): give every link mass and inertia"
+            )

@@ -52,10 +52,17 @@ def elastic(plant: Plant, given: ElasticJoint, key: str = "plant") -> System:
     Raises InputError, ShapeError that name the key.
     """
     body = arm(joint(), scalar(f"{key}.arm.rest", given.rest, above=0.0))
-    planar.check({name: plant.parameters.get(name, value) for name, value in body.chain.parameters.items()}, key)
+    planar.check(
+        {name: plant.parameters.get(name, value) for name, value in body.chain.parameters.items()},
+        key,
+    )
     params = numbers(body.names, body.values, plant.parameters, key)
     offset = scalar(f"{key}.arm.reference", given.reference)
-    limit = np.inf if given.torque_max is None else scalar(f"{key}.arm.torque_max", given.torque_max, above=0.0)
+    limit = (
+        np.inf
+        if given.torque_max is None
+        else scalar(f"{key}.arm.torque_max", given.torque_max, above=0.0)
+    )
 
     def move(p: Any, x: Any, u: Any) -> Any:
         q, v = x[:2], x[2:]
@@ -66,12 +73,28 @@ def elastic(plant: Plant, given: ElasticJoint, key: str = "plant") -> System:
 
     solve = _inverse(body)
     at = "x0" if plant.x_eq is None else "x_eq"
-    x = np.zeros(4) if getattr(plant, at) is None else vector(f"{key}.{at}", getattr(plant, at), 4, "the angles of motor and link, then their speeds")
+    x = (
+        np.zeros(4)
+        if getattr(plant, at) is None
+        else vector(
+            f"{key}.{at}", getattr(plant, at), 4, "the angles of motor and link, then their speeds"
+        )
+    )
     still, hold = (np.asarray(part).ravel() for part in solve(params, x[1] * np.eye(1, 5)))
     x_eq = x if at == "x_eq" else still
     u_eq = hold if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, 1, "one per input")
     linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(params, move, output, linear, nonlinear=True, arm=body, flat=Flat(4, solve), limit=np.array([limit]), names=body.names)
+    return System(
+        params,
+        move,
+        output,
+        linear,
+        nonlinear=True,
+        arm=body,
+        flat=Flat(4, solve),
+        limit=np.array([limit]),
+        names=body.names,
+    )
 
 
 def _inverse(body: Arm) -> ca.Function:

@@ -9,7 +9,10 @@ import numpy as np
 from undeadzone.plants.robots.urdf_file import Body, Joint, Robot
 from undeadzone.support.arrays import Floats
 
-ZERO, ONE = 1e-11, 1e-15  # entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost products in every step
+ZERO, ONE = (
+    1e-11,
+    1e-15,
+)  # entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost products in every step
 
 
 class Frames(NamedTuple):
@@ -42,8 +45,12 @@ def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
         place, turn = poses[link]
         before = [joint.name for joint in robot.way(link) if joint.name in groups]
         if before:
-            groups[before[-1]].append(Body(body.mass, place + turn @ body.centre, turn @ body.inertia @ turn.T))
-    return Frames(axes, origins, np.array(anchors), [_joined(group) for group in groups.values()], *poses[tip])
+            groups[before[-1]].append(
+                Body(body.mass, place + turn @ body.centre, turn @ body.inertia @ turn.T)
+            )
+    return Frames(
+        axes, origins, np.array(anchors), [_joined(group) for group in groups.values()], *poses[tip]
+    )
 
 
 def _pose(way: list[Joint]) -> tuple[Floats, Floats]:

@@ -25,15 +25,21 @@ class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     rest: float = 0.05
 
 
-class OneLink(Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="one_link"):
+class OneLink(
+    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="one_link"
+):
     """One link in a plane; q from the x axis, gravity along -y (g = 0: a horizontal table)."""
 
 
-class TwoLink(Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="two_link"):
+class TwoLink(
+    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="two_link"
+):
     """Two links in a plane; q1 from the x axis, q2 from the first link, gravity along -y (g = 0: a horizontal table)."""
 
 
-class URDF(Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="urdf"):
+class URDF(
+    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="urdf"
+):
     """A serial arm from a URDF file (path relative to the scenario's); needs the extra `robots`.
 
     joints: those that move (default: all from the base to `tip`; the others stay at 0); tip: a link (default: the last one);
@@ -46,7 +52,14 @@ class URDF(Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fie
     gravity: Array = (0.0, 0.0, -9.81)
 
 
-class ElasticJoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="elastic_joint"):
+class ElasticJoint(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    tag="elastic_joint",
+):
     """A motor that moves a link through a spring, one of them measured (Spong 1987): its angle less `reference` [rad].
 
     torque_max [N m] of the motor; rest: speed [rad/s] below which Coulomb friction f v / sqrt(v^2 + rest^2) fades.

@@ -49,9 +49,21 @@ def two_link() -> Chain:
         swing = p["m2"] * p["l1"] * p["c2"] * ca.sin(q[1])
         outer = p["m2"] * p["c2"] * p["g"] * ca.cos(q[0] + q[1])
         inner = (p["m1"] * p["c1"] + p["m2"] * p["l1"]) * p["g"] * ca.cos(q[0])
-        return ca.vertcat(inner + outer - swing * v[1] * (2 * v[0] + v[1]), outer + swing * v[0] ** 2)
+        return ca.vertcat(
+            inner + outer - swing * v[1] * (2 * v[0] + v[1]), outer + swing * v[0] ** 2
+        )
 
-    numbers = {"m1": 3.0, "m2": 2.0, "l1": 0.4, "l2": 0.3, "c1": 0.2, "c2": 0.15, "I1": 0.04, "I2": 0.015, "g": 9.81}
+    numbers = {
+        "m1": 3.0,
+        "m2": 2.0,
+        "l1": 0.4,
+        "l2": 0.3,
+        "c1": 0.2,
+        "c2": 0.15,
+        "I1": 0.04,
+        "I2": 0.015,
+        "g": 9.81,
+    }
     return _chain(numbers, ("l1", "l2"), mass, bias)
 
 
@@ -64,7 +76,12 @@ def check(parameters: Mapping[str, float], key: str = "plant") -> None:
         scalar(f"{key}.parameters.{name}", value, above=0.0 if name[0] in POSITIVE else None)
 
 
-def _chain(parameters: dict[str, float], lengths: tuple[str, ...], mass: Callable[[Numbers, Any], Any], bias: Callable[[Numbers, Any, Any], Any]) -> Chain:
+def _chain(
+    parameters: dict[str, float],
+    lengths: tuple[str, ...],
+    mass: Callable[[Numbers, Any], Any],
+    bias: Callable[[Numbers, Any, Any], Any],
+) -> Chain:
     N = len(lengths)
 
     def points(p: Numbers, q: Any) -> Any:
@@ -74,11 +91,26 @@ def _chain(parameters: dict[str, float], lengths: tuple[str, ...], mass: Callabl
 
     def turn(p: Numbers, q: Any) -> Any:
         angle = ca.sum1(q)
-        return ca.blockcat([[ca.cos(angle), -ca.sin(angle), 0], [ca.sin(angle), ca.cos(angle), 0], [0, 0, 1]])
+        return ca.blockcat(
+            [[ca.cos(angle), -ca.sin(angle), 0], [ca.sin(angle), ca.cos(angle), 0], [0, 0, 1]]
+        )
 
     def gravity(p: Numbers) -> Any:
         return ca.vertcat(0, -p["g"], 0)
 
     names = tuple(f"q{i + 1}" for i in range(N))
     free = np.full(N, np.inf)
-    return Chain(names, parameters, mass, bias, points, turn, gravity, (0, 1), np.outer(free, [-1, 1]), free, free, np.zeros((2, N)))
+    return Chain(
+        names,
+        parameters,
+        mass,
+        bias,
+        points,
+        turn,
+        gravity,
+        (0, 1),
+        np.outer(free, [-1, 1]),
+        free,
+        free,
+        np.zeros((2, N)),
+    )

@@ -88,7 +88,11 @@ def rotation(roll: float, pitch: float, yaw: float) -> Floats:
     """Rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y, then z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(
-        [[cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx], [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx], [-sy, cy * sx, cy * cx]]
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
     )
 
 
@@ -99,7 +103,10 @@ def _robot(root: Element) -> Robot:
         raise ValueError("holds xacro macros: expand them first (xacro arm.xacro > arm.urdf)")
     links = {_name(element): _body(element) for element in root.findall("link")}
     joints = [_joint(element) for element in root.findall("joint")]
-    for what, found, unique in (("link", root.findall("link"), links), ("joint", joints, {joint.name for joint in joints})):
+    for what, found, unique in (
+        ("link", root.findall("link"), links),
+        ("joint", joints, {joint.name for joint in joints}),
+    ):
         if len(found) != len(unique):
             raise ValueError(f"two {what}s have the same name")
     for joint in joints:
@@ -109,7 +116,9 @@ def _robot(root: Element) -> Robot:
     children = [joint.child for joint in joints]
     twice = sorted({child for child in children if children.count(child) > 1})
     if twice:
-        raise ValueError(f"link {twice[0]} has two parents (a closed loop): the arm must be a serial chain")
+        raise ValueError(
+            f"link {twice[0]} has two parents (a closed loop): the arm must be a serial chain"
+        )
     bases = [link for link in links if link not in children]
     if len(bases) != 1:
         raise ValueError(f"expected one base link, found {', '.join(bases) or 'none'}")
@@ -117,7 +126,9 @@ def _robot(root: Element) -> Robot:
     for link in reached:
         reached.extend(joint.child for joint in joints if joint.parent == link)
     if len(reached) < len(links):
-        raise ValueError(f"link {next(link for link in links if link not in reached)} is not connected to the base {bases[0]}")
+        raise ValueError(
+            f"link {next(link for link in links if link not in reached)} is not connected to the base {bases[0]}"
+        )
     return Robot(links, joints)
 
 
@@ -128,26 +139,49 @@ def _joint(element: Element) -> Joint:
         raise ValueError(
             f"{where}: type must be fixed, {', '.join(MOVABLE)}, found {kind!r}; the base must be fixed, and each joint turn or slide along one axis"
         )
-    (parent, child), (limit, dynamics, mimic) = ((element.find(tag) for tag in tags) for tags in (("parent", "child"), ("limit", "dynamics", "mimic")))
+    (parent, child), (limit, dynamics, mimic) = (
+        (element.find(tag) for tag in tags)
+        for tags in (("parent", "child"), ("limit", "dynamics", "mimic"))
+    )
     if parent is None or child is None:
         raise ValueError(f"{where}: needs <parent link=...> and <child link=...>")
     axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     if not (length := np.linalg.norm(axis)) > 0 and kind != "fixed":
         raise ValueError(f"{where}: its axis is zero")
     free = kind == "continuous"
-    lower, upper = (_number(None if free else limit, side, sign * math.inf, where) for side, sign in (("lower", -1), ("upper", 1)))
+    lower, upper = (
+        _number(None if free else limit, side, sign * math.inf, where)
+        for side, sign in (("lower", -1), ("upper", 1))
+    )
     effort, velocity = (_number(limit, side, math.inf, where) for side in ("effort", "velocity"))
     friction = _number(dynamics, "damping", 0.0, where), _number(dynamics, "friction", 0.0, where)
     if kind != "fixed" and not lower < upper:
-        raise ValueError(f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; remove both where there is no limit")
+        raise ValueError(
+            f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; remove both where there is no limit"
+        )
     if kind != "fixed" and not min(effort, velocity) > 0:
-        raise ValueError(f"{where}: limit effort and velocity must be positive, found {effort:g} and {velocity:g}; remove them where there is no limit")
+        raise ValueError(
+            f"{where}: limit effort and velocity must be positive, found {effort:g} and {velocity:g}; remove them where there is no limit"
+        )
     if min(friction) < 0:
-        raise ValueError(f"{where}: damping and friction must not be negative, found {friction[0]:g} and {friction[1]:g}")
+        raise ValueError(
+            f"{where}: damping and friction must not be negative, found {friction[0]:g} and {friction[1]:g}"
+        )
     mimics = None if mimic is None else mimic.get("joint", "")
     place, turn = _pose(element, where)
     return Joint(
-        name, kind, parent.get("link", ""), child.get("link", ""), place, turn, axis / (length or 1), mimics, (lower, upper), effort, velocity, friction
+        name,
+        kind,
+        parent.get("link", ""),
+        child.get("link", ""),
+        place,
+        turn,
+        axis / (length or 1),
+        mimics,
+        (lower, upper),
+        effort,
+        velocity,
+        friction,
     )
 
 
@@ -157,15 +191,22 @@ def _body(element: Element) -> Body:
         return Body(0.0, np.zeros(3), np.zeros((3, 3)))
     centre, turn = _pose(inertial, where)
     mass = _number(inertial.find("mass"), "value", 0.0, where)
-    xx, xy, xz, yy, yz, zz = (_number(inertial.find("inertia"), f"i{pair}", 0.0, where) for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    xx, xy, xz, yy, yz, zz = (
+        _number(inertial.find("inertia"), f"i{pair}", 0.0, where)
+        for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
+    )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     a, b, c = np.linalg.eigvalsh(inertia)
     if mass < 0:
         raise ValueError(f"{where}: mass must not be negative, found {mass:g}")
     if a < -TRIANGLE * c:
-        raise ValueError(f"{where}: inertia must be positive definite, found the principal moments {a:g}, {b:g}, {c:g}")
+        raise ValueError(
+            f"{where}: inertia must be positive definite, found the principal moments {a:g}, {b:g}, {c:g}"
+        )
     if a + b < c * (1 - TRIANGLE):
-        raise ValueError(f"{where}: no body has the principal moments {a:g}, {b:g}, {c:g}: the largest must not exceed the sum of the others")
+        raise ValueError(
+            f"{where}: no body has the principal moments {a:g}, {b:g}, {c:g}: the largest must not exceed the sum of the others"
+        )
     return Body(mass, centre, turn @ inertia @ turn.T)
 
 
@@ -178,14 +219,18 @@ def _name(element: Element) -> str:
 def _pose(element: Element, where: str) -> tuple[Floats, Floats]:
     """<origin> as place and turn."""
     origin = element.find("origin")
-    return _numbers(origin, "xyz", (0.0, 0.0, 0.0), where), rotation(*_numbers(origin, "rpy", (0.0, 0.0, 0.0), where))
+    return _numbers(origin, "xyz", (0.0, 0.0, 0.0), where), rotation(
+        *_numbers(origin, "rpy", (0.0, 0.0, 0.0), where)
+    )
 
 
 def _number(element: Element | None, name: str, otherwise: float, where: str) -> float:
     return float(_numbers(element, name, (otherwise,), where)[0])
 
 
-def _numbers(element: Element | None, name: str, otherwise: tuple[float, ...], where: str) -> Floats:
+def _numbers(
+    element: Element | None, name: str, otherwise: tuple[float, ...], where: str
+) -> Floats:
     """Numbers of an attribute, as many as it has otherwise."""
     if element is None or (text := element.get(name)) is None:
         return np.array(otherwise)
@@ -194,5 +239,7 @@ def _numbers(element: Element | None, name: str, otherwise: tuple[float, ...], w
     except ValueError:
         found = np.empty(0)
     if found.size != len(otherwise):
-        raise ValueError(f"{where}: <{element.tag} {name}={text!r}>: expected {len(otherwise)} finite number{'s' * (len(otherwise) > 1)}")
+        raise ValueError(
+            f"{where}: <{element.tag} {name}={text!r}>: expected {len(otherwise)} finite number{'s' * (len(otherwise) > 1)}"
+        )
     return found
