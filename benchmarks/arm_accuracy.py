@@ -13,7 +13,7 @@ import numpy.typing as npt
 import undeadzone as uz
 from undeadzone.analysis.identifiability.linear import MARGIN
 from undeadzone.ensemble.bands import true_width
-from undeadzone.ensemble.batch import Fleet, prepare
+from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.statistics.intervals import Interval, proportion, quantile
@@ -38,7 +38,7 @@ class Accuracy(NamedTuple):
 
 
 @functools.cache
-def fleet(name: str, blind: bool = False) -> Fleet | None:
+def fleet(name: str, blind: bool = False) -> Batch | None:
     """The runs of an example, or of what it is compared with, None without that."""
     scenario = read(EXAMPLES / f"{name}.toml")
     scenario = msgspec.structs.replace(
@@ -85,7 +85,7 @@ def measured(name: str) -> Accuracy:
     )
 
 
-def _columns(given: Fleet) -> dict[str, Floats]:
+def _columns(given: Batch) -> dict[str, Floats]:
     runs = given.layout.runs
     return dict(
         zip(

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks import arm_accuracy
 from benchmarks.arm_work import MOVES, Move, draw, lanes_run, virtual_machine
-from undeadzone.ensemble.batch import Fleet
+from undeadzone.ensemble.batch import Batch
 
 STEPS = 100
 THREADS = (1, 2)
@@ -118,7 +118,7 @@ def simulators(move: Move, threads: int) -> list[str]:
     return rows(f"{TITLES[move]}, {threads} thread{'s' * (threads > 1)}", entries)
 
 
-def whole(fleet: Fleet, runs: int = 512) -> list[str]:
+def whole(fleet: Batch, runs: int = 512) -> list[str]:
     """The ensemble's loop with all that belongs to it, beside bare dynamics."""
     short, method = (
         fleet._replace(exogenous=fleet.exogenous[:STEPS]),

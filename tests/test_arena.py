@@ -20,7 +20,7 @@ from scenes import scene, slopes
 from undeadzone.arena import leaderboard
 from undeadzone.arena import tune as tuning
 from undeadzone.arena import tuned_file as tuned
-from undeadzone.arena.contest import hold
+from undeadzone.arena.contest import run_contest
 from undeadzone.arena.leaderboard import CAP, REFUSED, intervals, regrets
 from undeadzone.arena.methods import METHODS, catalogue, entered, middle, numbers
 from undeadzone.arena.metric import Result, Worth
@@ -600,7 +600,7 @@ def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
 
 
 def test_the_page_shows_the_numbers_of_the_contest() -> None:
-    contest = hold(
+    contest = run_contest(
         ["ekf", "kalman", "printed"],
         {"small": small(), "jump": small(sensor={"kind": "jump", "noise": 0.02})},
         (0,),

@@ -449,7 +449,7 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found, chance = gaussian.within(
+    found, chance = gaussian.truncate_to(
         gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
     )
     m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*found, chance))

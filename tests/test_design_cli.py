@@ -20,7 +20,7 @@ from scenes import PAPER, scene
 from test_report import check_page
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.convergence.falsify import Mode, generator
-from undeadzone.analysis.convergence.trajectories import Course, courses, settling
+from undeadzone.analysis.convergence.trajectories import Trajectory, trajectories, settling
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
 from undeadzone.cli.check import plain
@@ -30,7 +30,7 @@ from undeadzone.report.proof_figures import courses as courses_figure
 from undeadzone.report.proof_figures import nyquist, root_locus
 from undeadzone.report.trade_figures import ellipses
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.synthesis.assessment import Account, account, trial
+from undeadzone.synthesis.assessment import Assessment, assess, attack
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
@@ -412,11 +412,11 @@ RIGHT = {
 JUMP = {"sensor": {"kind": "jump"}}
 
 
-def counted(**changes: Any) -> Account:
-    return account(resolve_scenario(scene(**changes)))
+def counted(**changes: Any) -> Assessment:
+    return assess(resolve_scenario(scene(**changes)))
 
 
-def by_kind(drawn: list[Course]) -> dict[str, Course]:
+def by_kind(drawn: list[Trajectory]) -> dict[str, Trajectory]:
     return {course.kind: course for course in drawn}
 
 
@@ -424,7 +424,7 @@ def by_kind(drawn: list[Course]) -> dict[str, Course]:
 def test_v_never_rises_on_any_course_of_certified_gains(changes: dict[str, Any]) -> None:
     of = counted(**changes)
     assert of.gains is not None
-    tried = trial(of)
+    tried = attack(of)
     assert tried is not None
     assert not tried.attack.broken
     assert tried.cycle is None
@@ -438,7 +438,7 @@ def test_v_never_rises_on_any_course_of_certified_gains(changes: dict[str, Any])
 def test_the_reference_s_course_falls_at_the_rate() -> None:
     of = counted()
     assert of.gains is not None
-    course = courses(of.gains.dynamics, of.gains.V, of.schedule, 30.0)[-1]
+    course = trajectories(of.gains.dynamics, of.gains.V, of.schedule, 30.0)[-1]
     late = [np.interp(t, course.t, course.V) for t in (20.0, 30.0)]
     assert np.log(late[0] / late[1]) / 20 == pytest.approx(of.gains.rates.rate, rel=1e-3)
 
@@ -462,14 +462,14 @@ def test_settling_is_the_first_pass_that_suffices() -> None:
 
 def test_an_attack_and_a_cycle_are_drawn_where_there_are_any() -> None:
     of = counted(observer=POLES)
-    tried = trial(of)
+    tried = attack(of)
     assert of.gains is not None
     assert tried is not None
     assert by_kind(tried.courses)["attack"].V[-1] == pytest.approx(1 + tried.attack.rise, rel=1e-9)
     chain = counted(
         plant={"integrators": 2}, observer={"method": "certified", "L": [4.0, 4.0], "gamma": 1.0}
     )
-    grown = trial(chain)
+    grown = attack(chain)
     assert chain.gains is not None
     assert grown is not None
     assert grown.cycle is not None
@@ -540,7 +540,7 @@ def test_ellipse_or_strip() -> None:
 )
 def test_a_page_of_every_kind(changes: dict[str, Any], names: list[str]) -> None:
     of = counted(title="<b>&", **changes)
-    tried = trial(of)
+    tried = attack(of)
     assert [*figures(of, tried)] == names
     page = check_page(gains_page(of, tried, dict.fromkeys(names, b"png")))
     assert page.tags.count("img") == len(names)

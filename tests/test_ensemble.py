@@ -18,7 +18,7 @@ import pytest
 from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, small
 from undeadzone.cli import main
 from undeadzone.engine import interpret, lanes
-from undeadzone.ensemble.batch import Fleet, prepare
+from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
@@ -112,13 +112,13 @@ def named(name: str, runs: int = RUNS) -> Scenario:
     return vary(small(time, **changes), entries, runs)
 
 
-def table(fleet: Fleet, rows: Floats | None = None) -> dict[str, Floats]:
+def table(fleet: Batch, rows: Floats | None = None) -> dict[str, Floats]:
     return dict(
         zip(fleet.layout.columns, (fleet.block(0) if rows is None else rows).T, strict=True)
     )
 
 
-def finals(fleet: Fleet, steps: int) -> Floats:
+def finals(fleet: Batch, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
     given = fleet.binding.lanes(fleet.binding.draw(0, fleet.layout.runs, fleet.layout.runs))
     start, supply = fleet.started(given.states), fleet.own.supply(np.arange(fleet.layout.runs))
@@ -127,7 +127,7 @@ def finals(fleet: Fleet, steps: int) -> Floats:
     )[1]
 
 
-def metrics(run: Run, fleet: Fleet, tolerance: float) -> dict[str, float]:
+def metrics(run: Run, fleet: Batch, tolerance: float) -> dict[str, float]:
     """What the recorded signals of a run say."""
     worst = np.abs(run.z[:, fleet.problem.tracked] - run.r).max(axis=1)
     late = np.flatnonzero(worst > tolerance)

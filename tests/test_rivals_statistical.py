@@ -510,7 +510,7 @@ def test_the_live_loop_is_the_loop() -> None:
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
     ticks: list[int] = []
-    found = live.run(problem, wrapped, inputs.exogenous(problem), ticks.append)
+    found = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
     for name in ("x", "z", "y", "u", "x_hat", "z_hat", "innovation", "x_std", "width_std"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9), (

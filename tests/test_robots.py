@@ -25,7 +25,7 @@ from undeadzone.ensemble.replay import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.robots.arm import along, torque
+from undeadzone.plants.robots.arm import evaluate_rows, torque
 from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
 from undeadzone.report import animation, arm_figures
 from undeadzone.report.figures import overview
@@ -337,7 +337,9 @@ def test_the_tip_that_should_be_is_the_path(both: tuple[Run, Run]) -> None:
     assert 0 < np.arcsin(ramped[-1, 0] / 0.15) < angle
     body = resolve_scenario(two_link()).plant.arm
     assert body is not None
-    np.testing.assert_allclose(run.tip, along(body.tip, body.values, run.x[:, :2]), atol=1e-15)
+    np.testing.assert_allclose(
+        run.tip, evaluate_rows(body.tip, body.values, run.x[:, :2]), atol=1e-15
+    )
     assert run.rms_tip == pytest.approx(
         np.sqrt(np.mean(np.sum((run.tip - run.tip_r) ** 2, axis=1)))
     )

@@ -95,7 +95,7 @@ class Contest(NamedTuple):
         return write_text(json.dumps(self.summary(), indent=1, allow_nan=False), path)
 
 
-def hold(
+def run_contest(
     methods: Sequence[str] | None,
     scenarios: Mapping[str, Scenario],
     seeds: Sequence[int],

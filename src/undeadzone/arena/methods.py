@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import passive_gain
-from undeadzone.arena.prior_knowledge import UNITS, Ground, Situation, situation
+from undeadzone.arena.prior_knowledge import UNITS, Setting, PriorKnowledge, situation
 from undeadzone.arena.tuned_file import load
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
 from undeadzone.errors import InputError
@@ -68,36 +68,36 @@ class Method(NamedTuple):
     observer: Any
     knobs: Mapping[str, Knob] = NOTHING
     fixed: Mapping[str, Any] = NOTHING
-    told: Callable[[Situation, Mapping[str, float]], Options] | None = None
+    told: Callable[[PriorKnowledge, Mapping[str, float]], Options] | None = None
     controller: Any = None
     continuous: bool = False
     reference: bool = False
 
 
-def _by_speed(s: Situation, k: Mapping[str, float]) -> Options:
+def _by_speed(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
     return {"observer.L": s.gain(k["speed"])}
 
 
-def _passive(s: Situation, k: Mapping[str, float]) -> Options:
+def _passive(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
     """Any multiple of this gain is certified; there is one for stable plants only."""
     return {"observer.L": k["gain"] * passive_gain(s.model.linear, s.model.Ts)}
 
 
-def _naive(s: Situation, k: Mapping[str, float]) -> Options:
-    return {"observer.L": s.gain(NAIVE * s.tempo)}
+def _naive(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
+    return {"observer.L": s.gain(NAIVE * s.loop_rate)}
 
 
-def _deaf(s: Situation, k: Mapping[str, float]) -> Options:
+def _deaf(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
     return {"observer.L": np.zeros((s.model.n, s.model.p))}
 
 
-def _readable(s: Situation, k: Mapping[str, float]) -> Options:
+def _readable(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
     """A jump sensor leaves no width to adapt."""
     return {"observer.gamma": 0.0} if s.kind == "jump" else {}
 
 
-def _bounded(s: Situation, k: Mapping[str, float]) -> Options:
-    return {"observer.disturbance": SURELY * math.hypot(s.gusts, s.bias)}
+def _bounded(s: PriorKnowledge, k: Mapping[str, float]) -> Options:
+    return {"observer.disturbance": SURELY * math.hypot(s.disturbance_rms, s.bias)}
 
 
 NAIVE: Final = 2.0  # poles of the naive observer, in those of the closed loop
@@ -204,7 +204,7 @@ def middle(method: Method) -> dict[str, float]:
     return {address: math.sqrt(knob.low * knob.high) for address, knob in method.knobs.items()}
 
 
-def entered(method: Method, ground: Ground, numbers: Mapping[str, float] = NOTHING) -> Scenario:
+def entered(method: Method, ground: Setting, numbers: Mapping[str, float] = NOTHING) -> Scenario:
     """The scenario with a method in the place of its observer, and of its controller if it has its own. Raises InputError and its kinds."""
     if method.continuous and ground.scenario.simulation.time == "sampled":
         simulation = msgspec.structs.replace(ground.scenario.simulation, time="continuous")
@@ -226,7 +226,7 @@ def entered(method: Method, ground: Ground, numbers: Mapping[str, float] = NOTHI
     )
 
 
-def _options(kind: Any, part: str, s: Situation, given: Mapping[str, Any]) -> Any:
+def _options(kind: Any, part: str, s: PriorKnowledge, given: Mapping[str, Any]) -> Any:
     """The options of a part: what is declared, by the names that they have for it, then what is given by address."""
     names = {field.name for field in msgspec.structs.fields(kind)}
     own = {
@@ -239,7 +239,7 @@ def _options(kind: Any, part: str, s: Situation, given: Mapping[str, Any]) -> An
     )
 
 
-def _declared(part: str, names: set[str], s: Situation) -> Options:
+def _declared(part: str, names: set[str], s: PriorKnowledge) -> Options:
     p = s.model.p
     claims = {
         name: value

@@ -26,11 +26,11 @@ MARGIN: Final = 1.2  # beyond what the reference asks for
 SWING: Final = 0.5  # rms, in largest widths, by which a disturbance of which nothing is declared moves z in a quarter period
 
 
-class Situation(NamedTuple):
+class PriorKnowledge(NamedTuple):
     """kind: of the sensor; declared; model: sampled if the simulation is; widths: declared ranges of all d_r, then all d_l (2p x 2) [z].
 
     reach: how far |z|, |z'|, ... may go, from the reference and the widths (relative degree) [z, z/s, ...].
-    tempo: geometric mean of the closed loop's poles [1/s].
+    loop_rate: geometric mean of the closed loop's poles [1/s].
     """
 
     kind: str
@@ -38,7 +38,7 @@ class Situation(NamedTuple):
     model: System
     widths: Floats
     reach: Floats
-    tempo: float
+    loop_rate: float
 
     @property
     def width(self) -> float:
@@ -78,7 +78,7 @@ class Situation(NamedTuple):
         return 0.0 if self.declared.bias is None else float(np.max(self.declared.bias))
 
     @property
-    def gusts(self) -> float:
+    def disturbance_rms(self) -> float:
         """The rms of the input disturbance [u]."""
         if self.declared.disturbance is not None:
             return float(np.max(self.declared.disturbance))
@@ -89,7 +89,7 @@ class Situation(NamedTuple):
     @property
     def white(self) -> float:
         """The rms of a disturbance that is new at every sample and moves the state as far as bias and gusts do [u]."""
-        return math.hypot(self.gusts, self.bias) * math.sqrt(
+        return math.hypot(self.disturbance_rms, self.bias) * math.sqrt(
             2 * self.correlation / (self.model.Ts or self.correlation)
         )
 
@@ -98,7 +98,7 @@ class Situation(NamedTuple):
         return fast_gain(self.model.linear, speed, self.model.Ts) / (self.model.Ts or 1.0)
 
 
-UNITS: Final[Mapping[str, Callable[[Situation], float]]] = MappingProxyType(
+UNITS: Final[Mapping[str, Callable[[PriorKnowledge], float]]] = MappingProxyType(
     {
         "1": lambda s: 1.0,
         "1/s": lambda s: s.pole,
@@ -107,33 +107,33 @@ UNITS: Final[Mapping[str, Callable[[Situation], float]]] = MappingProxyType(
         "1/s^2": lambda s: s.pole**2,
         "z/s": lambda s: s.width * s.pole,
         "z/s^n": lambda s: s.width * s.pole ** (s.model.n / s.model.p),
-        "u": lambda s: math.hypot(s.gusts, s.bias),
+        "u": lambda s: math.hypot(s.disturbance_rms, s.bias),
         "white u": lambda s: s.white,
     }
 )
 
 
-class Ground(NamedTuple):
+class Setting(NamedTuple):
     """A scenario, and what may be known of it."""
 
     scenario: Scenario
-    known: Situation
+    known: PriorKnowledge
 
 
-def situation(scenario: Scenario) -> Ground:
+def situation(scenario: Scenario) -> Setting:
     """What is known of a scenario. Raises InputError and its kinds."""
     problem = resolve_scenario(scenario)
     given = declaration(scenario)
     widths = ranges(given.right, given.left, problem.model.p)
-    return Ground(
+    return Setting(
         scenario,
-        Situation(
+        PriorKnowledge(
             scenario.sensor.kind,
             given,
             problem.model,
             widths,
             _reach(problem, float(widths.max())),
-            _tempo(problem),
+            _loop_rate(problem),
         ),
     )
 
@@ -169,7 +169,7 @@ def _reach(problem: Problem, width: float) -> Floats:
     return MARGIN * found + width * (np.arange(order) == 0)
 
 
-def _tempo(problem: Problem) -> float:
+def _loop_rate(problem: Problem) -> float:
     """Of the poles of A - B K; ten times the plant's fastest where the controller has no K."""
     K: Any = getattr(problem.controller.params, "K", None)
     if K is None:

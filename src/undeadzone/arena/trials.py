@@ -16,7 +16,7 @@ from undeadzone.arena.leaderboard import FRAME
 from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, entered, require
 from undeadzone.arena.methods import numbers as built_in
 from undeadzone.arena.metric import Result, worth
-from undeadzone.arena.prior_knowledge import Ground, situation
+from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of
 from undeadzone.engine import interpret
 from undeadzone.errors import UndeadzoneError
@@ -35,7 +35,7 @@ def trial(
     name: str,
     method: Method,
     title: str,
-    ground: Ground,
+    ground: Setting,
     seeds: Sequence[int],
     numbers: Mapping[str, float] = NOTHING,
 ) -> list[Result]:
@@ -71,7 +71,7 @@ def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[tuple[Outputs, Flo
             seeded = problem._replace(
                 scenario=msgspec.structs.replace(problem.scenario, simulation=simulation)
             )
-            out = live.run(seeded, observer, exogenous)
+            out = live.run_sample_by_sample(seeded, observer, exogenous)
         else:
             assert loop is not None
             state = tree.pack(loop.state._replace(plant=problem.x0))

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.arena.leaderboard import CAP, FRAME, regrets
 from undeadzone.arena.methods import Method, catalogue, middle
 from undeadzone.arena.metric import Result
-from undeadzone.arena.prior_knowledge import Ground, situation
+from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.trials import trial
 from undeadzone.arena.tuned_file import Found, Tuned
 from undeadzone.numerics.optimise import evolve
@@ -118,7 +118,7 @@ def best(
 
 def mean_regret(
     method: Method,
-    grounds: Mapping[str, Ground],
+    grounds: Mapping[str, Setting],
     frame: list[Result],
     seeds: Sequence[int],
     numbers: Mapping[str, float],

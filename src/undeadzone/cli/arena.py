@@ -114,12 +114,12 @@ def _held(
     tuned: Path | None,
     processes: int | None,
 ) -> Contest:
-    from undeadzone.arena.contest import hold
+    from undeadzone.arena.contest import run_contest
     from undeadzone.arena.methods import catalogue, numbers
 
     runs = len(grounds) * len(seeds) * (len(catalogue()) if names is None else len(names) + 2)
     with progress("arena", runs, "runs") as advance:
-        return hold(names, grounds, seeds, numbers(tuned), processes, advance)
+        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance)
 
 
 def _tune(

@@ -33,12 +33,12 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     from undeadzone.scenario.problem import resolve_scenario
     from undeadzone.scenario.reader import read
     from undeadzone.support.files import write_text
-    from undeadzone.synthesis.assessment import account, trial
+    from undeadzone.synthesis.assessment import assess, attack
     from undeadzone.synthesis.check import summary as told
 
     problem = read(scenario)
     with progress("judging", None) as advance:
-        of = account(resolve_scenario(problem))
+        of = assess(resolve_scenario(problem))
         near = None if of.gains is None else of.gains.nearest
         summary = told(of) | {"nearest": None if near is None else in_numbers(near)}
         folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-check")
@@ -48,7 +48,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
         if folder is not None and not no_figures:
             from undeadzone.report.gains_page import write_gains
 
-            tried = trial(of)
+            tried = attack(of)
             advance(1)
             written += write_gains(of, tried, folder)
     if as_json:

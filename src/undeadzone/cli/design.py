@@ -165,10 +165,10 @@ def write(found: Design, scenario: Scenario, folder: Path, figures: bool) -> lis
     if figures:
         from undeadzone.report.gains_page import write_gains
         from undeadzone.scenario.problem import resolve_scenario
-        from undeadzone.synthesis.assessment import account, trial
+        from undeadzone.synthesis.assessment import assess, attack
 
-        of = account(resolve_scenario(scenario))
-        written += write_gains(of, trial(of, found.seed), folder, found)
+        of = assess(resolve_scenario(scenario))
+        written += write_gains(of, attack(of, found.seed), folder, found)
     return written
 
 

@@ -15,7 +15,7 @@ import click
 from undeadzone.errors import FileError
 
 if TYPE_CHECKING:
-    from undeadzone.simulation.online import Live
+    from undeadzone.simulation.online import OnlineEstimate
 
 NAMES = (
     "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
@@ -98,18 +98,18 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _header(live: Live) -> list[str]:
+def _header(live: OnlineEstimate) -> list[str]:
     return [
         "t",
         *(f"{name}[{i}]" for name, part in zip(NAMES, live, strict=True) for i in range(part.size)),
     ]
 
 
-def _flat(live: Live) -> list[float]:
+def _flat(live: OnlineEstimate) -> list[float]:
     return [float(value) for part in live for value in part]
 
 
-def _json(time: float, live: Live) -> str:
+def _json(time: float, live: OnlineEstimate) -> str:
     return json.dumps(
         {"t": time}
         | {name: part.tolist() for name, part in zip(NAMES, live, strict=True) if part.size}

@@ -43,7 +43,7 @@ def bands(
 
 
 def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
-    """The true width of an edge such as `right[0]`: a number, or a column where it varies, in whatever words (`columns.Column`)."""
+    """The true width of an edge such as `right[0]`: a number, or a column where it varies, in whatever words (`uncertain.UncertainNumber`)."""
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")
         if any(matching(part, [f"sensor.{name}"]) for part in address.split(" + ")):

@@ -14,7 +14,7 @@ from undeadzone.ensemble import metrics
 from undeadzone.ensemble.binding import Binding, Lanes
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.ensemble.metrics import Measured, Tally
-from undeadzone.ensemble.run_noise import Drawn, drawn
+from undeadzone.ensemble.run_noise import RunNoise, drawn
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -28,7 +28,7 @@ from undeadzone.support.arrays import Floats, Integers
 BLOCK = 16 * lanes.WIDTH  # runs that are computed, and kept, together
 
 
-class Fleet(NamedTuple):
+class Batch(NamedTuple):
     """The runs of a scenario, ready to be computed: a `Job`.
 
     kernel: the loop with its metrics, compiled; exogenous: what all runs share, with time [s] and tail; params: nominal,
@@ -43,7 +43,7 @@ class Fleet(NamedTuple):
     kernel: lanes.Kernel
     exogenous: Floats
     params: Floats
-    own: Drawn
+    own: RunNoise
     tail: int
 
     def block(self, index: int, threads: int | None = None) -> Floats:
@@ -85,7 +85,7 @@ class Fleet(NamedTuple):
         return np.hstack([states, np.zeros((len(states), tree.size(self.measured.tally)))])
 
 
-def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
+def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     """The runs of a scenario's [ensemble]; moved: packed params that each lane has for itself though they do not vary. Raises InputError and its kinds."""
     problem = resolve_scenario(scenario)
     loop = closed(problem)
@@ -114,7 +114,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Fleet:
     exogenous = np.column_stack([shared, t, tail])
     digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
     layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})
-    return Fleet(
+    return Batch(
         layout, problem, loop, binding, measured, kernel, exogenous, params, own, int(tail.sum())
     )
 

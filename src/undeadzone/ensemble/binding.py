@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.ensemble.addresses import quantities
-from undeadzone.ensemble.uncertain import Column, columns
+from undeadzone.ensemble.uncertain import UncertainNumber, columns
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, graph_of
 from undeadzone.linear import batched_hold as hold
@@ -58,7 +58,7 @@ class Binding(NamedTuple):
     the params that it starts from), where that one differs.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[UncertainNumber, ...]
     sampling: str
     seed: int
     state: Floats

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.bands import Bands, bands
-from undeadzone.ensemble.batch import Fleet
+from undeadzone.ensemble.batch import Batch
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.collect import collect
@@ -25,7 +25,7 @@ from undeadzone.support.arrays import Floats, Integers
 POINTS = 1000  # samples of a recorded trajectory, or a few more
 
 
-def replay(fleet: Fleet, run: int) -> Run:
+def replay(fleet: Batch, run: int) -> Run:
     """Run number `run` with all its signals. Raises InputError."""
     if not 0 <= run < fleet.layout.runs:
         raise InputError(f"run {run}: this ensemble has runs 0 to {fleet.layout.runs - 1}")
@@ -39,7 +39,7 @@ def replay(fleet: Fleet, run: int) -> Run:
     )
 
 
-def recorded_bands(fleet: Fleet, runs: int, threads: int | None = None) -> Bands:
+def recorded_bands(fleet: Batch, runs: int, threads: int | None = None) -> Bands:
     """The bands of the first `runs` runs."""
     p = fleet.problem.plant.p
     values = fleet.binding.draw(0, runs, fleet.layout.runs)
@@ -60,7 +60,7 @@ def recorded_bands(fleet: Fleet, runs: int, threads: int | None = None) -> Bands
 
 
 def _recorded(
-    fleet: Fleet,
+    fleet: Batch,
     runs: Integers,
     values: Floats,
     outputs: list[int],
@@ -120,7 +120,7 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))
 
 
-def _problem(fleet: Fleet, values: Floats, what: str) -> Problem:
+def _problem(fleet: Batch, values: Floats, what: str) -> Problem:
     """The problem as one run had it: its sensor and the size of its reference."""
     numbers: Params = tree.rebuild(
         fleet.loop.params, _unpacked(fleet.loop.params, fleet.binding.packed(values)[1])

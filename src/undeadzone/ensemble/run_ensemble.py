@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import undeadzone
-from undeadzone.ensemble.batch import Fleet, prepare
+from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.blocks import run_blocks as execute
 from undeadzone.ensemble.blocks import table_file as storage
 from undeadzone.ensemble.blocks.journal import Store
@@ -97,7 +97,7 @@ def deviation(result: Ensemble, run: int) -> float:
     return float(np.nan_to_num(size, nan=np.inf, posinf=np.inf).max(initial=0.0))
 
 
-def _finished(path: Path, fleet: Fleet) -> Ensemble | None:
+def _finished(path: Path, fleet: Batch) -> Ensemble | None:
     """What a file holds if that is what would be computed."""
     try:
         found = Ensemble.load(path)
@@ -106,14 +106,14 @@ def _finished(path: Path, fleet: Fleet) -> Ensemble | None:
     return found if found.info == _info(fleet) else None
 
 
-def _result(fleet: Fleet, store: Store) -> Ensemble:
+def _result(fleet: Batch, store: Store) -> Ensemble:
     """The result of a complete store; its columns are those of the store, on disk."""
     columns, info = store.columns(), _info(fleet)
     varied = {name: columns.pop(name) for name in fleet.binding.names}
     return Ensemble(varied, columns, info, recorded_bands(fleet, info.recorded))
 
 
-def _info(fleet: Fleet) -> Info:
+def _info(fleet: Batch) -> Info:
     problem, scenario = fleet.problem, fleet.problem.scenario
     vary = scenario.ensemble or Vary()
     return Info(

@@ -17,7 +17,7 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, Integers
 
 
-class Wind(NamedTuple):
+class RandomDisturbance(NamedTuple):
     """A random disturbance: rms of each input, its colour, and the weights of a step's first and last knot in each entry."""
 
     rms: Floats
@@ -25,7 +25,7 @@ class Wind(NamedTuple):
     weights: tuple[tuple[float, float], ...]
 
 
-class Drawn(NamedTuple):
+class RunNoise(NamedTuple):
     """entries: of the exogenous inputs, first those made of the numbers of `words` (`noise.word`), then the disturbance at each instant.
 
     Of the former the last ones are the wear of edges, by `strides` each sample in logarithms, and readings lost with
@@ -36,7 +36,7 @@ class Drawn(NamedTuple):
     words: tuple[int, ...]
     strides: Floats
     dropout: Floats
-    wind: Wind | None
+    wind: RandomDisturbance | None
     seed: int
 
     def supply(self, runs: Integers) -> Supply | None:
@@ -44,7 +44,7 @@ class Drawn(NamedTuple):
         return (lambda lanes: _source(self, runs[lanes])) if self.entries else None
 
 
-def drawn(problem: Problem, loop: Loop, binding: Binding) -> Drawn:
+def drawn(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
     """What the runs of a bound ensemble draw."""
     places = {name: i for i, name in enumerate(tree.names(loop.instant))}
     slots = {name: i for i, name in enumerate(tree.names(loop.params))}
@@ -67,7 +67,7 @@ def drawn(problem: Problem, loop: Loop, binding: Binding) -> Drawn:
     wind = None
     if (random := inputs.random_disturbance(problem)) is not None:
         rms, correlation = random
-        wind = Wind(
+        wind = RandomDisturbance(
             rms, noise.colour(correlation, problem.scenario.simulation.step), _weights(problem)
         )
         entries += [
@@ -76,7 +76,7 @@ def drawn(problem: Problem, loop: Loop, binding: Binding) -> Drawn:
             for i in range(rms.size)
         ]
     strides = inputs.strides(problem)
-    return Drawn(
+    return RunNoise(
         tuple(entries),
         tuple(words),
         strides[strides > 0],
@@ -95,7 +95,7 @@ def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
     return tuple((1.0 - c, c) for c in inputs.INSTANTS)
 
 
-def _source(own: Drawn, runs: Integers) -> Source:
+def _source(own: RunNoise, runs: Integers) -> Source:
     """The entries of some runs, for steps asked for in order: (first step, steps) -> steps x entries x lanes."""
     wind, channels, held = own.wind, len(own.words), _held(own, runs)
     if wind is None:
@@ -125,7 +125,7 @@ def _source(own: Drawn, runs: Integers) -> Source:
     return windy
 
 
-def _held(own: Drawn, runs: Integers) -> Source:
+def _held(own: RunNoise, runs: Integers) -> Source:
     """The entries made of the numbers of `words`, as `inputs.exogenous` makes them for one run."""
     channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
     wear, missing = (

@@ -9,21 +9,21 @@ from typing import NamedTuple
 
 from undeadzone.ensemble.addresses import Quantity, matching, stem
 from undeadzone.errors import InputError
-from undeadzone.scenario.ensemble_table import Distribution, Spread, place, spread
+from undeadzone.scenario.ensemble_table import Distribution, CheckedDistribution, entry_name, spread
 from undeadzone.scenario.problem import Problem
 
 
-class Column(NamedTuple):
+class UncertainNumber(NamedTuple):
     """One number drawn per run; it sets the packed number [params, state] of each slot to a factor times its value."""
 
     name: str
-    spread: Spread
+    spread: CheckedDistribution
     slots: tuple[tuple[int, float], ...]
 
 
 def columns(
     entries: dict[str, Distribution], known: dict[str, Quantity], problem: Problem
-) -> tuple[Column, ...]:
+) -> tuple[UncertainNumber, ...]:
     """What the entries of [ensemble] draw. Raises InputError."""
     found = tuple(
         column
@@ -35,7 +35,7 @@ def columns(
         for slot, _ in column.slots:
             if slot in owners:
                 raise InputError(
-                    f"{place(column.name)}: varies what {owners[slot]} varies already; keep one of them"
+                    f"{entry_name(column.name)}: varies what {owners[slot]} varies already; keep one of them"
                 )
             owners[slot] = column.name
     return found
@@ -43,7 +43,7 @@ def columns(
 
 def _drawn(
     address: str, given: Distribution, known: dict[str, Quantity], problem: Problem
-) -> list[Column]:
+) -> list[UncertainNumber]:
     parts = re.sub(r"\s+", "", address).split("+")
     names = [name for part in parts for name in _named(address, part, known, problem)]
     if given.relative:
@@ -54,7 +54,7 @@ def _drawn(
         ]
         if fixed and (len(fixed) == len(names) or set(fixed) & set(parts)):
             raise InputError(
-                f"{place(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor changes; leave out relative and give values"
+                f"{entry_name(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor changes; leave out relative and give values"
             )
         names = [name for name in names if name not in fixed]
     suffix = " (relative)" if given.relative else ""
@@ -65,7 +65,9 @@ def _drawn(
     ]
 
 
-def _column(address: str, given: Distribution, title: str, members: dict[str, Quantity]) -> Column:
+def _column(
+    address: str, given: Distribution, title: str, members: dict[str, Quantity]
+) -> UncertainNumber:
     sizes = {
         name: quantity.nominal if given.relative else 1.0 for name, quantity in members.items()
     }
@@ -75,7 +77,7 @@ def _column(address: str, given: Distribution, title: str, members: dict[str, Qu
         for name, quantity in members.items()
         for slot in quantity.slots
     )
-    return Column(title, spread(address, given, floor), slots)
+    return UncertainNumber(title, spread(address, given, floor), slots)
 
 
 def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem) -> list[str]:
@@ -86,13 +88,13 @@ def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem
     if stem(part) in stems:
         there = [name for name in known if stem(name) == stem(part)]
         raise InputError(
-            f"{place(address)}: no entry {part}; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}"
+            f"{entry_name(address)}: no entry {part}; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}"
         )
     if advice := _advice(part, problem):
-        raise InputError(f"{place(address)}: {advice}")
+        raise InputError(f"{entry_name(address)}: {advice}")
     near = difflib.get_close_matches(stem(part), stems, 1)
     choice = f"did you mean {near[0]!r}?" if near else f"what can: {', '.join(stems)}"
-    raise InputError(f"{place(address)}: nothing of that name can vary; {choice}")
+    raise InputError(f"{entry_name(address)}: nothing of that name can vary; {choice}")
 
 
 def _advice(part: str, problem: Problem) -> str | None:

@@ -11,7 +11,7 @@ import casadi as ca
 from undeadzone.numerics.runge_kutta import hermite, hermite_slope, rk4
 
 
-class Arc(NamedTuple):
+class DenseStep(NamedTuple):
     """A solution on one branch over a step, or what is left of it: its end; the state, z and dz/dc at a fraction c of it.
 
     final: z at the end; onward: z halfway if it went on as it sets out.
@@ -30,7 +30,7 @@ def runge_kutta(
     output: Callable[[ca.SX], ca.SX],
     states: int,
     h: ca.SX,
-) -> Callable[[ca.SX, Any, Any], Arc]:
+) -> Callable[[ca.SX, Any, Any], DenseStep]:
     """Arcs (x, start c, mode) of x' = rate(x, c, mode) by RK4 with cubic dense output; z = output(x)."""
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
     slope = ca.Function(
@@ -40,13 +40,13 @@ def runge_kutta(
         {"allow_free": True},
     )
 
-    def arc(x: ca.SX, start: Any, mode: Any) -> Arc:
+    def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
         rest = 1.0 - start
         k1 = rate(x, start, mode)
         end = rk4(lambda state, c: rate(state, start + c * rest, mode), x, h * rest, k1)
         k5 = rate(end, 1.0, mode)
         z = (output(x), slope(x, k1), output(end), slope(end, k5), h * rest)
-        return Arc(
+        return DenseStep(
             end,
             z[2],
             output(x + h * rest / 2 * k1),
@@ -64,7 +64,7 @@ def taylor(
     inputs: list[ca.SX],
     states: int,
     h: ca.SX,
-) -> Callable[[ca.SX, Any, Any], Arc]:
+) -> Callable[[ca.SX, Any, Any], DenseStep]:
     """Arcs (x, start c, mode) of x' = rate(x, w, mode), affine in x and w, by Taylor series of as many terms as there are `inputs`.
 
     inputs: the coefficients of w = inputs[0] + inputs[1] c + ... over the step; z = output(x), affine. Exact but for the
@@ -74,7 +74,7 @@ def taylor(
     w, dw = ca.SX.sym("w", inputs[0].shape[0]), ca.SX.sym("dw", inputs[0].shape[0])
     seen = ca.Function("seen", [x, dx], [ca.jtimes(output(x), x, dx)], {"allow_free": True})
 
-    def arc(start: ca.SX, begin: Any, mode: Any) -> Arc:
+    def arc(start: ca.SX, begin: Any, mode: Any) -> DenseStep:
         rest = 1.0 - begin
         follow = ca.Function(
             "follow",
@@ -93,7 +93,7 @@ def taylor(
         z = [output(start), *(seen(start, term) for term in terms[1:])]
         steep = [k * term for k, term in enumerate(z)][1:]
         end = _polynomial(terms, 1.0)
-        return Arc(
+        return DenseStep(
             end,
             output(end),
             output(start + terms[1] / 2),

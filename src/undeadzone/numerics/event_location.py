@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 
-from undeadzone.numerics.dense_output import Arc
+from undeadzone.numerics.dense_output import DenseStep
 
 NEWTON = 4  # iterations
 CHANGES = 2  # of side that are located in a step
@@ -34,7 +34,7 @@ class Crossing(NamedTuple):
     rising: Any
 
 
-class Attempt(NamedTuple):
+class StepAttempt(NamedTuple):
     """The end of a step with so many changes of side located, and whether there may be more that the next attempt finds."""
 
     end: ca.SX
@@ -42,12 +42,12 @@ class Attempt(NamedTuple):
 
 
 def located_step(
-    arc: Callable[[ca.SX, Any, Any], Arc],
+    arc: Callable[[ca.SX, Any, Any], DenseStep],
     levels: tuple[ca.SX, ca.SX],
     first: Branch,
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
-) -> list[Attempt]:
+) -> list[StepAttempt]:
     """A step from x: as if no side changed, with one simple change of side located, with `CHANGES` of them and turns of z.
 
     The first attempt that needs no more is right, or the last. The side is right above levels[0], left below levels[1]
@@ -56,7 +56,7 @@ def located_step(
     costs little more than its arc.
     """
     whole = arc(x, 0.0, first)
-    attempts = [Attempt(whole.end, _perhaps(whole, levels, first.side))]
+    attempts = [StepAttempt(whole.end, _perhaps(whole, levels, first.side))]
     for changes, full in ((1, False), (CHANGES, True)):
         mode, now, begin, end, found = first, whole, ca.SX(0.0), whole.end, ca.SX(0.0)
         for _ in range(changes):
@@ -76,11 +76,11 @@ def located_step(
             more = ca.logic_or(
                 ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side))
             )
-        attempts.append(Attempt(end, more))
+        attempts.append(StepAttempt(end, more))
     return attempts
 
 
-def _perhaps(arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+def _perhaps(arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
     """Whether the side may change on an arc: it is another at the end, or would be if z went on as it sets out for half of it."""
     return (
         ca.sum1(ca.logic_or(_beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)))
@@ -95,7 +95,7 @@ def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
 
 
 def _earliest(
-    arc: Arc, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool
+    arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool
 ) -> tuple[Crossing, ca.SX]:
     """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none.
 

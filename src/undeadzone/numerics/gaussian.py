@@ -86,7 +86,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     ), S
 
 
-def cut(
+def truncate(
     belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float
 ) -> tuple[Gaussian, Any]:
     """(the belief given that excess + h (x - x^) + v <= 0, 1 where that was used), by matching mean and covariance.
@@ -104,7 +104,7 @@ def cut(
     ), used
 
 
-def within(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
+def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
     """(the belief given low <= x_i <= high, by matching mean and covariance, the log of its chance); unchanged below a chance of 1e-6."""
     mean, P = belief
     std = ca.sqrt(P[i, i])

@@ -78,9 +78,9 @@ class Censored(
             )
         )
         colour, tolerance = coloured(correlation, washout, Ts), tolerances(model, self.tolerance)
-        extension = unknowns(model, colour, rms, bias, calibrated, tolerance)
+        augmentation = unknowns(model, colour, rms, bias, calibrated, tolerance)
         found = measured_filter(
-            model, sensor, believed, extension, max(1.0, correlation / Ts), self.silence
+            model, sensor, believed, augmentation, max(1.0, correlation / Ts), self.silence
         )
         return (
             bank(found, [partial(weakened, level) for level in range(self.levels)])
@@ -92,5 +92,5 @@ class Censored(
 def weakened(level: int, q: Params) -> Params:
     """The numbers of the filter with the disturbance at that level."""
     return q._replace(
-        extension=q.extension._replace(variance=q.extension.variance / FALL ** (2 * level))
+        augmentation=q.augmentation._replace(variance=q.augmentation.variance / FALL ** (2 * level))
     )

@@ -9,12 +9,18 @@ import casadi as ca
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics.gaussian import Gaussian, linearise, predict, update
-from undeadzone.observers.parts.augmented_state import Declared, Habits, Sight, claims, joint_filter
+from undeadzone.observers.parts.augmented_state import (
+    Declared,
+    Defaults,
+    Sight,
+    claims,
+    joint_filter,
+)
 from undeadzone.observers.parts.measured_kalman import Params
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, branch, zone
 
-HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)
+HABITS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class EKF(

@@ -11,7 +11,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import presumed
-from undeadzone.observers.parts.measured_kalman import Extension, Params, measured_filter, prior
+from undeadzone.observers.parts.measured_kalman import Augmentation, Params, measured_filter, prior
 from undeadzone.observers.parts.unknown_inputs import (
     Colour,
     coloured,
@@ -93,12 +93,12 @@ class Extended(
                 raise InputError(
                     'observer.uncertain: a parameter binds the joints together; use joints = "coupled"'
                 )
-            extension = separate(model, colour, rms)
+            augmentation = separate(model, colour, rms)
         else:
-            extension = unknowns(
+            augmentation = unknowns(
                 model, colour, rms, np.zeros(model.m), 0.0, named(model, self.uncertain)
             )
-            extension = extension._replace(
+            augmentation = augmentation._replace(
                 parameters=tuple(model.names.index(name) for name in self.uncertain)
             )
         bounds = self.silence and not self.blind
@@ -106,7 +106,7 @@ class Extended(
             model,
             sensor,
             believed,
-            extension,
+            augmentation,
             max(1.0, correlation / Ts),
             bounds,
             order=1,
@@ -122,7 +122,7 @@ class Noise(NamedTuple):
     variance: Floats
 
 
-def separate(model: System, colour: Colour, rms: Floats) -> Extension:
+def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
     """An unknown acceleration a of each joint, and covariances of [q_i; q_i'; d_ri; d_li; a_i] alone.
 
     The mean moves by the whole model, whose accelerations are taken once a sample; variance: of the accelerations that the disturbance makes where the
@@ -142,19 +142,19 @@ def separate(model: System, colour: Colour, rms: Floats) -> Extension:
     def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         position, v = x[:N], x[N:]
         a = rate(q.model, x, u)[N:] + extra
-        return ca.vertcat(position + Ts * v + Ts**2 / 2 * a, v + Ts * a), q.extension.F * extra
+        return ca.vertcat(position + Ts * v + Ts**2 / 2 * a, v + Ts * a), q.augmentation.F * extra
 
     def slope(q: Params) -> Any:
         one = ca.SX.eye(5)
-        one[0, 1], one[0, 4], one[1, 4], one[4, 4] = Ts, Ts**2 / 2, Ts, q.extension.F
+        one[0, 1], one[0, 4], one[1, 4], one[4, 4] = Ts, Ts**2 / 2, Ts, q.augmentation.F
         return ca.kron(one, ca.SX.eye(N))
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-        return ca.SX(2 * N, 2 * N), q.extension.Q * ca.diag(q.extension.variance)
+        return ca.SX(2 * N, 2 * N), q.augmentation.Q * ca.diag(q.augmentation.variance)
 
-    return Extension(
+    return Augmentation(
         Noise(colour.F[0, 0], colour.Q[0, 0], variance), np.diag(variance), move, noise, slope=slope,
-        push=lambda q, extra: ca.vertcat(ca.SX.zeros(N), extra),
+        disturbance=lambda q, extra: ca.vertcat(ca.SX.zeros(N), extra),
         entries=ca.triu(ca.kron(ca.DM.ones(5, 5), ca.DM.eye(N))).sparsity(),
     )  # fmt: skip
 

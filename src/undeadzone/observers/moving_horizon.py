@@ -11,9 +11,9 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
 from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import (
-    Claims,
+    Assumptions,
     Declared,
-    Habits,
+    Defaults,
     claims,
     quarter_period,
 )
@@ -23,7 +23,7 @@ from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
-HABITS = Habits(noise=0.01, drift=0.005, x_std=5.0)
+HABITS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
@@ -112,7 +112,7 @@ class State(NamedTuple):
 def moving(
     model: System,
     sensor: Zone,
-    given: Claims,
+    given: Assumptions,
     weights: Weights,
     nodes: int,
     stride: int,

@@ -10,12 +10,12 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
-from undeadzone.observers.parts.augmented_state import Claims, Declared, Habits, claims, read
+from undeadzone.observers.parts.augmented_state import Assumptions, Declared, Defaults, claims, read
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
-HABITS = Habits(
+HABITS = Defaults(
     noise=0.1, drift=0.1, x_std=0.5
 )  # a likelihood that few particles meet leaves copies of these few
 STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise and disturbance
@@ -56,7 +56,7 @@ class State(NamedTuple):
     seed: int
 
 
-def bootstrap(model: System, sensor: Zone, given: Claims, count: int) -> NumericObserver:
+def bootstrap(model: System, sensor: Zone, given: Assumptions, count: int) -> NumericObserver:
     """The filter with `count` particles."""
     n, p, m = model.n, model.p, model.m
     believed, variance, ranges = given

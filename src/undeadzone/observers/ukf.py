@@ -8,13 +8,19 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics import unscented
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.augmented_state import Declared, Habits, Sight, claims, joint_filter
+from undeadzone.observers.parts.augmented_state import (
+    Declared,
+    Defaults,
+    Sight,
+    claims,
+    joint_filter,
+)
 from undeadzone.observers.parts.measured_kalman import Params
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import scalar
 
-HABITS = Habits(
+HABITS = Defaults(
     noise=0.15, drift=0.1, x_std=0.5
 )  # with less, points astride an edge soon pin the widths where they are not
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Design, Known
+from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.proof_figures import courses, nyquist, root_locus
@@ -16,7 +16,7 @@ from undeadzone.report.style import label, write
 from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
 from undeadzone.support.files import write_text
-from undeadzone.synthesis.assessment import Account, Gains, Trial
+from undeadzone.synthesis.assessment import Assessment, Gains, Attacks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +38,9 @@ SCORES: Final = {
 }
 
 
-def figures(of: Account, tried: Trial | None, design: Design | None = None) -> dict[str, Figure]:
+def figures(
+    of: Assessment, tried: Attacks | None, design: Design | None = None
+) -> dict[str, Figure]:
     """The figures that apply, by name."""
     found, drawn = of.gains, dict[str, "Figure"]()
     if design is not None and len(design.front) > 1:
@@ -55,7 +57,7 @@ def figures(of: Account, tried: Trial | None, design: Design | None = None) -> d
 
 
 def write_gains(
-    of: Account, tried: Trial | None, folder: Path, design: Design | None = None
+    of: Assessment, tried: Attacks | None, folder: Path, design: Design | None = None
 ) -> list[Path]:
     """Write the figures as PNG and report.html to a folder. Raises FileError."""
     written = {
@@ -69,7 +71,7 @@ def write_gains(
 
 
 def gains_page(
-    of: Account, tried: Trial | None, images: Mapping[str, bytes], design: Design | None = None
+    of: Assessment, tried: Attacks | None, images: Mapping[str, bytes], design: Design | None = None
 ) -> str:
     """The page of an account; images: PNGs by the names of `figures`."""
     title = of.problem.scenario.title
@@ -102,7 +104,7 @@ def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
     return [shown[name] for name in names if name in shown]
 
 
-def _verdict(of: Account) -> Html:
+def _verdict(of: Assessment) -> Html:
     known = all(k.right and k.left for k in of.known)
     parts = [_yes(known, "every width can be known" if known else "not every width can be known")]
     if of.gains is not None:
@@ -124,7 +126,7 @@ def _yes(good: bool, words: str) -> Html:
     return tag("span", words, "yes" if good else "no")
 
 
-def _asked(of: Account, design: Design | None) -> Html:
+def _asked(of: Assessment, design: Design | None) -> Html:
     problem, scenario = of.problem, of.problem.scenario
     model, sensor, unit = problem.model, problem.sensor, problem.scenario.units.output
     poles = np.linalg.eigvals(problem.flow.linear.A) + 0.0
@@ -194,7 +196,7 @@ def _gain_table(found: Gains) -> Html:
     )
 
 
-def _guarantee(found: Gains, tried: Trial | None) -> list[Html]:
+def _guarantee(found: Gains, tried: Attacks | None) -> list[Html]:
     proof, given = found.certificate, found.certificate.dynamics
     if not proof.certified:
         parts = [
@@ -276,8 +278,8 @@ def _speed(found: Gains) -> list[Html]:
     return parts
 
 
-def _knowledge(of: Account) -> list[Html]:
-    def cell(known: Known, name: str) -> Any:
+def _knowledge(of: Assessment) -> list[Html]:
+    def cell(known: Knowledge, name: str) -> Any:
         if not getattr(known, name):
             return tag("span", "no", "no")
         return tag("span", f"± {known.std[name]:.2g}" if name in known.std else "yes", "yes")

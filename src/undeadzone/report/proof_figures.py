@@ -12,7 +12,7 @@ from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, pattern
 from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, TRUTH, ZONE, finish, sheet
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.assessment import Account, Gains, Trial
+from undeadzone.synthesis.assessment import Assessment, Gains, Attacks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive 
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
 
 
-def root_locus(of: Account, found: Gains) -> Figure:
+def root_locus(of: Assessment, found: Gains) -> Figure:
     """Eigenvalues of the error while every output is read, as gamma or L is scaled, and the rate along the reference.
 
     Sampled, eigenvalues z are drawn as (z - 1) / Ts, which tends to s as Ts -> 0; the unit circle is drawn so too.
@@ -124,7 +124,7 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
     axes.set_ylim(-top, top)
 
 
-def _rates(axes: Axes, of: Account, found: Gains, scaled: list[str]) -> None:
+def _rates(axes: Axes, of: Assessment, found: Gains, scaled: list[str]) -> None:
     """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
     linear, jump, proof = (
         of.problem.model.linear,
@@ -277,7 +277,7 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def courses(found: Gains, tried: Trial) -> Figure:
+def courses(found: Gains, tried: Attacks) -> Figure:
     """V along random, adversarial and planned switching; where V can be made to rise, the attack, and a growing cycle if found."""
     extra = {course.kind: course for course in tried.courses if course.kind not in STYLES}
     verdict = "never rises" if not tried.attack.broken else "can be made to rise"

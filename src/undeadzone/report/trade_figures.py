@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Design, Known, Point
+from undeadzone.analysis.certificate.design_file import Design, Knowledge, Point
 from undeadzone.analysis.error_dynamics import delta, growth
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.style import ESTIMATE, PRINTED, TRUTH, finish, label, sheet
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.assessment import Account
+from undeadzone.synthesis.assessment import Assessment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,7 @@ def _mark(
     )
 
 
-def ellipses(of: Account) -> Figure:
+def ellipses(of: Assessment) -> Figure:
     """The 95 % region of (d_r, d_l) of each output that an optimal estimator reaches after the scenario's duration.
 
     An ellipse about the truth, or an unbounded strip where only one direction can be known, with the reason in words.
@@ -124,7 +124,7 @@ def ellipses(of: Account) -> Figure:
     return figure
 
 
-def _ellipse(axes: Axes, known: Known) -> None:
+def _ellipse(axes: Axes, known: Knowledge) -> None:
     """The covariance of (d_r, d_l) follows from the deviations of both, of their sum and of their difference."""
     std = known.std
     cross = (std["width"] ** 2 - std["centre"] ** 2) / 4
@@ -143,7 +143,7 @@ def _ellipse(axes: Axes, known: Known) -> None:
     axes.set_ylim(-size, size)
 
 
-def _strip(axes: Axes, known: Known, truth: Floats, floor: Floats) -> None:
+def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
     """Where one direction g is known, g'd lies between two parallel lines. An edge not reached lies beyond all of z, at least."""
     size = 2.0 * max(float(truth.max()), 1e-12)
     x, y = np.meshgrid(*2 * (np.linspace(0.0, 1.5 * size, 901),))

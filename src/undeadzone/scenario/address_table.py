@@ -18,7 +18,7 @@ class Table(NamedTuple):
     what: str
     example: str
 
-    def place(self, address: str) -> str:
+    def entry_name(self, address: str) -> str:
         """How messages name an entry."""
         return f'{self.name}."{address}"'
 
@@ -42,11 +42,11 @@ class Table(NamedTuple):
             return value
         if not isinstance(value, dict):
             raise InputError(
-                f"{self.place(address)}: expected {self.what} such as {self.example.partition(' = ')[2]}, found {value!r:.60}"
+                f"{self.entry_name(address)}: expected {self.what} such as {self.example.partition(' = ')[2]}, found {value!r:.60}"
             )
         try:
             return msgspec.convert(value, self.kind)
         except msgspec.ValidationError as error:
             raise InputError(
-                f"{self.place(address)}.{explain(str(error), value, self.kind)}"
+                f"{self.entry_name(address)}.{explain(str(error), value, self.kind)}"
             ) from None

@@ -55,7 +55,7 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     entries: dict[str, Distribution] = {}
 
 
-class Spread(NamedTuple):
+class CheckedDistribution(NamedTuple):
     """A distribution that has been checked, cut off below `least`."""
 
     kind: str
@@ -81,9 +81,9 @@ TABLE: Final = Table(
 )
 
 
-def place(address: str) -> str:
+def entry_name(address: str) -> str:
     """How messages name an entry of [ensemble]."""
-    return TABLE.place(address)
+    return TABLE.entry_name(address)
 
 
 def decoded(table: Any) -> Any:
@@ -91,9 +91,9 @@ def decoded(table: Any) -> Any:
     return TABLE.decoded(table)
 
 
-def spread(address: str, given: Distribution, least: float) -> Spread:
+def spread(address: str, given: Distribution, least: float) -> CheckedDistribution:
     """The distribution of a number that is at least `least`, checked. Raises InputError."""
-    key = place(address)
+    key = entry_name(address)
     kinds = [
         kind for kind in ("uniform", "normal", "log_normal") if getattr(given, kind) is not None
     ]
@@ -126,4 +126,4 @@ def spread(address: str, given: Distribution, least: float) -> Spread:
         raise InputError(
             f"{key}.{kind}: this {limit}, found {'low' if kind == 'uniform' else 'mean'} = {first:g}"
         )
-    return Spread(kind, first, second, least)
+    return CheckedDistribution(kind, first, second, least)

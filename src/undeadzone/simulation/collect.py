@@ -10,14 +10,14 @@ from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unknown_bias, verdicts
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
-from undeadzone.plants.robots.arm import along
+from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.support.arrays import Floats
 
 
-def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
+def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What a run's readings tell of each output's widths; of a nonlinear plant along the run, given what the observer is told of its start."""
     sensor, disturbance, step = (
         problem.sensor,
@@ -37,20 +37,25 @@ def judged(problem: Problem, signal: Outputs) -> list[Verdict]:
     observer, bias = problem.scenario.observer, unknown_bias(disturbance, np.eye(problem.plant.m))
     uncertain = tuple(getattr(observer, "uncertain", ()))
 
-    def told(prior: Floats | None) -> list[Verdict]:
+    def given(start_std: Floats | None) -> list[Verdict]:
         return verdicts_along(
-            problem.plant, signal.x, signal.u, signal.z, sensor, step, bias, uncertain, prior
+            problem.plant,
+            signal.x,
+            signal.u,
+            signal.z,
+            sensor,
+            step,
+            bias,
+            uncertain,
+            start_std,
         )
 
     start = getattr(observer, "x_std", None) if hasattr(observer, "start") else None
-    alone = told(None)
-    return (
-        alone
-        if start is None
-        else list(
-            map(_homed, alone, told(np.broadcast_to(np.asarray(start, float), problem.plant.n)))
-        )
-    )
+    alone = given(None)
+    if start is None:
+        return alone
+    homed = given(np.broadcast_to(np.asarray(start, float), problem.plant.n))
+    return [_homed(*pair) for pair in zip(alone, homed, strict=True)]
 
 
 def _homed(alone: Verdict, homed: Verdict) -> Verdict:
@@ -76,7 +81,7 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
         "tip_r": (problem.model, x_ref),
     }
     return {
-        name: along(body.tip, system.params, q[:, : body.size])
+        name: evaluate_rows(body.tip, system.params, q[:, : body.size])
         for name, (system, q) in places.items()
     }
 
@@ -86,7 +91,7 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
     if body is None:
         return {}
     frames = np.searchsorted(t, np.arange(0, t[-1] + 1e-9, 1 / FRAMES) - 1e-9)
-    return {"poses": along(body.points, problem.plant.params, x[frames, : body.size])}
+    return {"poses": evaluate_rows(body.points, problem.plant.params, x[frames, : body.size])}
 
 
 def certificate(problem: Problem) -> Certificate | None:
@@ -141,7 +146,7 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
             threshold=problem.sensor.threshold.tolist(),
             certified=None if proof is None else proof.certified,
             integration_error=error,
-            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in judged(problem, signal)],
+            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in verdicts_of_run(problem, signal)],
             seconds=time.perf_counter() - began,
             units=scenario.units,
             uncertain={name: float(np.ravel(problem.plant.params)[problem.plant.names.index(name)]) for name in getattr(scenario.observer, "uncertain", {})},

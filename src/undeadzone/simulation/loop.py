@@ -12,7 +12,7 @@ from undeadzone.controllers import Controller
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.numerics.dense_output import runge_kutta, taylor
-from undeadzone.numerics.event_location import Attempt, Crossing, located_step
+from undeadzone.numerics.event_location import StepAttempt, Crossing, located_step
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.observers import Observer, Reading
 from undeadzone.plants.system import System
@@ -300,7 +300,7 @@ def _at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
 
 def _located_step(
     wires: _Wires, like: State, instant: Exogenous, start: ca.SX, columns: list[ca.SX], order: int
-) -> list[Attempt]:
+) -> list[StepAttempt]:
     """RK4 or a Taylor series with the change of side located inside the step (`switching.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.

@@ -19,7 +19,7 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
 
 
-class Live(NamedTuple):
+class OnlineEstimate(NamedTuple):
     """One live estimate: the fields of `Estimate` as arrays (empty where the observer has none), and the side (p)."""
 
     x: Floats
@@ -71,7 +71,7 @@ class Online:
         ends = np.cumsum(sizes).tolist()
         self._cuts = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
 
-    def update(self, y: Array, u: Array) -> Live:
+    def update(self, y: Array, u: Array) -> OnlineEstimate:
         """The estimate from reading y (p) and all before it; u (m) acts from this sample to the next."""
         self._w[: self._p] = y
         self._w[self._p :] = u
@@ -80,9 +80,9 @@ class Online:
         out = self._out.copy()
         if out[-1]:
             self.missing += 1
-        return Live(*[out[cut] for cut in self._cuts])
+        return OnlineEstimate(*[out[cut] for cut in self._cuts])
 
-    def peek(self, y: Array) -> Live:
+    def peek(self, y: Array) -> OnlineEstimate:
         """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances."""
         state, samples, missing = self._step.state.copy(), self.samples, self.missing
         found = self.update(y, 0.0)

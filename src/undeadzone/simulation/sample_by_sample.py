@@ -14,7 +14,7 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 
-def run(
+def run_sample_by_sample(
     problem: Problem,
     observer: NumericObserver,
     exogenous: Floats,

@@ -45,7 +45,9 @@ def simulate(
     if isinstance(problem.observer, NumericObserver) and engine == "interpret":
         return collect(
             problem,
-            live.run(problem, problem.observer, inputs.exogenous(problem), progress),
+            live.run_sample_by_sample(
+                problem, problem.observer, inputs.exogenous(problem), progress
+            ),
             None,
             began,
         )

@@ -6,12 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Known
+from undeadzone.analysis.certificate.design_file import Knowledge
 from undeadzone.analysis.certificate.nearest import nearest
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.convergence.falsify import Attack, Cycle, diverge, falsify
 from undeadzone.analysis.convergence.floquet import Rates, rates
-from undeadzone.analysis.convergence.trajectories import Course, along, courses, growing, settling
+from undeadzone.analysis.convergence.trajectories import (
+    Trajectory,
+    trajectory,
+    trajectories,
+    growing,
+    settling,
+)
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.errors import StructureError
@@ -42,15 +48,15 @@ class Gains(NamedTuple):
     V: Storage
 
 
-class Trial(NamedTuple):
+class Attacks(NamedTuple):
     """Attempts to make V rise: the falsifier's, the periodic side sequence of fastest growth if not certified, and courses."""
 
     attack: Attack
     cycle: Cycle | None
-    courses: list[Course]
+    courses: list[Trajectory]
 
 
-class Account(NamedTuple):
+class Assessment(NamedTuple):
     """A problem, a run of it if one was needed, its schedule of sides, what can be known of each output.
 
     gains: of a linear plant, where they are constant.
@@ -59,16 +65,16 @@ class Account(NamedTuple):
     problem: Problem
     run: Run | None
     schedule: Schedule
-    known: list[Known]
+    known: list[Knowledge]
     gains: Gains | None
 
 
-def account(problem: Problem) -> Account:
+def assess(problem: Problem) -> Assessment:
     """The account of a problem."""
     run = trial_run(problem)
     schedule = plan(problem, run)
     given = None if problem.model.nonlinear else constant_gains(problem.observer, problem.model)
-    return Account(
+    return Assessment(
         problem,
         run,
         schedule,
@@ -77,7 +83,7 @@ def account(problem: Problem) -> Account:
     )
 
 
-def trial(of: Account, seed: int = 0) -> Trial | None:
+def attack(of: Assessment, seed: int = 0) -> Attacks | None:
     """Attempts to break the gains of an account, which take seconds; None where no V exists that could be tried."""
     found = of.gains
     if found is None or not np.linalg.eigvalsh(found.V.P)[0] > 0:
@@ -86,16 +92,16 @@ def trial(of: Account, seed: int = 0) -> Trial | None:
     attack = falsify(given, V, seed=seed)
     cycle = None if found.certificate.certified else diverge(given, seed, TRIES)
     longest = max(of.problem.scenario.simulation.duration, of.schedule.duration)
-    drawn = courses(
+    drawn = trajectories(
         given, V, of.schedule, min(CONSTANTS / max(abs(found.rates.rate), 1e-300), longest), seed
     )
     if attack.broken:
         drawn.append(
-            along("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100)
+            trajectory("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100)
         )
     if cycle is not None and cycle.factor > GROWS:
         drawn.append(
-            along(
+            trajectory(
                 "cycle",
                 given,
                 V,
@@ -104,7 +110,7 @@ def trial(of: Account, seed: int = 0) -> Trial | None:
                 cycle.seconds / 100,
             )
         )
-    return Trial(attack, cycle, drawn)
+    return Attacks(attack, cycle, drawn)
 
 
 def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains:

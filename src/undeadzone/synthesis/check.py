@@ -15,7 +15,7 @@ from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenari
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.support.arrays import finite
-from undeadzone.synthesis.assessment import Account, account
+from undeadzone.synthesis.assessment import Assessment, assess
 from undeadzone.synthesis.knowledge import determined
 
 
@@ -29,10 +29,10 @@ def check(scenario: Scenario) -> dict[str, Any]:
     [z]; reasons for every 'no', cures. A nonlinear model is certified on the scenario's region; left_region [s]: when a run of the
     scenario first leaves that, None if it does not. Numbers that are not finite are None. Raises InputError and its kinds, as `simulate` does.
     """
-    return summary(account(resolve_scenario(scenario)))
+    return summary(assess(resolve_scenario(scenario)))
 
 
-def summary(of: Account) -> dict[str, Any]:
+def summary(of: Assessment) -> dict[str, Any]:
     """What `check` says of an account."""
     problem, schedule, known, gains = of.problem, of.schedule, of.known, of.gains
     absent: dict[str, Any] = dict.fromkeys(

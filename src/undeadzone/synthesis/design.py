@@ -24,7 +24,7 @@ from undeadzone.synthesis.gain_search import (
     STARTS,
     Candidate,
     Weights,
-    assess,
+    candidate_of,
     balanced,
     fastest,
 )
@@ -61,7 +61,7 @@ def design(
     )
     task = make_task(problem, margin)
     present = _present(scenario, problem)
-    before = None if present is None else assess(task, *present)
+    before = None if present is None else candidate_of(task, *present)
     linear = problem.model.linear
     if maximise == "knee":
         found = balanced(task, linear, before, seed, progress)

@@ -167,7 +167,7 @@ def _beats(one: Candidate, other: Candidate, name: str) -> bool:
     return bool(sign * getattr(one, name) > sign * getattr(other, name))
 
 
-def assess(task: Task, L: Floats, gamma: Floats) -> Candidate:
+def candidate_of(task: Task, L: Floats, gamma: Floats) -> Candidate:
     """What gains L (n x p), gamma (p) [1/s] are worth in a task."""
     values = score(task, (L / task.units[:, None])[None], gamma[None])
     return Candidate(L, gamma, *(float(value[0]) for value in values))
@@ -232,14 +232,14 @@ def _proved(
         if certificate.frequency is not None:
             task = watched(task, np.array([certificate.frequency]))
     while not (certificate.certified and certificate.margin > task.margin * (1 - 1e-6)):
-        candidate = assess(task, 0.99 * candidate.L, candidate.gamma)
+        candidate = candidate_of(task, 0.99 * candidate.L, candidate.gamma)
         certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
     return candidate, certificate
 
 
 def _candidate(task: Task, point: Floats) -> Candidate:
     L, gamma = _gains(task, point[None])
-    return assess(task, task.units[:, None] * L[0], gamma[0])
+    return candidate_of(task, task.units[:, None] * L[0], gamma[0])
 
 
 def _gains(task: Task, points: Floats) -> tuple[Floats, Floats]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Known
+from undeadzone.analysis.certificate.design_file import Knowledge
 from undeadzone.analysis.identifiability.information import deviations
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -42,7 +42,7 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
     return recorded(run.z, problem.sensor, run.info.step, problem.model.Ts)
 
 
-def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Known]:
+def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
     """What can be known of each output, and how well after the scenario's duration with its sensor noise.
 
     A step, or the offset of sines, as disturbance counts as an unknown bias; a random one as white process noise of its
@@ -52,7 +52,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     if model.nonlinear and run is not None:
         unsaid = dict.fromkeys(DIRECTIONS, np.inf)
         return [
-            Known(**{**verdict, "std": verdict["std"] or unsaid}, cures=[])
+            Knowledge(**{**verdict, "std": verdict["std"] or unsaid}, cures=[])
             for verdict in run.info.identifiable
         ]
     linear, jump = model.linear, sensor.kind == "jump"
@@ -85,7 +85,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         ).widths
     )
     return [
-        Known(
+        Knowledge(
             **verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]},
             cures=[cure.text for cure in help_ if cure.output == i],
         )

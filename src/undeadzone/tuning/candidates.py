@@ -9,7 +9,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.ensemble.batch import Fleet, prepare
+from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
@@ -23,10 +23,10 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, Integers
 
 
-class Bench(NamedTuple):
+class TestRuns(NamedTuple):
     """Runs on which candidates for the options of one scenario are tried; graph: what they must share."""
 
-    fleet: Fleet
+    fleet: Batch
     graph: str
     runs: Integers
     values: Floats
@@ -41,7 +41,7 @@ class Bench(NamedTuple):
         """What [ensemble] varies: its values in the runs, by name."""
         return dict(zip(self.fleet.binding.names, self.values.T, strict=True))
 
-    def redrawn(self, runs: int, seed: int) -> Bench:
+    def redrawn(self, runs: int, seed: int) -> TestRuns:
         """The bench with other runs: the first `runs` of a seed; one if nothing differs between them."""
         binding, own = self.fleet.binding, self.fleet.own
         count = 1 if not binding.columns and not own.entries else runs
@@ -70,7 +70,7 @@ class Bench(NamedTuple):
         return found
 
 
-def bench(scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int) -> Bench:
+def bench(scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int) -> TestRuns:
     """A bench for a scenario whose candidates move the numbers that the probes move. Raises InputError and its kinds."""
     vary = scenario.ensemble or Vary()
     sampling = (
@@ -93,12 +93,12 @@ def bench(scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int) -
             raise InputError(
                 f"tune: [ensemble] varies {column.name}, which what is tuned decides; keep one of them"
             )
-    return Bench(prepare(scenario, moved), form, np.empty(0, int), np.empty((0, 0))).redrawn(
+    return TestRuns(prepare(scenario, moved), form, np.empty(0, int), np.empty((0, 0))).redrawn(
         runs, seed
     )
 
 
-def _kind(given: Bench, candidate: Problem) -> str | None:
+def _kind(given: TestRuns, candidate: Problem) -> str | None:
     """None for a candidate that the kernel serves, else its graph."""
     form = graph(candidate)
     if form != given.graph:
@@ -108,7 +108,7 @@ def _kind(given: Bench, candidate: Problem) -> str | None:
     return None if np.array_equal(params[outside], given.fleet.binding.params[outside]) else form
 
 
-def _rows(given: Bench, candidates: list[Problem], threads: int | None) -> Floats:
+def _rows(given: TestRuns, candidates: list[Problem], threads: int | None) -> Floats:
     """Candidate by candidate, run by run."""
     fleet, parts = given.fleet, []
     for candidate in candidates:

@@ -18,8 +18,8 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.simulation.run import LIMIT
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.candidates import Bench, bench
-from undeadzone.tuning.one_by_one import Singles, singles
+from undeadzone.tuning.candidates import TestRuns, bench
+from undeadzone.tuning.one_by_one import OneByOne, singles
 from undeadzone.tuning.parameters import with_numbers
 
 Problems = tuple[Problem, ...]
@@ -38,7 +38,7 @@ class Objective(NamedTuple):
     what: Tune
     names: tuple[str, ...]
     scenarios: tuple[Scenario, ...]
-    benches: tuple[Bench | Singles, ...]
+    benches: tuple[TestRuns | OneByOne, ...]
     frames: tuple[Frame, ...]
 
     def scenario(self, index: int, point: Floats) -> Scenario:
@@ -116,7 +116,7 @@ def objective(
     return found._replace(benches=tuple(_bench(what, near, runs, seed) for near in each))
 
 
-def _bench(what: Tune, probes: list[Scenario], runs: int, seed: int) -> Bench | Singles:
+def _bench(what: Tune, probes: list[Scenario], runs: int, seed: int) -> TestRuns | OneByOne:
     first = resolve_scenario(probes[0])
     _check_metric(what.metric, first)
     if isinstance(first.observer, NumericObserver):
@@ -133,7 +133,7 @@ def statistic(name: str, lost: Floats) -> Floats:
     return np.sort(lost, axis=-1)[..., int(np.ceil(lost.shape[-1] * share)) - 1]
 
 
-def losses(metric: str, given: Bench | Singles, found: Floats) -> Floats:
+def losses(metric: str, given: TestRuns | OneByOne, found: Floats) -> Floats:
     """The size of a metric in rows of metrics (... x columns); above LIMIT, but finite, for runs that diverged: the faster, the more."""
     problem = given.problem
     column = {name: found[..., i] for i, name in enumerate(metrics.columns(problem.plant))}

@@ -20,7 +20,7 @@ from undeadzone.simulation.run import last_samples
 from undeadzone.support.arrays import Floats
 
 
-class Singles(NamedTuple):
+class OneByOne(NamedTuple):
     """The first `runs` runs of a seed, which differ in their noise and random disturbance alone."""
 
     problem: Problem
@@ -29,17 +29,17 @@ class Singles(NamedTuple):
 
     @property
     def varied(self) -> dict[str, Floats]:
-        """Nothing: see `candidates.Bench.varied`."""
+        """Nothing: see `candidates.TestRuns.varied`."""
         return {}
 
-    def redrawn(self, runs: int, seed: int) -> Singles:
+    def redrawn(self, runs: int, seed: int) -> OneByOne:
         """Other runs: the first `runs` of a seed; one if nothing differs between them."""
         alike = not (
             self.problem.sensor.noise.any()
             or self.problem.sensor.noise_before.any()
             or inputs.random_disturbance(self.problem)
         )
-        return Singles(self.problem, 1 if alike else runs, seed)
+        return OneByOne(self.problem, 1 if alike else runs, seed)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
         """The metrics (candidates x runs x columns) of candidates."""
@@ -54,18 +54,18 @@ class Singles(NamedTuple):
         assert isinstance(candidate.observer, NumericObserver)
         return row(
             candidate,
-            live.run(
+            live.run_sample_by_sample(
                 candidate, candidate.observer, inputs.exogenous(candidate, run=run, seed=self.seed)
             ),
         )
 
 
-def singles(problem: Problem) -> Singles:
+def singles(problem: Problem) -> OneByOne:
     """The runs of a problem, none yet. Raises InputError if [ensemble] varies anything."""
     vary = problem.scenario.ensemble
     if vary is not None and vary.entries:
         graph_of(problem.observer)
-    return Singles(problem, 0, 0)
+    return OneByOne(problem, 0, 0)
 
 
 def row(problem: Problem, out: Outputs) -> Floats:

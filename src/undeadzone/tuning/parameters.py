@@ -76,7 +76,7 @@ def named(address: str, known: Mapping[str, Number]) -> list[str]:
     ):
         if names := matching(form, known):
             return names
-    key, place = stem(address), TABLE.place(address)
+    key, place = stem(address), TABLE.entry_name(address)
     there = [name for name in known if stem(name) == key]
     if there and known[there[0]].value is None:
         raise InputError(
@@ -107,7 +107,7 @@ def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parame
     ]
     names = [parameter.name for parameter in found]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{TABLE.place(twice[0])}: tuned twice; keep one entry that names it")
+        raise InputError(f"{TABLE.entry_name(twice[0])}: tuned twice; keep one entry that names it")
     return tuple(found)
 
 
@@ -154,7 +154,7 @@ def _with(node: Any, path: list[str], value: float) -> Any:
 
 
 def _parameter(address: str, name: str, given: Range, number: Number) -> Parameter:
-    place, (low, high) = TABLE.place(address), given.between
+    place, (low, high) = TABLE.entry_name(address), given.between
     if not -LARGEST <= low < high <= LARGEST:
         raise InputError(
             f"{place}.between: expected [low, high] with low < high, found [{low:g}, {high:g}]"

@@ -287,7 +287,7 @@ def _parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter,
         resolve_scenario(scenario)
         if missing := start.keys() - numbers(scenario).keys():
             raise InputError(
-                f"{TABLE.place(min(missing))}: scenario {scenario.title!r} has no such number"
+                f"{TABLE.entry_name(min(missing))}: scenario {scenario.title!r} has no such number"
             )
         try:
             problem = resolve_scenario(with_numbers(scenario, start))

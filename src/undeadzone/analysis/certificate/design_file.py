@@ -56,7 +56,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     remarks: list[str]
     best: Point
     present: Point | None = None
-    identifiable: list[Known]
+    identifiable: list[Knowledge]
     front: list[Point]
 
     @property
@@ -113,7 +113,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return found
 
 
-class Known(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What one output's readings can tell: verdicts, reasons for each 'no', cures, expected standard deviations [z]."""
 
     right: bool

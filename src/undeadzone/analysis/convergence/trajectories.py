@@ -21,7 +21,7 @@ RANDOM = 12  # random courses
 WINDOW = 8  # switches: in every so many a fair adversary takes each full side pattern at least once
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """V (N) along one trajectory, relative to V(0), at t (N) [s], and what switches it."""
 
     kind: str
@@ -29,9 +29,9 @@ class Course(NamedTuple):
     V: Floats
 
 
-def courses(
+def trajectories(
     given: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0
-) -> list[Course]:
+) -> list[Trajectory]:
     """V from one random error, for about `seconds`: random ones, an adversary, a fair one, and the schedule.
 
     An adversary switches to what leaves V largest. The fair one must also read every output on both of its sides, each
@@ -68,19 +68,22 @@ def courses(
             rng.integers(len(modes), size=SWITCHES), rng.integers(1, window + 1, SWITCHES)
         )[:SWITCHES]
 
-    def course(kind: str, chosen: Any) -> Course:
+    def course(kind: str, chosen: Any) -> Trajectory:
         return _course(
             kind, V, start, pieces[np.repeat(chosen, count)], np.full(SWITCHES * count, step)
         )
 
     found = [course("random", random()) for _ in range(RANDOM)]
     found += [course("adversary", adversary(False)), course("fair adversary", adversary(True))]
-    return [*found, along("reference", given, V, start, _passes(given, schedule, seconds), step)]
+    return [
+        *found,
+        trajectory("reference", given, V, start, _passes(given, schedule, seconds), step),
+    ]
 
 
-def along(
+def trajectory(
     kind: str, given: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float
-) -> Course:
+) -> Trajectory:
     """V from an error [x~; d~] along modes, seen every `step` [s] or so, and at every switch."""
     counts = [
         max(1, round(mode.seconds / (step if given.Ts is None else given.Ts))) for mode in modes
@@ -182,9 +185,9 @@ def _value(V: Storage, errors: Floats) -> Floats:
     return V.value(*np.split(errors, [len(V.P)], axis=1))
 
 
-def _course(kind: str, V: Storage, start: Floats, maps: Floats, seconds: Floats) -> Course:
+def _course(kind: str, V: Storage, start: Floats, maps: Floats, seconds: Floats) -> Trajectory:
     errors = [start]
     for M in maps:
         errors.append(M @ errors[-1])
     along = _value(V, np.array(errors))
-    return Course(kind, np.concatenate([[0.0], np.cumsum(seconds)]), along / along[0])
+    return Trajectory(kind, np.concatenate([[0.0], np.cumsum(seconds)]), along / along[0])

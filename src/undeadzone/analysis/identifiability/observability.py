@@ -25,7 +25,7 @@ CAP = 1e6  # times what readings weigh within blocks: nothing need be known bett
 WORK = 5e7  # products and sums spent on exact derivatives; more, and samples are thinned
 
 
-class Course(NamedTuple):
+class LinearisedRun(NamedTuple):
     """A run linearised: steps (K x s x s) and outputs (K x p x s) of [x; beta; theta] at the samples `kept` (K).
 
     tolerance: share of a direction's information, all else known, that the steps' errors may feign.
@@ -121,7 +121,7 @@ def observability(
 
 def linearised(
     model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
-) -> Course:
+) -> LinearisedRun:
     """The plant's linearisation along a run.
 
     A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and for large sampled plants, steps
@@ -186,17 +186,17 @@ def _along(
     return found[:, : model.n], found[:, model.n :]
 
 
-def _course(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> Course:
+def _course(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> LinearisedRun:
     """The course, up to where a derivative is not finite; the constants stay as they are."""
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
     end, n, s = good.size if good.all() else int(good.argmin()), *steps.shape[1:]
     constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
-    return Course(
+    return LinearisedRun(
         np.concatenate([steps[:end], constants], axis=1), outputs[:end], kept[:end], tolerance
     )
 
 
-def _root(course: Course, side: Floats, variance: Floats, n: int) -> Floats:
+def _root(course: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
     """R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to block, no product of readings formed.
 
     Where the plant's growth tells a direction CAP times better than all readings do within their blocks, it is left at that, which

@@ -15,7 +15,7 @@ from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
 from undeadzone.observers.parts.measured_kalman import (
-    Extension,
+    Augmentation,
     Params,
     Prior,
     declared,
@@ -24,7 +24,7 @@ from undeadzone.observers.parts.measured_kalman import (
     numbers,
     prior,
     sample_time,
-    shown,
+    to_estimate,
     white,
 )
 from undeadzone.plants.system import System
@@ -37,7 +37,7 @@ SWING = 0.5  # rms, in largest widths, by which a coloured disturbance moves z i
 
 
 class Declared(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the rivals of `Kalman` are told, in its words; what is not given follows from `Habits`.
+    """What the rivals of `Kalman` are told, in its words; what is not given follows from `Defaults`.
 
     right, left: declared ranges [lo, hi] of d_r and d_l [z], one or one per output (left: default that of right).
     noise: rms of a reading [z]. x_std: std of x(0) about 0, one or one per state. disturbance: rms of an input
@@ -55,7 +55,7 @@ class Declared(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     drift: float | None = None
 
 
-class Habits(NamedTuple):
+class Defaults(NamedTuple):
     """A method's defaults: drift and x_std in largest widths; noise, the sensor's but at least this share of the declared range.
 
     Of more than `CROWD` readings in a quarter period, each has so much more noise that together they say no more: what
@@ -67,7 +67,7 @@ class Habits(NamedTuple):
     x_std: float
 
 
-class Claims(NamedTuple):
+class Assumptions(NamedTuple):
     """The prior, variances of the input disturbance (m) [u^2], and the declared ranges of the widths (2p x 2) [z]."""
 
     prior: Prior
@@ -75,7 +75,9 @@ class Claims(NamedTuple):
     ranges: Floats
 
 
-def claims(given: Declared, model: System, sensor: Zone, habits: Habits, stride: int = 1) -> Claims:
+def claims(
+    given: Declared, model: System, sensor: Zone, habits: Defaults, stride: int = 1
+) -> Assumptions:
     """What is believed of a sampled model that every stride-th reading is used of, defaults filled in. Raises InputError, ShapeError."""
     Ts = sample_time(model)
     readings = quarter_period(model) / (stride * Ts)
@@ -95,8 +97,8 @@ def claims(given: Declared, model: System, sensor: Zone, habits: Habits, stride:
     )
     swing = scalar("observer.swing", given.swing, least=0.0)
     if given.disturbance is None:
-        return Claims(believed, agitation(model, swing * largest) ** 2, ranges)
-    return Claims(
+        return Assumptions(believed, agitation(model, swing * largest) ** 2, ranges)
+    return Assumptions(
         believed,
         nonnegative("observer.disturbance", given.disturbance, model.m, "one per input") ** 2,
         ranges,
@@ -138,12 +140,12 @@ Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
 
 
 def joint_filter(
-    model: System, sensor: Zone, given: Claims, correct: Correct, predict: Predict
+    model: System, sensor: Zone, given: Assumptions, correct: Correct, predict: Predict
 ) -> Observer:
     """The filter as an observer: its readings one output after the other, by `correct`, then its motion, by `predict`."""
     n, p = model.n, model.p
-    extension: Extension = white(model, given.variance)
-    params, entries = numbers(model, sensor, given.prior, extension), kept(model, extension)
+    augmentation: Augmentation = white(model, given.variance)
+    params, entries = numbers(model, sensor, given.prior, augmentation), kept(model, augmentation)
 
     def sight(q: Params, i: int, X: Any) -> Any:
         z, right, left = model.output(q.model, X[:n])[i], X[n + i], X[n + p + i]
@@ -157,8 +159,8 @@ def joint_filter(
             belief, e, S = correct(q, belief, i, partial(sight, q, i), y, reading.side[i], seen)
             innovations.append(e)
             variances.append(S)
-        after = predict(belief, *motion(model, q, extension, belief, u))
-        found = shown(
+        after = predict(belief, *motion(model, q, augmentation, belief, u))
+        found = to_estimate(
             model,
             sensor,
             q,

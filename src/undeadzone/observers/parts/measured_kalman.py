@@ -14,14 +14,14 @@ from undeadzone.interfaces import Estimate, Observer, Reading, estimate
 from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
-    cut,
+    truncate,
     linearise,
     mix,
     predict,
     symmetric,
     triangle,
     update,
-    within,
+    truncate_to,
 )
 from undeadzone.plants.system import System, held
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
@@ -46,7 +46,7 @@ class Prior(NamedTuple):
     ranges: Floats
 
 
-class Extension(NamedTuple):
+class Augmentation(NamedTuple):
     """The model's motion with E further unknowns beside [x; d], of mean 0 and covariance cov (E x E) at first.
 
     move(q, x, extra, u): (x+, extra+); noise(q, x, u): covariances (n x n, E x E) that a step adds to them; q: Params.
@@ -62,10 +62,10 @@ class Extension(NamedTuple):
     cov: Floats
     move: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
-    small: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
-    bend: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
+    alternative: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
+    bilinear: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
     slope: Callable[[Any], Any] | None = None
-    push: Callable[[Any, Any], Any] | None = None
+    disturbance: Callable[[Any, Any], Any] | None = None
     entries: ca.Sparsity | None = None
     parameters: tuple[int, ...] = ()
 
@@ -74,7 +74,7 @@ class Params(NamedTuple):
     """Numbers of the filter; mean and cov (a `triangle`) are those it starts from; rate (n x n): from a change of x+ to what held makes it [1/s]."""
 
     model: Any
-    extension: Any
+    augmentation: Any
     R: Floats
     gate: Floats
     slope: Floats
@@ -168,7 +168,7 @@ def _ranges(key: str, value: Array, p: int) -> Floats:
 
 
 def measured_filter(
-    model: System, sensor: Zone, prior: Prior, extension: Extension, lasting: float = 1.0, bounds: bool = False,
+    model: System, sensor: Zone, prior: Prior, augmentation: Augmentation, lasting: float = 1.0, bounds: bool = False,
     order: Literal[1, 2] = 2, blind: bool = False,
 ) -> Observer:  # fmt: skip
     """The filter as an observer.
@@ -178,8 +178,8 @@ def measured_filter(
     """
     n, p = model.n, model.p
     jump = sensor.kind == "jump"
-    params = numbers(model, sensor, prior, extension)
-    size, entries = params.mean.size, kept(model, extension)
+    params = numbers(model, sensor, prior, augmentation)
+    size, entries = params.mean.size, kept(model, augmentation)
 
     def init(q: Params) -> State:
         return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(model.m))
@@ -200,7 +200,9 @@ def measured_filter(
             stds.append(ca.sqrt(S))
         return belief, ca.vertcat(*innovations), ca.vertcat(*stds)
 
-    def hear(q: Params, belief: Gaussian, quiet: Any, side: Any, wait: Any) -> tuple[Gaussian, Any]:
+    def use_bounds(
+        q: Params, belief: Gaussian, quiet: Any, side: Any, wait: Any
+    ) -> tuple[Gaussian, Any]:
         """(belief, steps to wait) given that z is inside the edges of a silent sensor, and of a jump sensor beyond the edge that it is on."""
         waits: list[Any] = []
         for edge in (RIGHT, LEFT):
@@ -212,13 +214,15 @@ def measured_filter(
                     edge * (1 - 2 * outside),
                     ca.if_else(quiet[i], q.gate[i] / q.slope[i], 0.0),
                 )
-                belief, used = cut(belief, sign * h, sign * excess - slack, q.R[i], told, DOUBT)
+                belief, used = truncate(
+                    belief, sign * h, sign * excess - slack, q.R[i], told, DOUBT
+                )
                 waits.append(ca.if_else(used, lasting, wait[len(waits)] - 1))
         return belief, ca.vertcat(*waits)
 
     def bent(q: Params, u: Any, X: Any) -> tuple[Any, Any]:
-        assert extension.bend is not None
-        G, b = extension.bend(q, X[:n], X[n + 2 * p :], u)
+        assert augmentation.bilinear is not None
+        G, b = augmentation.bilinear(q, X[:n], X[n + 2 * p :], u)
         return ca.vertcat(G, ca.SX(size - n, b.shape[0])), b
 
     def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
@@ -231,94 +235,102 @@ def measured_filter(
         belief, e, e_std = correct(q, Gaussian(s.mean, symmetric(s.cov, entries)), y, side)
         wait = s.wait
         if bounds:
-            belief, wait = hear(q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait)
-        move, Q = motion(model, q, extension, belief, u)
+            belief, wait = use_bounds(
+                q, belief, ca.logic_and(seen, ca.fabs(y) <= q.gate), side, wait
+            )
+        move, Q = motion(model, q, augmentation, belief, u)
         if order == 1:
             after = advance(
-                belief, move, Q, None if extension.slope is None else extension.slope(q)
+                belief, move, Q, None if augmentation.slope is None else augmentation.slope(q)
             )
         else:
             after = predict(
-                belief, move, Q, lasting, None if extension.bend is None else partial(bent, q, u)
+                belief,
+                move,
+                Q,
+                lasting,
+                None if augmentation.bilinear is None else partial(bent, q, u),
             )
-        told = claimed(q, n, extension, belief, bounds)
-        found = shown(model, sensor, q, told, reading, e, e_std)
-        if len(extension.cov):
+        told = believed(q, n, augmentation, belief, bounds)
+        found = to_estimate(model, sensor, q, told, reading, e, e_std)
+        if len(augmentation.cov):
             x, extra = told.mean[:n], told.mean[n + 2 * p :]
-            if extension.push is None:
-                w = q.rate @ (extension.move(q, x, extra, s.u)[0] - model.move(q.model, x, s.u))
+            if augmentation.disturbance is None:
+                w = q.rate @ (augmentation.move(q, x, extra, s.u)[0] - model.move(q.model, x, s.u))
             else:
-                w = extension.push(q, extra)
+                w = augmentation.disturbance(q, extra)
             found = found._replace(w=w)
-        if count := len(extension.parameters):
+        if count := len(augmentation.parameters):
             spread = ca.sqrt(ca.fmax(ca.diag(told.cov)[-count:], 0.0))
             found = found._replace(
-                theta=q.model[list(extension.parameters)] + told.mean[-count:], theta_std=spread
+                theta=q.model[list(augmentation.parameters)] + told.mean[-count:], theta_std=spread
             )
         return State(after.mean, triangle(after.cov, entries), y, s.last, wait, u), found
 
     return Observer(params, init, step)
 
 
-def claimed(q: Params, n: int, extension: Extension, belief: Gaussian, bounds: bool) -> Gaussian:
+def believed(
+    q: Params, n: int, augmentation: Augmentation, belief: Gaussian, bounds: bool
+) -> Gaussian:
     """The belief that is shown: widths inside their declared ranges, and the mixture of both if some claim may be stronger."""
-    limited = partial(inside, q, n) if bounds else lambda belief: (belief, 0.0)
+    limited = partial(in_declared_ranges, q, n) if bounds else lambda belief: (belief, 0.0)
     found, chance = limited(belief)
-    if extension.small is None:
+    if augmentation.alternative is None:
         return found
-    small, odds = extension.small(q, belief)
+    small, odds = augmentation.alternative(q, belief)
     small, likelier = limited(small)
     return mix(small, found, 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0))))
 
 
-def inside(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
+def in_declared_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
     """(the belief with the mean that it has if every width lies in its declared range, the log of the chance of that).
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution would claim too much.
     """
     found, log = belief, 0.0
     for i in range(q.ranges.shape[0]):
-        found, chance = within(found, n + i, q.ranges[i, 0], q.ranges[i, 1])
+        found, chance = truncate_to(found, n + i, q.ranges[i, 0], q.ranges[i, 1])
         log += chance
     return Gaussian(found.mean, belief.cov), log
 
 
-def numbers(model: System, sensor: Zone, prior: Prior, extension: Extension) -> Params:
+def numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
     """The numbers of a filter that starts from the prior."""
     known = model.n + 2 * model.p
-    first = np.zeros((known + len(extension.cov),) * 2)
-    first[:known, :known], first[known:, known:] = np.diag(prior.std**2), extension.cov
-    mean = np.concatenate([prior.mean, np.zeros(len(extension.cov))])
+    first = np.zeros((known + len(augmentation.cov),) * 2)
+    first[:known, :known], first[known:, known:] = np.diag(prior.std**2), augmentation.cov
+    mean = np.concatenate([prior.mean, np.zeros(len(augmentation.cov))])
     return Params(
-        model.params, extension.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[tuple(kept(model, extension).get_triplet())],
+        model.params, augmentation.params, prior.R, prior.gate, sensor.slope, prior.drift, mean, first[tuple(kept(model, augmentation).get_triplet())],
         prior.ranges, np.linalg.inv(held(model)),
     )  # fmt: skip
 
 
-def kept(model: System, extension: Extension) -> ca.Sparsity:
+def kept(model: System, augmentation: Augmentation) -> ca.Sparsity:
     """The entries of the covariance's upper triangle that a filter keeps."""
     return (
-        ca.Sparsity.upper(model.n + 2 * model.p + len(extension.cov))
-        if extension.entries is None
-        else extension.entries
+        ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
+        if augmentation.entries is None
+        else augmentation.entries
     )
 
 
 def motion(
-    model: System, q: Params, extension: Extension, belief: Gaussian, u: Any
+    model: System, q: Params, augmentation: Augmentation, belief: Gaussian, u: Any
 ) -> tuple[Callable[[Any], Any], Any]:
     """(the motion of [x; d; extra] over a step, the covariance that it adds)."""
     n, known = model.n, model.n + 2 * model.p
-    noise_x, noise_extra = extension.noise(q, belief.mean[:n], u)
+    noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
 
     def move(X: Any) -> Any:
-        x, extra = extension.move(q, X[:n], X[known:], u)
+        x, extra = augmentation.move(q, X[:n], X[known:], u)
         return ca.vertcat(x, X[n:known], extra)
 
     return move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
 
 
-def shown(
+def to_estimate(
     model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
 ) -> Estimate:
     """The belief as an `Estimate`; e, e_std: innovations and their standard deviations."""
@@ -336,7 +348,7 @@ def shown(
     )  # fmt: skip
 
 
-def white(model: System, variance: Floats) -> Extension:
+def white(model: System, variance: Floats) -> Augmentation:
     """Nothing unknown beside [x; d], but an input disturbance that is new at every sample, of that variance (m)."""
 
     def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
@@ -344,9 +356,9 @@ def white(model: System, variance: Floats) -> Extension:
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         _, B = linearise(lambda v: model.move(q.model, x, v), u)
-        return B @ ca.diag(q.extension) @ B.T, ca.SX(0, 0)
+        return B @ ca.diag(q.augmentation) @ B.T, ca.SX(0, 0)
 
-    return Extension(variance, np.zeros((0, 0)), move, noise)
+    return Augmentation(variance, np.zeros((0, 0)), move, noise)
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:

@@ -12,7 +12,7 @@ from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.gaussian import Gaussian, update
-from undeadzone.observers.parts.measured_kalman import Extension, Params
+from undeadzone.observers.parts.measured_kalman import Augmentation, Params
 from undeadzone.plants.system import System, held
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.support.arrays import Floats, scalar
@@ -180,7 +180,7 @@ def unknowns(
     bias: Floats,
     calibrated: float,
     tolerance: Tolerance,
-) -> Extension:
+) -> Augmentation:
     """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p; theta]."""
     from scipy.linalg import block_diag
 
@@ -199,33 +199,35 @@ def unknowns(
         if model.nonlinear:
             after = model.move(tolerance.changed(q.model, theta) if count else q.model, x, total)
         else:
-            regressor = q.extension.slopes @ ca.vertcat(x - q.extension.rest @ constant, moving)
+            regressor = q.augmentation.slopes @ ca.vertcat(
+                x - q.augmentation.rest @ constant, moving
+            )
             after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
         return after, ca.vertcat(
-            constant, ca.kron(q.extension.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta
+            constant, ca.kron(q.augmentation.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta
         )
 
     def bend(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         """theta_i a_i [x; u] in the rows of A and B, held over the step."""
         constant, shaped, theta = ca.vertsplit(extra, ends)
-        moved = ca.vertcat(x - q.extension.rest @ constant, u + disturbing @ shaped)
+        moved = ca.vertcat(x - q.augmentation.rest @ constant, u + disturbing @ shaped)
         rows = sorted({row for row, _ in tolerance.entries})
         b = ca.SX(len(rows), 1)
         for k, (row, column) in enumerate(tolerance.entries):
-            b[rows.index(row)] += theta[k] * q.extension.values[k] * moved[column]
-        return q.extension.held[:, rows], b
+            b[rows.index(row)] += theta[k] * q.augmentation.values[k] * moved[column]
+        return q.augmentation.held[:, rows], b
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         static = [ca.SX(size, size) for size in (biased.shape[1], count)]
         return ca.SX(n, n), ca.diagcat(
-            static[0], ca.kron(q.extension.Q, ca.diag(q.extension.variance)), static[1]
+            static[0], ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance)), static[1]
         )
 
     def small(q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
         """(the belief if the bias is `SMALL`, the log of its odds): what a reading of it as 0 leaves (docs/filters.md)."""
-        odds = q.extension.odds
+        odds = q.augmentation.odds
         for i in range(ends[1]):
-            at, R = n + 2 * model.p + i, q.extension.bias[i] ** 2 / (1 / SMALL**2 - 1)
+            at, R = n + 2 * model.p + i, q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
             e = -belief.mean[at]
             belief, S = update(belief, ca.SX.eye(belief.mean.shape[0])[at, :], e, R, 1.0)
             odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
@@ -248,7 +250,7 @@ def unknowns(
         np.kron(colour.cov, np.diag(variance)),
         np.diag(tolerance.std**2),
     )
-    return Extension(
+    return Augmentation(
         numbers,
         cov,
         move,

@@ -114,7 +114,7 @@ def torque(given: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
     return given.mass(params, q) @ a + given.bias(params, q, v) + given.friction(params, v)
 
 
-def along(f: ca.Function, params: Floats, q: Floats) -> Floats:
+def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
     """f(params, q) for each row of q (N x joints): N x rows, or N x rows x columns of a matrix."""
     found = np.asarray(f.map(len(q))(np.broadcast_to(params[:, None], (params.size, len(q))), q.T))
     each = found.reshape(f.size1_out(0), len(q), -1).swapaxes(0, 1)
