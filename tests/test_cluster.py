@@ -252,7 +252,7 @@ def test_without_distributed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
     code = (
-        "import functools, pathlib, sys\nfrom tests.jobs import say, sines\nfrom undeadzone.ensemble import execute\n"
+        "import functools, pathlib, sys\nfrom tests.jobs import say, sines\nfrom undeadzone.ensemble.blocks import run_blocks as execute\n"
         "if __name__ == '__main__':\n"
         "    try:\n        execute.run(functools.partial(sines, 605, 0.05), pathlib.Path(sys.argv[1]), workers=1, progress=say)\n"
         "    except KeyboardInterrupt as error:\n        say(error)"

@@ -20,7 +20,7 @@ from scenes import PAPER, scene
 from test_report import check_page
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.convergence.falsify import Mode, generator
-from undeadzone.analysis.convergence.trajectories import Trajectory, trajectories, settling
+from undeadzone.analysis.convergence.trajectories import Trajectory, settling, trajectories
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
 from undeadzone.cli.check import plain

@@ -524,7 +524,7 @@ def test_a_full_disk_is_noticed_and_loses_nothing(
 # --- Interrupted
 
 INTERRUPTIBLE = (
-    "import sys\nfrom undeadzone.scenario import read\nfrom undeadzone.ensemble.whole import run_ensemble\n"
+    "import sys\nfrom undeadzone.scenario.reader import read\nfrom undeadzone.ensemble.run_ensemble import run_ensemble\n"
     "try:\n    run_ensemble(read(sys.argv[1]), sys.argv[2], resume=True, progress=lambda done: print(done, flush=True))\n"
     "except KeyboardInterrupt as error:\n    print(error)"
 )

@@ -36,7 +36,7 @@ def test_replays_a_recorded_run_exactly() -> None:
         np.testing.assert_allclose(
             np.concatenate([live.right, live.left]), run.d_hat[k], rtol=0, atol=1e-12
         )
-        np.testing.assert_array_equal(live.side, run.side[k])
+        np.testing.assert_array_equal(online.side, run.side[k])
     assert (online.samples, online.missing) == (run.t.size, 0)
 
 
@@ -49,7 +49,7 @@ def test_missing_samples_are_predicted_and_counted(missing: float) -> None:
     assert online.missing == 2
     assert np.isfinite(np.concatenate(after)).all()
     assert (gap.innovation == 0).all()
-    assert (gap.side == 0).all()
+    assert (online.side == 0).all()
     np.testing.assert_array_equal(gap.z_inverse, gap.z)
     np.testing.assert_array_equal(after.right, gap.right)
     assert (after.x != before.x).all()

@@ -151,9 +151,10 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
     found, _ = bounded(time)
-    halves = [np.sqrt(3) * std for std in (found.x_std, found.right_std, found.left_std)]
+    shown = found.estimate
+    halves = [np.sqrt(3) * std for std in (shown.x_std, shown.right_std, shown.left_std)]
     for truth, middle, half in zip(
-        (found.x, 1.4, 0.6), (found.x_hat, found.right, found.left), halves, strict=True
+        (found.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
     ):
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)

@@ -1,4 +1,4 @@
-"""The two shapes of every method: an observer (params, init, step) and a controller, and what passes between them."""
+"""The two shapes of every method, observer and controller, and what passes between them."""
 
 from __future__ import annotations
 
@@ -14,41 +14,14 @@ from undeadzone.sensor import Zone, inverse, present
 from undeadzone.support.arrays import Floats
 
 
-class Plan(NamedTuple):
-    """What a controller computes from the whole reference before a run, with NumPy: gains, accelerations.
-
-    size: numbers per instant; params: tree of NumPy arrays; along(params, targets (a row per instant)): (instants x size), whose
-    rows `step` finds in `target.plan`.
-    """
-
-    size: int
-    params: Any
-    along: Callable[[Any, Target], Floats]
-
-
-class Controller(NamedTuple):
-    """A controller as pure functions on CasADi expressions.
-
-    params: tree of NumPy arrays; init(params): the state at t = 0 (None: no state);
-    step(params, state, estimate, target): (the state's derivative, or its next value when the model is sampled, u).
-    plan: what it computes ahead, if anything.
-    """
-
-    params: Any
-    init: Callable[[Any], Any]
-    step: Callable[[Any, Any, Estimate, Target], tuple[Any, Any]]
-    plan: Plan | None = None
-
-    @property
-    def planned(self) -> int:
-        """How many numbers per instant it computes ahead."""
-        return 0 if self.plan is None else self.plan.size
-
-
 class Reading(NamedTuple):
-    """What the sensor gives: y (p), NaN where missing, and its measured side (+1 right, -1 left, 0 silent).
+    """What the sensor gives.
 
-    x (n): the true state, which only a simulation has (None elsewhere), for the reference line `full_state`.
+    Attributes:
+        y: reading (p), NaN where it is missing.
+        side: measured side (p): +1 right, -1 left, 0 silent.
+        x: true state (n), which only a simulation has, for the reference line `full_state`;
+            None elsewhere.
     """
 
     y: Any
@@ -56,15 +29,27 @@ class Reading(NamedTuple):
     x: Any = None
 
 
-NONE = ca.SX(0, 1)
+NONE: Any = ca.SX(0, 1)
 
 
 class Estimate(NamedTuple):
-    """x^ (n), z^ = C x^ (p), widths d_r^, d_l^ (p each), the deadzone inverse y + chi_bar d^ of (26) (p), innovation (p).
+    """What an observer makes of the readings so far; a field that it does not estimate is empty.
 
-    Where the observer knows how sure it is, the standard deviations of x^, d_r^, d_l^, d_r^ + d_l^ and the innovation; where it
-    estimates what its model leaves out, that as w^ (n), x' = f(x, u) + w, and of that the parameters that it was told are uncertain as
-    theta^ with their standard deviations; else these are empty.
+    The fields are CasADi expressions on a graph, NumPy arrays in a run or live.
+
+    Attributes:
+        x: state x^ (n).
+        z: output z^ = C x^ (p).
+        right, left: widths d_r^, d_l^ (p).
+        z_inverse: dead-zone inverse y + chi_bar d^ of (26) (p).
+        innovation: what the reading adds to the prediction (p).
+        x_std: standard deviation of x^ (n).
+        right_std, left_std: standard deviations of d_r^, d_l^ (p).
+        width_std: standard deviation of d_r^ + d_l^ (p).
+        innovation_std: standard deviation of the innovation (p).
+        w: what the model leaves out (n), x' = f(x, u) + w.
+        theta: parameters of the model that the observer estimates.
+        theta_std: standard deviations of theta.
     """
 
     x: Any
@@ -83,52 +68,135 @@ class Estimate(NamedTuple):
     theta_std: Any = NONE
 
 
+_COLUMNS = {
+    "x": "x_hat",
+    "z": "z_hat",
+    "right": "d_right",
+    "left": "d_left",
+    "right_std": "d_right_std",
+    "left_std": "d_left_std",
+    "w": "w_hat",
+    "theta": "theta_hat",
+}
+
+COLUMNS = Estimate(*(_COLUMNS.get(name, name) for name in Estimate._fields))
+"""What the columns of a table call each field of an estimate, beside the signals of the plant."""
+
+
+class Traits(NamedTuple):
+    """What an observer says of itself to checks, certificates and figures.
+
+    Attributes:
+        L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it varies.
+        gamma: gain of the innovation in the widths (p), per step when the model is sampled; None:
+            it varies, or no width is adapted.
+        constant: whether x^' = f(x^, u) + L e, d_r^' = -gamma e on the right, d_l^' = gamma e on
+            the left is all that it does, so that (30) can prove it.
+        rate: fastest rate of its own that a step must resolve [1/s], beside those of L and gamma.
+        width_max: upper bound d_M of the widths (p), onto which they are projected.
+        adapts: whether it estimates the widths.
+        uncertain: names of the model's parameters that it estimates, as theta.
+        start_std: standard deviation of x(0) about the declared start (n); None: no start is
+            declared.
+    """
+
+    L: Floats | None = None
+    gamma: Floats | None = None
+    constant: bool = False
+    rate: float | None = None
+    width_max: Floats | None = None
+    adapts: bool = True
+    uncertain: tuple[str, ...] = ()
+    start_std: Floats | None = None
+
+
 class Observer(NamedTuple):
     """An observer as pure functions on CasADi expressions.
 
-    params: tree of NumPy arrays; init(params): the state at t = 0, a tree of NumPy arrays;
-    step(params, state, u, reading): (the state's derivative, or its next value when the model is sampled, Estimate),
-    where the estimate must not depend on u; project(params, state): the admissible state nearest to a given one;
-    init, and step where the model is sampled, give one.
+    Attributes:
+        params: tree of NumPy arrays.
+        init: init(params) is the state at t = 0, a tree of NumPy arrays.
+        step: step(params, state, u, reading) is (the state's derivative, or its next value when
+            the model is sampled; the `Estimate`, which must not depend on u).
+        project: project(params, state) is the nearest admissible state; init gives one, and so
+            does step when the model is sampled.
+        traits: what checks, certificates and figures ask.
     """
 
     params: Any
     init: Callable[[Any], Any]
     step: Callable[[Any, Any, Any, Reading], tuple[Any, Estimate]]
     project: Callable[[Any, Any], Any] = lambda params, state: state
-
-
-def estimate(
-    x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
-) -> Estimate:
-    """An `Estimate` with its deadzone inverse; a missing sample is inverted to z^."""
-    inverted = ca.if_else(
-        present(reading.y), inverse(reading.y, reading.side, right, left, slope, kind), z
-    )
-    return Estimate(x, z, right, left, inverted, innovation)
+    traits: Traits = Traits()
 
 
 class NumericObserver(NamedTuple):
-    """An observer that computes in Python, one sample at a time, since no graph of fixed size holds it; sampled time.
+    """An observer that computes in Python, one sample at a time; sampled time only.
 
-    params: its numbers; start(seed): the state at t = 0; correct(state, reading): (state, Estimate), both of NumPy
-    arrays; predict(state, u): the state at the next sample. States are values: nothing else is changed.
+    No graph of fixed size holds it. States are values: nothing else is changed.
+
+    Attributes:
+        params: its numbers.
+        start: start(seed) is the state at t = 0.
+        correct: correct(state, reading) is (state, Estimate), both of NumPy arrays.
+        predict: predict(state, u) is the state at the next sample.
+        traits: what checks, certificates and figures ask.
     """
 
     params: Any
     start: Callable[[int], Any]
     correct: Callable[[Any, Reading], tuple[Any, Estimate]]
     predict: Callable[[Any, Floats], Any]
+    traits: Traits = Traits()
 
 
-def graph_of(observer: Observer | NumericObserver) -> Observer:
-    """The observer if it is a graph. Raises InputError for one that computes in Python."""
-    if isinstance(observer, NumericObserver):
-        raise InputError(
-            "observer.method: this one computes in Python, sample by sample: it runs in single simulations only, "
-            "not in ensembles, compiled lanes, live use or generated C; use 'ekf', 'ukf', 'kalman' or 'censored' there"
-        )
-    return observer
+class Plan(NamedTuple):
+    """What a controller computes from the whole reference before a run, with NumPy.
+
+    Attributes:
+        size: numbers per instant, such as gains or accelerations.
+        params: tree of NumPy arrays.
+        along: along(params, targets), with a row per instant, is an array (instants x size) whose
+            rows `step` finds in `target.plan`.
+    """
+
+    size: int
+    params: Any
+    along: Callable[[Any, Target], Floats]
+
+
+class Controller(NamedTuple):
+    """A controller as pure functions on CasADi expressions.
+
+    Attributes:
+        params: tree of NumPy arrays.
+        init: init(params) is the state at t = 0; None: no state.
+        step: step(params, state, estimate, target) is (the state's derivative, or its next value
+            when the model is sampled; u).
+        plan: what it computes ahead of a run, if anything.
+        K: constant state feedback u = -K x^ + ... (m x n); None: there is none.
+        rate: fastest rate of its own that a step must resolve [1/s].
+    """
+
+    params: Any
+    init: Callable[[Any], Any]
+    step: Callable[[Any, Any, Estimate, Target], tuple[Any, Any]]
+    plan: Plan | None = None
+    K: Floats | None = None
+    rate: float | None = None
+
+    @property
+    def planned(self) -> int:
+        """How many numbers per instant it computes ahead."""
+        return 0 if self.plan is None else self.plan.size
+
+
+def estimate(
+    x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
+) -> Estimate:
+    """An `Estimate` with its dead-zone inverse; a missing sample is inverted to z^."""
+    inverted = inverse(reading.y, reading.side, right, left, slope, kind)
+    return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
 
 
 def numeric_estimate(
@@ -141,25 +209,47 @@ def numeric_estimate(
     width_std: Floats,
     e_std: Floats,
 ) -> Estimate:
-    """An `Estimate` of numbers; X, std: [x; d_r; d_l] and its standard deviations (n + 2p); e, e_std: innovations and theirs."""
+    """An `Estimate` of numbers.
+
+    Args:
+        X: [x; d_r; d_l] (n + 2p).
+        z: output z^ (p).
+        reading: what was read.
+        sensor: the dead zone, for its slope and kind.
+        e: innovation (p).
+        std: standard deviations of X (n + 2p).
+        width_std: standard deviations of d_r + d_l (p).
+        e_std: standard deviations of e (p).
+    """
     ends = [X.size - 2 * z.size, X.size - z.size]
-    (x, right, left), (x_std, right_std, left_std) = np.split(X, ends), np.split(std, ends)
-    inverted = np.where(
-        np.isfinite(reading.y),
-        inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind),
-        z,
-    )
+    x, right, left = np.split(X, ends)
+    x_std, right_std, left_std = np.split(std, ends)
+    inverted = inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind)
+    none = np.zeros(0)
     return Estimate(
         x,
         z,
         right,
         left,
-        inverted,
+        np.where(np.isfinite(reading.y), inverted, z),
         e,
         x_std,
         right_std,
         left_std,
         width_std,
         e_std,
-        *np.zeros((3, 0)),
+        none,
+        none,
+        none,
     )
+
+
+def graph_of(observer: Observer | NumericObserver) -> Observer:
+    """The observer if it is a graph. Raises InputError for one that computes in Python."""
+    if isinstance(observer, NumericObserver):
+        raise InputError(
+            "observer.method: this one computes in Python, sample by sample: it runs in single "
+            "simulations only, not in ensembles, compiled lanes, live use or generated C; "
+            "use 'ekf', 'ukf', 'kalman' or 'censored' there"
+        )
+    return observer

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import passive_gain
-from undeadzone.arena.prior_knowledge import UNITS, Setting, PriorKnowledge, situation
+from undeadzone.arena.prior_knowledge import UNITS, PriorKnowledge, Setting, situation
 from undeadzone.arena.tuned_file import load
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
 from undeadzone.errors import InputError

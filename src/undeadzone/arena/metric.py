@@ -59,13 +59,18 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
         diverged = not bool(
-            (np.abs(np.hstack([out.x, out.x_hat, out.right, out.left, out.u])) < LIMIT).all()
+            (
+                np.abs(
+                    np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left, out.u])
+                )
+                < LIMIT
+            ).all()
         )
         outside = np.flatnonzero(~(np.abs(error).max(axis=1) <= SETTLED * np.abs(r).max()))
         width, centre = (None, None) if diverged else _widths(problem, out, truth)
         return Worth(
             tracking=rms(error[tail]),
-            estimation=rms((out.z - out.z_hat)[tail]),
+            estimation=rms((out.z - out.estimate.z)[tail]),
             width=width,
             centre=centre,
             coverage=None if diverged else _coverage(out, truth),
@@ -87,7 +92,7 @@ def rms(values: Floats) -> float:
 
 
 def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None, float | None]:
-    estimated = np.stack([out.right, out.left], axis=1)
+    estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
@@ -109,7 +114,9 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
 
 
 def _coverage(out: Outputs, truth: Floats) -> float | None:
-    if not out.right_std.size:
+    if not out.estimate.right_std.size:
         return None
-    off = np.abs(np.stack([out.right[-1], out.left[-1]]) - truth)
-    return float((off <= SURE * np.stack([out.right_std[-1], out.left_std[-1]])).mean())
+    off = np.abs(np.stack([out.estimate.right[-1], out.estimate.left[-1]]) - truth)
+    return float(
+        (off <= SURE * np.stack([out.estimate.right_std[-1], out.estimate.left_std[-1]])).mean()
+    )

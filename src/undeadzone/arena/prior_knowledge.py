@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -171,7 +171,7 @@ def _reach(problem: Problem, width: float) -> Floats:
 
 def _loop_rate(problem: Problem) -> float:
     """Of the poles of A - B K; ten times the plant's fastest where the controller has no K."""
-    K: Any = getattr(problem.controller.params, "K", None)
+    K = problem.controller.K
     if K is None:
         return 10 * fastest_pole(problem.model)
     poles = np.linalg.eigvals(problem.model.linear.A - problem.model.linear.B @ K)

@@ -58,7 +58,7 @@ def traced(contest: Contest, title: str | None = None) -> list[Trace]:
                 contest.scenarios[title].title,
                 t,
                 out.z[:, i],
-                out.z_hat[:, i],
+                out.estimate.z[:, i],
                 problem.reference.value(t)[:, 0],
                 widths,
             )

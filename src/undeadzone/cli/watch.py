@@ -8,19 +8,15 @@ import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from undeadzone.errors import FileError
 
 if TYPE_CHECKING:
-    from undeadzone.simulation.online import OnlineEstimate
-
-NAMES = (
-    "x_hat", "z_hat", "d_right", "d_left", "z_inverse", "innovation",
-    "x_std", "d_right_std", "d_left_std", "width_std", "innovation_std", "w_hat", "theta_hat", "theta_std", "side",
-)  # fmt: skip
+    from undeadzone.interfaces import Estimate
+    from undeadzone.simulation.online import Online
 
 
 @click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
@@ -57,13 +53,11 @@ def watch(scenario: Path, as_json: bool) -> int:
                 f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, found {len(row)}"
             )
         values = [_value(cell, number) for cell in row]
-        live = online.update(values[-(p + m) : -m], values[-m:])
+        columns = _columns(online, online.update(values[-(p + m) : -m], values[-m:]))
         if count == 0 and not as_json:
-            click.echo(",".join(_header(live)))
+            click.echo(",".join(_header(columns)))
         time = values[0] if len(row) > p + m else count * problem.simulation.step
-        click.echo(
-            _json(time, live) if as_json else ",".join(repr(float(v)) for v in (time, *_flat(live)))
-        )
+        click.echo(_json(time, columns) if as_json else _csv(time, columns))
         sys.stdout.flush()
         count += 1
     if count == 0:
@@ -98,19 +92,30 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _header(live: OnlineEstimate) -> list[str]:
-    return [
-        "t",
-        *(f"{name}[{i}]" for name, part in zip(NAMES, live, strict=True) for i in range(part.size)),
-    ]
+def _columns(online: Online, estimate: Estimate) -> dict[str, Any]:
+    """The parts of an estimate, and the measured side, by the names of their columns."""
+    from undeadzone.interfaces import COLUMNS
+
+    return dict(zip(COLUMNS, estimate, strict=True)) | {"side": online.side}
 
 
-def _flat(live: OnlineEstimate) -> list[float]:
-    return [float(value) for part in live for value in part]
+def _header(columns: dict[str, Any]) -> list[str]:
+    """The names of the columns of a CSV file: t, x_hat[0], ..."""
+    names = ["t"]
+    for name, part in columns.items():
+        names += [f"{name}[{i}]" for i in range(part.size)]
+    return names
 
 
-def _json(time: float, live: OnlineEstimate) -> str:
-    return json.dumps(
-        {"t": time}
-        | {name: part.tolist() for name, part in zip(NAMES, live, strict=True) if part.size}
-    )
+def _csv(time: float, columns: dict[str, Any]) -> str:
+    """A line of a CSV file, with all digits."""
+    values = [time]
+    for part in columns.values():
+        values += part.tolist()
+    return ",".join(repr(float(value)) for value in values)
+
+
+def _json(time: float, columns: dict[str, Any]) -> str:
+    """A line of JSON; what the observer does not estimate is left out."""
+    parts = {name: part.tolist() for name, part in columns.items() if part.size}
+    return json.dumps({"t": time} | parts)

@@ -56,7 +56,7 @@ class GravityPD(
             _, gravity = flat.solve(p.model, ca.horzcat(x[half - m : half], at_rest))
             return s, p.K @ (target.x_ref - estimate.x) + gravity
 
-        return Controller(Params(model.params, K), lambda p: None, step)
+        return Controller(Params(model.params, K), lambda p: None, step, K=K)
 
 
 class Params(NamedTuple):

@@ -63,6 +63,7 @@ class PD(
             Params(K[0], K[1], np.float64(tau), np.float64(rate)),
             lambda p: State(np.zeros(model.p)),
             step,
+            rate=1.0 / tau,
         )
 
     def _riccati_gains(self, model: System) -> Floats:

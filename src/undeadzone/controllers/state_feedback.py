@@ -86,7 +86,7 @@ class StateFeedback(
                 p.BtP @ (estimate.x - target.x_ref) / p.width
             ) if robust else u
 
-        return Controller(params, lambda p: None, step)
+        return Controller(params, lambda p: None, step, K=K)
 
 
 def rest(model: System) -> Floats:

@@ -93,13 +93,13 @@ def _add(
     worst = ca.norm_inf(error)
     return tally._replace(
         tracking=tally.tracking + tail * ca.sumsqr(error),
-        estimation=tally.estimation + tail * ca.sumsqr(out.z - out.z_hat),
+        estimation=tally.estimation + tail * ca.sumsqr(out.z - out.estimate.z),
         peak=ca.fmax(worst, tally.peak),
         settled=ca.if_else(worst > tolerance, t, tally.settled),
         silent=tally.silent + ca.sum1(out.side == 0),
         effort=tally.effort + ca.sumsqr(out.u),
-        right=out.right,
-        left=out.left,
+        right=out.estimate.right,
+        left=out.estimate.left,
     )
 
 

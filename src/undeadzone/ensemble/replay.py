@@ -45,7 +45,7 @@ def recorded_bands(fleet: Batch, runs: int, threads: int | None = None) -> Bands
     values = fleet.binding.draw(0, runs, fleet.layout.runs)
     places = {name: i for i, name in enumerate(tree.names(fleet.loop.outputs))}
     wanted = [places[f"z[{i}]"] for i in range(p)] + [
-        places[f"{edge}[{i}]"] for i in range(p) for edge in ("right", "left")
+        places[f"estimate.{edge}[{i}]"] for i in range(p) for edge in ("right", "left")
     ]
     every = max(1, len(fleet.exogenous) // POINTS)
     outputs = _recorded(fleet, np.arange(runs), values, wanted, every, threads)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from undeadzone.ensemble.addresses import Quantity, matching, stem
 from undeadzone.errors import InputError
-from undeadzone.scenario.ensemble_table import Distribution, CheckedDistribution, entry_name, spread
+from undeadzone.scenario.ensemble_table import CheckedDistribution, Distribution, entry_name, spread
 from undeadzone.scenario.problem import Problem
 
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.width_laws import GRADIENT, Adaptation, Edge, Gradient, Law
 from undeadzone.observers.parts.widths import bounded_widths
@@ -182,4 +182,11 @@ def measured_side(
             after = project(p, after)
         return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
 
-    return Observer(params, init, step, project)
+    traits = Traits(
+        L=params.L,
+        gamma=params.gamma,
+        constant=law.numbers is None,
+        width_max=limit,
+        adapts=bool(gamma.any()),
+    )
+    return Observer(params, init, step, project, traits)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Observer
+from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import presumed
 from undeadzone.observers.parts.measured_kalman import Augmentation, Params, measured_filter, prior
 from undeadzone.observers.parts.unknown_inputs import (
@@ -102,7 +102,7 @@ class Extended(
                 parameters=tuple(model.names.index(name) for name in self.uncertain)
             )
         bounds = self.silence and not self.blind
-        return measured_filter(
+        observer = measured_filter(
             model,
             sensor,
             believed,
@@ -112,6 +112,12 @@ class Extended(
             order=1,
             blind=self.blind,
         )
+        traits = Traits(
+            adapts=not self.blind,
+            uncertain=tuple(self.uncertain),
+            start_std=None if self.x_std is None else believed.std[:n],
+        )
+        return observer._replace(traits=traits)
 
 
 class Noise(NamedTuple):

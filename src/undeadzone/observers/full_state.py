@@ -8,7 +8,7 @@ import casadi as ca
 import msgspec
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
@@ -37,9 +37,8 @@ class FullState(
                 reading.x, z, p.right, p.left, reading, p.slope, sensor.kind, ca.SX.zeros(model.p)
             )
 
-        return Observer(
-            Params(model.params, sensor.right, sensor.left, sensor.slope), lambda p: None, step
-        )
+        params = Params(model.params, sensor.right, sensor.left, sensor.slope)
+        return Observer(params, lambda p: None, step, traits=Traits(adapts=False))
 
 
 class Params(NamedTuple):

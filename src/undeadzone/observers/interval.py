@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.scaling import sizes
 from undeadzone.observers.parts.boxes import FAR, Bounds, Boxes, cut, each, meet
 from undeadzone.observers.parts.gain import injection
@@ -212,7 +212,10 @@ def interval(model: System, seen: Modes, params: Params, kind: str) -> Observer:
             )
         return after, _read(q, shown, frame, reading, kind, e)
 
-    return Observer(params, lambda q: State(q.start, np.zeros(len(seen.pairs))), step, project)
+    def init(q: Params) -> State:
+        return State(q.start, np.zeros(len(seen.pairs)))
+
+    return Observer(params, init, step, project, Traits(L=params.L))
 
 
 def _read(q: Params, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: Any) -> Estimate:

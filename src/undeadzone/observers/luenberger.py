@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.poles import observer_gain
 from undeadzone.observers.parts.gain import gains
 from undeadzone.plants.system import System
@@ -47,9 +47,11 @@ class Luenberger(
                 s.x, z, none, none, reading, p.slope, sensor.kind, e
             )
 
-        return Observer(
-            Params(model.params, L, sensor.slope), lambda p: State(np.zeros(model.n)), step
-        )
+        def init(p: Params) -> State:
+            return State(np.zeros(model.n))
+
+        params = Params(model.params, L, sensor.slope)
+        return Observer(params, init, step, traits=Traits(L=L, adapts=False))
 
 
 class Params(NamedTuple):

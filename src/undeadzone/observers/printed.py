@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.riccati import paper_riccati, weight
 from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.widths import pairs
@@ -91,7 +91,10 @@ class Printed(
             )
             return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
 
-        return Observer(params, lambda p: State(np.zeros(model.n), p.right0, p.left0), step)
+        def init(p: Params) -> State:
+            return State(np.zeros(model.n), p.right0, p.left0)
+
+        return Observer(params, init, step, traits=Traits(L=L))
 
 
 class Params(NamedTuple):

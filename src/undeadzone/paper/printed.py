@@ -160,7 +160,10 @@ def _judge(variant: Variant, signal: Outputs) -> Outcome:
     largest = np.abs(np.hstack(signal)).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))
     end = int(bad[0]) if bad.size else largest.size
-    z, widths = np.abs(signal.z[:end, 0]), np.hstack([signal.right, signal.left])[:end]
+    z, widths = (
+        np.abs(signal.z[:end, 0]),
+        np.hstack([signal.estimate.right, signal.estimate.left])[:end],
+    )
     return Outcome(
         variant,
         steady=None if bad.size else float(z[-round(LAST / STEP) :].max()),

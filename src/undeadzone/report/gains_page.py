@@ -16,7 +16,7 @@ from undeadzone.report.style import label, write
 from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
 from undeadzone.support.files import write_text
-from undeadzone.synthesis.assessment import Assessment, Gains, Attacks
+from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

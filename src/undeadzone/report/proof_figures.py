@@ -12,7 +12,7 @@ from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, pattern
 from undeadzone.report.style import ESTIMATE, FLOOR, PRINTED, READING, TRUTH, ZONE, finish, sheet
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.assessment import Assessment, Gains, Attacks
+from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

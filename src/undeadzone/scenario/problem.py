@@ -107,8 +107,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
 
 def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
     """Raise InputError where the widths lie beyond d_M, so that projection keeps the estimates from the truth."""
-    limit = getattr(observer.params, "limit", None)
-    if limit is not None and (beyond := np.maximum(sensor.right, sensor.left) > limit).any():
+    limit = observer.traits.width_max
+    if limit is None:
+        return
+    beyond = np.maximum(sensor.right, sensor.left) > limit
+    if beyond.any():
         output = int(beyond.argmax())
         raise InputError(
             f"observer.width_max: the sensor's widths of output {output}, right {sensor.right[output]:g} and left {sensor.left[output]:g}, "
@@ -256,14 +259,22 @@ def constant_gains(
     observer: Observer | NumericObserver, model: System
 ) -> tuple[Floats, Floats] | None:
     """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
-    params, step = observer.params, 1.0 if model.Ts is None else model.Ts
-    constant = hasattr(params, "L") and hasattr(params, "gamma") and params.law is None
-    return (params.L / step, params.gamma / step) if constant else None
+    traits = observer.traits
+    if not traits.constant or traits.L is None or traits.gamma is None:
+        return None
+    step = 1.0 if model.Ts is None else model.Ts
+    return traits.L / step, traits.gamma / step
+
+
+def largest_gamma(observer: Observer | NumericObserver) -> float:
+    """The largest gain of a width, per step when the model is sampled; 0 where none is constant."""
+    gamma = observer.traits.gamma
+    return 0.0 if gamma is None else float(gamma.max())
 
 
 def require_bounded_error(model: System, observer: Observer | NumericObserver, step: float) -> None:
     """Raise StructureError if the model is unstable and A - L C too, StepError if gamma is too large for the sample time."""
-    gamma, L = np.max(getattr(observer.params, "gamma", 0.0)), getattr(observer.params, "L", None)
+    gamma, L = largest_gamma(observer), observer.traits.L
     if model.Ts is not None and gamma >= 2:
         raise StepError(
             f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = {gamma:.4g} must be below 2"
@@ -295,8 +306,7 @@ def _require_fine_step(
     step: float,
 ) -> None:
     """Raise StepError where RK4 would be unstable or useless on some linear part of the loop."""
-    gamma = np.max(getattr(observer.params, "gamma", 0.0))
-    L, K = getattr(observer.params, "L", None), getattr(controller.params, "K", None)
+    gamma, L, K = largest_gamma(observer), observer.traits.L, controller.K
     parts = {"the plant": plant.linear.A}
     if L is not None:
         A, _, C = model.linear
@@ -305,10 +315,10 @@ def _require_fine_step(
         )
     if K is not None:
         parts["the controlled model, A - B K,"] = model.linear.A - model.linear.B @ K
-    if (rate := getattr(observer.params, "rate", None)) is not None:
-        parts["the observer's adaptation"] = np.array([[-rate]])
-    if (tau := getattr(controller.params, "tau", None)) is not None:
-        parts["the controller's filter"] = np.array([[-1.0 / tau]])
+    if observer.traits.rate is not None:
+        parts["the observer's adaptation"] = np.array([[-observer.traits.rate]])
+    if controller.rate is not None:
+        parts["the controller's filter"] = np.array([[-controller.rate]])
     for name, matrix in parts.items():
         fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
         if fastest * step > STABLE:

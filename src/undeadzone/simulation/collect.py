@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unkn
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
+from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
@@ -34,8 +36,8 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         )
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    observer, bias = problem.scenario.observer, unknown_bias(disturbance, np.eye(problem.plant.m))
-    uncertain = tuple(getattr(observer, "uncertain", ()))
+    bias = unknown_bias(disturbance, np.eye(problem.plant.m))
+    traits = problem.observer.traits
 
     def given(start_std: Floats | None) -> list[Verdict]:
         return verdicts_along(
@@ -46,15 +48,14 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
             sensor,
             step,
             bias,
-            uncertain,
+            traits.uncertain,
             start_std,
         )
 
-    start = getattr(observer, "x_std", None) if hasattr(observer, "start") else None
     alone = given(None)
-    if start is None:
+    if traits.start_std is None:
         return alone
-    homed = given(np.broadcast_to(np.asarray(start, float), problem.plant.n))
+    homed = given(traits.start_std)
     return [_homed(*pair) for pair in zip(alone, homed, strict=True)]
 
 
@@ -95,64 +96,121 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
 
 
 def certificate(problem: Problem) -> Certificate | None:
-    """The proof that V never rises, for observers with constant gains L, gamma on a linear model; else None."""
+    """The proof that V never rises, for constant gains L, gamma on a linear model; else None."""
     gains = constant_gains(problem.observer, problem.model)
-    return (
-        None
-        if gains is None or problem.model.nonlinear
-        else certify(problem.model.linear, *gains, problem.model.Ts)
-    )
+    if gains is None or problem.model.nonlinear:
+        return None
+    return certify(problem.model.linear, *gains, problem.model.Ts)
 
 
 def collect(problem: Problem, signal: Outputs, error: float | None, began: float) -> Run:
-    """The run whose signals these are, begun at that reading of the performance counter; error: of the integration."""
-    scenario = problem.scenario
-    t = np.arange(problem.steps + 1) * scenario.simulation.step
-    d_hat, d_std = (
-        np.stack(pair, axis=2).reshape(t.size, -1)
-        for pair in ((signal.right, signal.left), (signal.right_std, signal.left_std))
-    )
-    optional = {
-        "x_std": signal.x_std,
-        "d_std": d_std,
-        "width_std": signal.width_std,
-        "innovation_std": signal.innovation_std,
-        "w_hat": signal.w_hat,
-    }
-    optional |= {"theta_hat": signal.theta_hat, "theta_std": signal.theta_std}
-    truth = np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
+    """The run whose signals these are.
+
+    Args:
+        problem: what was simulated.
+        signal: the outputs of the loop (a row per sample).
+        error: of the integration; None: not measured.
+        began: reading of the performance counter when the run began [s].
+    """
+    t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
+    found = signal.estimate
+    d_hat = _interleaved(found.right, found.left)
     proof = certificate(problem)
-    V = None
-    if proof is not None and proof.certified:
-        # A width that is wrong and not adapted disturbs for ever: no V. A jump sensor's widths do not enter.
-        d_error = truth - d_hat if problem.sensor.kind == "deadzone" else np.zeros_like(d_hat)
-        adapted = np.repeat(problem.observer.params.gamma > 0, 2)
-        V = (
-            proof.V.value(signal.x - signal.x_hat, d_error)
-            if (adapted | (d_error == 0)).all()
-            else None
-        )
+    optional = {
+        "x_std": found.x_std,
+        "d_std": _interleaved(found.right_std, found.left_std),
+        "width_std": found.width_std,
+        "innovation_std": found.innovation_std,
+        "w_hat": found.w,
+        "theta_hat": found.theta,
+        "theta_std": found.theta_std,
+    }
     return Run(
-        t=t, x=signal.x, z=signal.z, y=signal.y, side=signal.side, x_hat=signal.x_hat, z_hat=signal.z_hat, d_hat=d_hat,
-        z_inverse=signal.z_inverse, innovation=signal.innovation, u=signal.u,
-        r=problem.reference.value(t), V=V,
-        info=Info(
-            title=scenario.title,
-            method=str(type(scenario.observer).__struct_config__.tag),
-            time=scenario.simulation.time,
-            step=scenario.simulation.step,
-            tracked=problem.tracked,
-            widths=truth.tolist(),
-            threshold=problem.sensor.threshold.tolist(),
-            certified=None if proof is None else proof.certified,
-            integration_error=error,
-            identifiable=[verdict._asdict() | {"reasons": list(verdict.reasons)} for verdict in verdicts_of_run(problem, signal)],
-            seconds=time.perf_counter() - began,
-            units=scenario.units,
-            uncertain={name: float(np.ravel(problem.plant.params)[problem.plant.names.index(name)]) for name in getattr(scenario.observer, "uncertain", {})},
-            joints=[] if problem.plant.arm is None else list(problem.plant.arm.chain.joints),
-        ),
-        **tips(problem, signal.x, signal.x_hat, t),
+        t=t,
+        x=signal.x,
+        z=signal.z,
+        y=signal.y,
+        side=signal.side,
+        x_hat=found.x,
+        z_hat=found.z,
+        d_hat=d_hat,
+        z_inverse=found.z_inverse,
+        innovation=found.innovation,
+        u=signal.u,
+        r=problem.reference.value(t),
+        V=_storage(problem, proof, signal.x - found.x, d_hat),
+        info=_info(problem, signal, proof, error, began),
+        **tips(problem, signal.x, found.x, t),
         **_poses(problem, signal.x, t),
         **{name: value for name, value in optional.items() if value.size},
-    )  # fmt: skip
+    )
+
+
+def _interleaved(right: Floats, left: Floats) -> Floats:
+    """[right, left] of each output side by side (N x 2p)."""
+    return np.stack((right, left), axis=2).reshape(len(right), -1)
+
+
+def _true_widths(problem: Problem) -> Floats:
+    """The true [d_r, d_l] of each output (2p)."""
+    return np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
+
+
+def _storage(
+    problem: Problem, proof: Certificate | None, x_error: Floats, d_hat: Floats
+) -> Floats | None:
+    """V along a run (N); None without a proof.
+
+    A width that is wrong and not adapted disturbs for ever: no V. The widths of a jump sensor do
+    not enter.
+    """
+    gamma = problem.observer.traits.gamma
+    if proof is None or not proof.certified or gamma is None:
+        return None
+    if problem.sensor.kind == "deadzone":
+        d_error = _true_widths(problem) - d_hat
+    else:
+        d_error = np.zeros_like(d_hat)
+    adapted = np.repeat(gamma > 0, 2)
+    if not (adapted | (d_error == 0)).all():
+        return None
+    return proof.V.value(x_error, d_error)
+
+
+def _info(
+    problem: Problem,
+    signal: Outputs,
+    proof: Certificate | None,
+    error: float | None,
+    began: float,
+) -> Info:
+    """What a run knows besides its signals."""
+    scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
+    verdicts = verdicts_of_run(problem, signal)
+    return Info(
+        title=scenario.title,
+        method=str(type(scenario.observer).__struct_config__.tag),
+        time=scenario.simulation.time,
+        step=scenario.simulation.step,
+        tracked=problem.tracked,
+        widths=_true_widths(problem).tolist(),
+        threshold=problem.sensor.threshold.tolist(),
+        certified=None if proof is None else proof.certified,
+        integration_error=error,
+        identifiable=[_as_json(verdict) for verdict in verdicts],
+        seconds=time.perf_counter() - began,
+        units=scenario.units,
+        uncertain={name: _parameter(plant, name) for name in traits.uncertain},
+        joints=[] if plant.arm is None else list(plant.arm.chain.joints),
+        adapts=traits.adapts,
+    )
+
+
+def _parameter(plant: System, name: str) -> float:
+    """The value of a named parameter of a plant."""
+    return float(np.ravel(plant.params)[plant.names.index(name)])
+
+
+def _as_json(verdict: Verdict) -> dict[str, Any]:
+    """A verdict for JSON."""
+    return verdict._asdict() | {"reasons": list(verdict.reasons)}

@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.controllers import Controller
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate, Observer, Reading
 from undeadzone.numerics.dense_output import runge_kutta, taylor
-from undeadzone.numerics.event_location import StepAttempt, Crossing, located_step
+from undeadzone.numerics.event_location import Crossing, StepAttempt, located_step
 from undeadzone.numerics.runge_kutta import rk4
-from undeadzone.observers import Observer, Reading
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, branch, edges, quantised, side, zone
 from undeadzone.support import tree
@@ -77,27 +76,23 @@ class State(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What is recorded at the start of each step."""
+    """What is recorded at the start of each step.
+
+    Attributes:
+        x: state (n).
+        z: output C x (p).
+        y: reading (p).
+        side: measured side (p).
+        u: input (m).
+        estimate: what the observer makes of the reading.
+    """
 
     x: Any
     z: Any
     y: Any
     side: Any
     u: Any
-    x_hat: Any
-    z_hat: Any
-    right: Any
-    left: Any
-    z_inverse: Any
-    innovation: Any
-    x_std: Any
-    right_std: Any
-    left_std: Any
-    width_std: Any
-    innovation_std: Any
-    w_hat: Any
-    theta_hat: Any
-    theta_std: Any
+    estimate: Estimate
 
 
 class Parts(NamedTuple):
@@ -193,7 +188,8 @@ def close(
             _function("rare", inputs, next=attempt.end, flag=attempt.more) for attempt in others
         )
         parts = Parts(_function("usual", inputs, next=first.end, out=out, flag=first.more), rare)
-    shapes = Outputs(*(np.zeros(value.shape[0]) for value in outputs))
+    sizes = (np.zeros(leaf.shape[0]) for _, leaf in tree.leaves(outputs))
+    shapes = tree.rebuild(outputs, sizes)
     return Loop(
         _function("step", inputs, next=following, out=out), state, params, shapes, instant, parts
     )
@@ -266,7 +262,7 @@ class _Wires(NamedTuple):
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
         plant = self.plant.move(self.p.plant, s.plant, u + w.w)
-        return State(plant, observer, controller), Outputs(s.plant, z, y, read, u, *estimate)
+        return State(plant, observer, controller), Outputs(s.plant, z, y, read, u, estimate)
 
     def admissible(self, like: State, column: ca.SX) -> ca.SX:
         """The admissible state nearest to a column."""

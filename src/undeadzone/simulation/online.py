@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.engine.interpret import Stepper
-from undeadzone.interfaces import graph_of
-from undeadzone.observers import Observer, ObserverOptions, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, graph_of
+from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -19,33 +19,27 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
 
 
-class OnlineEstimate(NamedTuple):
-    """One live estimate: the fields of `Estimate` as arrays (empty where the observer has none), and the side (p)."""
-
-    x: Floats
-    z: Floats
-    right: Floats
-    left: Floats
-    z_inverse: Floats
-    innovation: Floats
-    x_std: Floats
-    right_std: Floats
-    left_std: Floats
-    width_std: Floats
-    innovation_std: Floats
-    w: Floats
-    theta: Floats
-    theta_std: Floats
-    side: Floats
-
-
 class Online:
-    """An observer fed one sample at a time: `Online(Certified(L=..., gamma=...), plant, sensor, step).update(y, u)`.
+    """An observer fed one sample at a time.
 
-    plant: what the observer believes; sensor: kind, slope, noise and threshold (its widths are used by the oracle only);
-    step: sample time [s]; a nonlinear plant moves by `substeps` Runge-Kutta steps in it. A reading that is NaN or infinite is
-    missing: nothing is corrected, and `missing` counts it; an input that is not finite is taken to be the last one.
-    Raises InputError and its kinds as a scenario would.
+    `Online(Auto(...), plant, sensor, step).update(y, u)` gives an `Estimate`. A reading that is NaN
+    or infinite is missing: nothing is corrected. An input that is not finite is the last one.
+
+    Args:
+        observer: options of the observer.
+        plant: the plant as the observer knows it.
+        sensor: kind, slope, noise and threshold; its widths are used by the oracle only.
+        step: sample time [s].
+        substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
+
+    Attributes:
+        model: the sampled model.
+        samples: how many samples came in.
+        missing: how many of them had a reading missing.
+        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing.
+
+    Raises:
+        InputError: or a subclass, as a scenario would.
     """
 
     def __init__(
@@ -63,41 +57,59 @@ class Online:
         zone = resolve(sensor, self.model.p, Ts)
         built = graph_of(observer.build(self.model, zone))
         require_bounded_error(self.model, built, Ts)
-        graph, state, params, sizes = _graph(self.model, built, zone.threshold)
+        graph, state, params, shapes = _graph(self.model, built, zone.threshold)
         self.samples = 0
         self.missing = 0
+        self.side = np.zeros(self.model.p)
         self._step = Stepper(graph, state, params)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        ends = np.cumsum(sizes).tolist()
-        self._cuts = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self._where: _Out = tree.slices(shapes)
 
-    def update(self, y: Array, u: Array) -> OnlineEstimate:
-        """The estimate from reading y (p) and all before it; u (m) acts from this sample to the next."""
+    def update(self, y: Array, u: Array) -> Estimate:
+        """Take one sample in, give one estimate out.
+
+        Args:
+            y: reading (p); NaN or infinite: missing.
+            u: input (m) that acts from this sample to the next; not finite: as before.
+
+        Returns:
+            The estimate from this reading and all before it, as NumPy arrays; empty where the
+            observer estimates nothing.
+        """
         self._w[: self._p] = y
         self._w[self._p :] = u
         self._step()
         self.samples += 1
         out = self._out.copy()
+        self.side = out[self._where.side]
         if out[-1]:
             self.missing += 1
-        return OnlineEstimate(*[out[cut] for cut in self._cuts])
+        return Estimate(*[out[part] for part in self._where.estimate])
 
-    def peek(self, y: Array) -> OnlineEstimate:
-        """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances."""
-        state, samples, missing = self._step.state.copy(), self.samples, self.missing
-        found = self.update(y, 0.0)
-        self._step.state[:] = state
-        self.samples, self.missing = samples, missing
-        return found
+    def peek(self, y: Array) -> Estimate:
+        """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances.
+
+        Args:
+            y: reading (p).
+        """
+        before = self._step.state.copy(), self.samples, self.missing, self.side
+        estimate = self.update(y, 0.0)
+        self._step.state[:], self.samples, self.missing, self.side = before
+        return estimate
+
+
+class _Out(NamedTuple):
+    """What a step gives: the estimate, the measured side (p), and 1 where a reading was missing."""
+
+    estimate: Estimate
+    side: Any
+    missing: Any
 
 
 def _graph(
     model: System, observer: Observer, threshold: Floats
-) -> tuple[ca.Function, Floats, Floats, list[int]]:
-    """(step(s, w, p) -> (next, out), state, params, sizes of out's parts) of an observer alone.
-
-    w = [y; u]; out is the estimate, the side, and whether y was missing.
-    """
+) -> tuple[ca.Function, Floats, Floats, _Out]:
+    """(step(s, w, p) -> (next, out), state, params, the shapes of out) of an observer alone; w = [y; u]."""
     values = (observer.params, threshold)
     column, (params, eps) = tree.symbols(values, "p")
     state = (observer.init(observer.params), np.zeros(model.m))
@@ -107,16 +119,12 @@ def _graph(
     used = ca.if_else(present(u), u, held)
     reading = Reading(seen, side(seen, eps))
     after, estimate = observer.step(params, s, used, reading)
-    out = ca.vertcat(tree.stack(estimate), reading.side, ca.mmin(present(y)) == 0)
+    out = _Out(estimate, reading.side, ca.mmin(present(y)) == 0)
     function = ca.Function(
         "live",
         [s_column, ca.vertcat(y, u), column],
-        [tree.stack((after, used)), out],
+        [tree.stack((after, used)), tree.stack(out)],
         {"cse": True},
     )
-    return (
-        function,
-        tree.pack(state),
-        tree.pack(values),
-        [part.shape[0] for part in (*estimate, reading.side)],
-    )
+    shapes: _Out = tree.rebuild(out, (np.zeros(part.shape[0]) for _, part in tree.leaves(out)))
+    return function, tree.pack(state), tree.pack(values), shapes

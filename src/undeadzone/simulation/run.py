@@ -43,6 +43,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     joints: list[str] = []
     uncertain: dict[str, float] = {}
     label: str = ""
+    adapts: bool = True
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -172,8 +173,8 @@ class Run:
 
     @property
     def adapts(self) -> bool:
-        """Whether the observer estimates the widths: all do but `luenberger` and `oracle`."""
-        return self.info.method not in ("luenberger", "oracle")
+        """Whether the observer estimates the widths: `luenberger` and `oracle` do not, nor does a blind filter."""
+        return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -33,12 +34,9 @@ def run_sample_by_sample(
     stepper = Stepper(
         loop.step, tree.pack(loop.state._replace(plant=problem.x0)), tree.pack(loop.params)
     )
-    ends = np.cumsum([part.size for part in loop.outputs]).tolist()
-    where = Outputs(
-        *(slice(end - part.size, end) for end, part in zip(ends, loop.outputs, strict=True))
-    )
+    where: Outputs = tree.slices(loop.outputs)
     estimated = slice(problem.plant.n, problem.plant.n + tree.size(loop.state.observer))
-    outputs = np.empty((exogenous.shape[0], ends[-1]))
+    outputs = np.empty((exogenous.shape[0], tree.size(loop.outputs)))
     state = observer.start(simulation.seed)
     for k, row in enumerate(exogenous):
         stepper.w[:] = row
@@ -54,12 +52,15 @@ def run_sample_by_sample(
         state = observer.predict(state, outputs[k, where.u])
         if progress is not None and ((k + 1) % CHUNK == 0 or k + 1 == exogenous.shape[0]):
             progress(k % CHUNK + 1)
-    return Outputs(*(outputs[:, cut] for cut in where))
+    by_name: Outputs = tree.rebuild(where, (outputs[:, part] for _, part in tree.leaves(where)))
+    return by_name
 
 
 def relay(observer: NumericObserver, p: int) -> Observer:
     """What stands for the observer on the graph: its state is the estimate, written from outside before each step."""
     _, first = observer.correct(observer.start(0), Reading(np.full(p, np.nan), np.zeros(p)))
-    return Observer(
-        (), lambda params: tuple(first), lambda params, state, u, reading: (state, Estimate(*state))
-    )
+
+    def step(params: Any, state: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        return state, Estimate(*state)
+
+    return Observer((), lambda params: tuple(first), step, traits=observer.traits)

@@ -64,12 +64,10 @@ def simulate(
 
     def finer() -> Outputs:
         halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        return Outputs(
-            *(
-                part[::2]
-                for part in run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)
-            )
-        )
+        fine = run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)
+        every_other = (part[::2] for _, part in tree.leaves(fine))
+        outputs: Outputs = tree.rebuild(fine, every_other)
+        return outputs
 
     with ThreadPoolExecutor(1) as beside:
         twin = beside.submit(finer)
@@ -128,14 +126,16 @@ def run_loop(
 
 def named(loop: Loop, outputs: Floats) -> Outputs:
     """The columns of recorded outputs (N x all) by name."""
-    widths = [part.size for part in loop.outputs]
-    return Outputs(*np.split(outputs, np.cumsum(widths)[:-1], axis=1))
+    widths = [part.size for _, part in tree.leaves(loop.outputs)]
+    columns = np.split(outputs, np.cumsum(widths)[:-1], axis=1)
+    by_name: Outputs = tree.rebuild(loop.outputs, iter(columns))
+    return by_name
 
 
 def _difference(coarse: Outputs, fine: Outputs) -> float:
     """The largest difference of x, x^, d^ between a run and its twin of half the step."""
-    gaps = [
-        np.abs(getattr(coarse, name) - getattr(fine, name)).max()
-        for name in ("x", "x_hat", "right", "left")
-    ]
+    pairs = [(coarse.x, fine.x)]
+    for name in ("x", "right", "left"):
+        pairs.append((getattr(coarse.estimate, name), getattr(fine.estimate, name)))
+    gaps = [np.abs(one - other).max() for one, other in pairs]
     return float(max(gaps)) if np.isfinite(gaps).all() else float("inf")

@@ -49,6 +49,19 @@ def size(tree: Any) -> int:
     return sum(int(np.size(leaf)) for _, leaf in leaves(tree))
 
 
+def slices(like: Any) -> Any:
+    """Where each leaf of the NumPy tree `like` stands in its packed vector, as a tree of slices."""
+
+    def pieces() -> Iterator[slice]:
+        start = 0
+        for _, leaf in leaves(like):
+            end = start + int(np.size(leaf))
+            yield slice(start, end)
+            start = end
+
+    return rebuild(like, pieces())
+
+
 def unpack(like: Any, column: ca.SX) -> Any:
     """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
 

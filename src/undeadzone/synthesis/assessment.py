@@ -13,10 +13,10 @@ from undeadzone.analysis.convergence.falsify import Attack, Cycle, diverge, fals
 from undeadzone.analysis.convergence.floquet import Rates, rates
 from undeadzone.analysis.convergence.trajectories import (
     Trajectory,
-    trajectory,
-    trajectories,
     growing,
     settling,
+    trajectories,
+    trajectory,
 )
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.side_schedule import Schedule

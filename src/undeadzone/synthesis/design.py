@@ -24,8 +24,8 @@ from undeadzone.synthesis.gain_search import (
     STARTS,
     Candidate,
     Weights,
-    candidate_of,
     balanced,
+    candidate_of,
     fastest,
 )
 from undeadzone.synthesis.knowledge import determined, knowledge

@@ -75,20 +75,20 @@ def row(problem: Problem, out: Outputs) -> Floats:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     worst = np.abs(error).max(axis=1)
-    place = tips(problem, out.x, out.x_hat, t)
+    place = tips(problem, out.x, out.estimate.x, t)
     tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
     tally = Tally(
         tracking=np.array([[(error[tail] ** 2).sum()]]),
-        estimation=np.array([[((out.z - out.z_hat)[tail] ** 2).sum()]]),
+        estimation=np.array([[((out.z - out.estimate.z)[tail] ** 2).sum()]]),
         peak=np.array([[np.fmax.reduce(worst)]]),
         settled=np.array([[t[worst > tolerance].max(initial=0.0)]]),
         silent=np.array([[(out.side == 0).sum()]]),
         effort=np.array([[(out.u**2).sum()]]),
-        right=out.right[-1:],
-        left=out.left[-1:],
+        right=out.estimate.right[-1:],
+        left=out.estimate.left[-1:],
         tip=np.array([[((place["tip"] - place["tip_r"])[tail] ** 2).sum()]])
         if place
         else np.empty((1, 0)),
     )
-    states = np.hstack([out.x, out.x_hat, out.right, out.left])[-1:]
+    states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
     return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.numerics.approximators import Basis
 from undeadzone.numerics.gaussian import linearise
 from undeadzone.observers.parts.adaptive_laws import Law, gradient
@@ -135,7 +135,8 @@ def learning(
         )
         return after, Estimate(s.x, z, right, left, ca.if_else(seen, inverse, z), e)
 
-    return Observer(params, init, step, project)
+    traits = Traits(L=L, rate=float(law.rate), width_max=limit)
+    return Observer(params, init, step, project, traits)
 
 
 class Residual(Protocol):

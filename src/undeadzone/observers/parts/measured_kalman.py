@@ -14,14 +14,14 @@ from undeadzone.interfaces import Estimate, Observer, Reading, estimate
 from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
-    truncate,
     linearise,
     mix,
     predict,
     symmetric,
     triangle,
-    update,
+    truncate,
     truncate_to,
+    update,
 )
 from undeadzone.plants.system import System, held
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present

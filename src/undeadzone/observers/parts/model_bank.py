@@ -42,7 +42,7 @@ def bank(member: Observer, claims: Sequence[Callable[[Any], Any]]) -> Observer:
         share = ca.exp(odds)
         return State(moved, odds), mixture(found, share / ca.sum1(share))
 
-    return Observer(member.params, init, step)
+    return Observer(member.params, init, step, traits=member.traits)
 
 
 def likelihood(found: Estimate) -> Any:

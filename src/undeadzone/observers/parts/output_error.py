@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, deadzone, jump, present
@@ -103,4 +103,14 @@ def output_error(
             s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e
         )
 
-    return Observer(params, lambda p: State(np.zeros(model.n), p.right0, p.left0), step, project)
+    traits = Traits(
+        L=L,
+        gamma=params.gamma,
+        width_max=widths.limit,
+        adapts=bool(widths.gamma.any()),
+    )
+
+    def init(p: Params) -> State:
+        return State(np.zeros(model.n), p.right0, p.left0)
+
+    return Observer(params, init, step, project, traits)
