@@ -159,7 +159,7 @@ def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)
     assert max(halves[1][-1], halves[2][-1]) < 0.6
-    assert found.right[-1] == pytest.approx(1.4, abs=0.15)
+    assert shown.right[-1] == pytest.approx(1.4, abs=0.15)
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
