@@ -149,9 +149,11 @@ def edges(
 def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
     """|z| from which a side is read.
 
-    own, other: widths of this side and of the other [z]; margin: the threshold less noise towards
-        this
-    side, over the slope [z]; negative where noise alone exceeds the threshold.
+    Args:
+        own, other: widths of this side and of the other [z].
+        margin: the threshold less noise towards this side, over the slope [z]; negative where noise
+            alone exceeds the threshold.
+        kind: "deadzone" or "jump".
     """
     if kind == "jump":
         ops = _ops(own, other, margin)
