@@ -1,4 +1,4 @@
-"""Signals: their values, derivatives against finite differences, the exosystem w' = S w, CSV files and what is wrong with them."""
+"""Signals: values, derivatives against finite differences, the exosystem w' = S w, CSV files."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.linalg import expm
 
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.signals import exosystem as signals
+from undeadzone.signals.csv_file import read_csv
 from undeadzone.signals.exosystem import (
     Random,
     Samples,
@@ -162,7 +163,7 @@ def test_smooth_samples_follow_a_sine_closely(smooth: Samples) -> None:
 )
 def test_csv_header_comments_and_byte_order_mark(tmp_path: Path, start: str) -> None:
     path = write_csv(tmp_path / "r.csv", [(0, 1), (1, 3), (2, 5)], start)
-    t, values = signals.read_csv("reference", path, 1)
+    t, values = read_csv("reference", path, 1)
     assert (t.tolist(), values.tolist()) == ([0, 1, 2], [[1], [3], [5]])
 
 

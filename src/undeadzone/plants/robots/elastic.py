@@ -103,7 +103,7 @@ def _equilibrium(
     """(x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
     at = "x0" if plant.x_eq is None else "x_eq"
     state = getattr(plant, at)
-    x = np.zeros(4)
+    x: Floats = np.zeros(4)
     if state is not None:
         why = "the angles of motor and link, then their speeds"
         x = vector(f"{key}.{at}", state, 4, why)
