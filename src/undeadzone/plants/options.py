@@ -43,7 +43,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     A plant has n states, m inputs, p outputs.
 
     Attributes:
-        A: x' = A x + B u (n x n) [1/s].
+        A: x' = A x + B u (n x n).
         B: gain of the input (n x m).
         C: z = C x (p x n).
         second_order: x'' + 2 zeta omega_n x' + omega_n^2 x = gain u.
