@@ -35,14 +35,14 @@ def fastest_pole(model: System) -> float:
     return float(moving_poles(model).max())
 
 
-def in_poles(model: System, key: str, given: float | None, default: float) -> float:
+def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
     """A rate as the user gives it, or a multiple of the plant's fastest pole.
 
     Args:
         model: the plant.
         key: what messages call the rate.
-        given: the rate [1/s], or None.
-        default: the rate in fastest poles [1], where none is given.
+        rate: as the user gives it [1/s], or None.
+        default: the rate in fastest poles [1], in place of None.
 
     Returns:
         The rate [1/s].
@@ -50,9 +50,9 @@ def in_poles(model: System, key: str, given: float | None, default: float) -> fl
     Raises:
         InputError: the rate is no positive number.
     """
-    if given is None:
+    if rate is None:
         return default * fastest_pole(model)
-    return scalar(key, given, above=0.0)
+    return scalar(key, rate, above=0.0)
 
 
 def time_scale(flow: Matrices) -> float:

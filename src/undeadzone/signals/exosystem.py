@@ -5,9 +5,7 @@ The exosystem is linear in pieces where the signal has corners.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from fractions import Fraction
 from typing import NamedTuple
 
 import msgspec
@@ -17,6 +15,7 @@ from undeadzone.errors import InputError
 from undeadzone.signals import shapes
 from undeadzone.signals.csv_file import read_csv
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
+from undeadzone.signals.periods import common_period
 from undeadzone.support.arrays import Array, Floats, scalar, vector
 
 
@@ -38,7 +37,7 @@ class Exosystem(NamedTuple):
     corners: Floats = np.empty(0)
 
     def value(self, t: Floats, derivative: int = 0) -> Floats:
-        """r, or its derivative of the given order, at times t [s] (len(t) x channels)."""
+        """r, or its derivative of that order, at times t [s] (len(t) x channels)."""
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
@@ -260,25 +259,8 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
         pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, 2 * rates.size)
         return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
 
-    period = _common_period([tone.frequency for tone in tones])
+    period = common_period([tone.frequency for tone in tones])
     return Exosystem(S, np.stack(gains, axis=1), state, period)
-
-
-def _common_period(frequencies: list[float]) -> float | None:
-    """The least common period [s] of frequencies [Hz].
-
-    None if their ratios are not those of whole numbers up to 1000.
-    """
-    first = frequencies[0]
-    ratios = [Fraction(frequency / first).limit_denominator(1000) for frequency in frequencies]
-    for frequency, ratio in zip(frequencies, ratios, strict=True):
-        if abs(frequency / first - ratio) > 1e-12 * ratio:
-            return None
-    cycles = Fraction(
-        math.lcm(*(ratio.denominator for ratio in ratios)),
-        math.gcd(*(ratio.numerator for ratio in ratios)),
-    )
-    return float(cycles) / first
 
 
 def _step(key: str, signal: Step, channels: int) -> Exosystem:
