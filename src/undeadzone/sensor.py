@@ -139,7 +139,7 @@ def edges(
         slope: m [y/z].
         kind: "deadzone" or "jump".
         threshold: |y| that counts as silent [y].
-        noise: what is added to y [y].
+        noise: a number added to y [y].
     """
     right_margin = (threshold - noise) / slope
     left_margin = (threshold + noise) / slope
@@ -198,7 +198,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         noise_before: rms of the noise added to z ahead of the deadzone (p) [z].
         threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
             quantum.
-        false_alarm_rate: how often noise alone may exceed the default threshold [1/s].
+        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s].
         quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
             only.
         drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms

@@ -49,10 +49,10 @@ def joint_path(
         arm: the arm.
         params: its parameters.
         task: the path of its tip [m].
-        duration: of the path [s].
+        duration: duration of the path [s].
         step: between the instants at which the path is checked [s].
         start: joint angles near which it begins, which choose among elbow up and down (N) [rad].
-        key: what messages call the path.
+        key: name of the path in messages.
 
     Raises:
         TrackingError: the tip cannot get there, or a joint meets a singular configuration or its
@@ -138,7 +138,7 @@ def require_range(chain: Chain, t: Floats, q: Floats, v: Floats, key: str = "ref
         t: times (N) [s].
         q: positions (N x joints) [rad or m].
         v: speeds (N x joints) [rad/s or m/s].
-        key: what messages call the path.
+        key: name of the path in messages.
     """
     positions = _Needed(f"{key}: the path needs a position", "rad or m", chain.joints, OTHER_START)
     _require_within(positions, t, q, chain.limits)
@@ -153,9 +153,9 @@ def require_torque(model: System, path: Exosystem, t: Floats, key: str = "refere
 
     Args:
         model: a continuous model of an arm.
-        path: of its flat coordinates.
+        path: the path of its flat coordinates.
         t: times (N) [s].
-        key: what messages call the path.
+        key: name of the path in messages.
     """
     assert model.arm is not None
     assert model.limit is not None
@@ -175,12 +175,12 @@ def _blocked(
     """Why the tip cannot follow the path.
 
     Args:
-        equations: of the arm.
+        equations: the equations of the arm.
         task: the path of its tip.
         t: the times of the path from there on (N) [s].
         before: the last joint angles (joints) [rad].
         missed: whether the equations are not met there.
-        key: what messages call the path.
+        key: name of the path in messages.
     """
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
     positions = task.value(looks)
@@ -221,9 +221,9 @@ class _Needed(NamedTuple):
 
     Attributes:
         what: "reference: the path needs a speed".
-        unit: of it.
+        unit: its unit.
         joints: names of the joints.
-        advice: what to do where a joint cannot.
+        advice: advice where a joint cannot.
     """
 
     what: str

@@ -25,10 +25,10 @@ class Target(NamedTuple):
     """What to follow, at one instant or at N of them (N x ...).
 
     Attributes:
-        r: tracked outputs.
+        r: values of the tracked outputs.
         x_ref: state (n).
         u_ff: input (m).
-        plan: what the controller computed ahead for it (`controllers.Plan`).
+        plan: numbers that the controller computed ahead (`controllers.Plan`).
     """
 
     r: Floats
@@ -45,8 +45,8 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
 
     Args:
         linear: A (n x n), B (n x m) and C (q x n) of the tracked outputs only.
-        S: of the exosystem (k x k).
-        Q: its output (q x k).
+        S: dynamics of the exosystem (k x k).
+        Q: output of the exosystem (q x k).
 
     Returns:
         Pi (n x k), Gamma (m x k), and the relative residual, which is not small exactly when a zero
@@ -97,7 +97,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
     Args:
         model: the plant.
         exo: the reference.
-        tracked: which outputs follow it.
+        tracked: the outputs that follow it.
 
     Raises:
         TrackingError: there are none.
@@ -138,7 +138,7 @@ def linear_targets(
     Args:
         model: the plant.
         exo: the reference.
-        tracked: which outputs follow it.
+        tracked: the outputs that follow it.
         t: times (N) [s].
         derivative: order of the derivative.
 
@@ -156,7 +156,7 @@ class _Derivative(NamedTuple):
     Attributes:
         value: the expression.
         channel: position among the tracked outputs.
-        order: of the derivative.
+        order: order of the derivative.
     """
 
     value: ca.SX
@@ -175,7 +175,7 @@ def inverted_targets(
     Args:
         model: the plant, with one input per tracked output and relative degrees that add up to n.
         exo: the reference.
-        tracked: which outputs follow it.
+        tracked: the outputs that follow it.
         t: times (N) [s].
         x_eq: state from which the first search starts (n).
 
@@ -248,7 +248,7 @@ def flat_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -
     Args:
         model: the plant.
         exo: the path of its flat coordinates.
-        tracked: which outputs r holds.
+        tracked: the outputs in r.
         t: times (N) [s].
     """
     assert model.flat is not None

@@ -36,7 +36,7 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
 
     Args:
         plant: the plant in words.
-        key: what messages call it.
+        key: name of the plant in messages.
 
     Raises:
         InputError: or a subclass, that names the key.
@@ -61,7 +61,7 @@ def system(plant: Plant, key: str = "plant") -> System:
 
     Args:
         plant: the plant in words.
-        key: what messages call it.
+        key: name of the plant in messages.
 
     Raises:
         InputError: or a subclass, that names the key.

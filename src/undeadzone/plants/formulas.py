@@ -1,6 +1,6 @@
 """Formulas in a scenario file, read safely into CasADi expressions.
 
-Such as "-g / l * sin(angle) + torque".
+An example is "-g / l * sin(angle) + torque".
 """
 
 from __future__ import annotations

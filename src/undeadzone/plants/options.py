@@ -16,7 +16,7 @@ class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes:
         zeta: damping ratio [1].
         omega_n: natural frequency [rad/s].
-        gain: of the input [1/s^2]; omega_n^2 is a DC gain of 1.
+        gain: gain of the input [1/s^2]; omega_n^2 makes a DC gain of 1.
     """
 
     zeta: float
@@ -28,8 +28,8 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """A strictly proper transfer function, numerator / denominator.
 
     Attributes:
-        numerator: its coefficients, from the highest power of s down.
-        denominator: its coefficients, from the highest power of s down.
+        numerator: coefficients of the numerator, from the highest power of s down.
+        denominator: coefficients of the denominator, from the highest power of s down.
     """
 
     numerator: Array

@@ -23,7 +23,7 @@ class Flat(NamedTuple):
     1995).
 
     Attributes:
-        order: of the highest derivative.
+        order: order of the highest derivative.
         solve: (params, derivatives (coordinates x order + 1)) -> (x, u), in continuous time.
     """
 
@@ -45,8 +45,8 @@ class System(NamedTuple):
         arm: links and joints of a robot; x = [q; q'] of a rigid one.
         flat: the state and input of a robot along a path of its joints.
         limit: largest |u| of a robot (m) [N m or N], infinite where there is none.
-        names: of the parameters of a nonlinear plant, in the order of params.
-        rate: what `move` was before the plant was sampled.
+        names: names of the parameters of a nonlinear plant, in the order of params.
+        rate: `move` before the plant was sampled.
     """
 
     params: Any
@@ -84,7 +84,7 @@ def linearise(
     """The linearisation of a continuous plant.
 
     Args:
-        key: what messages call the plant.
+        key: name of the plant in messages.
         move: (params, x, u) -> the derivative of x (n).
         output: (params, x) -> z (p).
         params: the plant's numbers.

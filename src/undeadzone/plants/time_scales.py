@@ -40,7 +40,7 @@ def in_poles(model: System, key: str, rate: float | None, default: float) -> flo
 
     Args:
         model: the plant.
-        key: what messages call the rate.
+        key: name of the rate in messages.
         rate: as the user gives it [1/s], or None.
         default: the rate in fastest poles [1], in place of None.
 

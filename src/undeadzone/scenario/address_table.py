@@ -1,6 +1,6 @@
 """Tables of a scenario whose keys may be addresses.
 
-Such as `"sensor.right" = { ... }` directly in [ensemble] or [tune].
+An example is `"sensor.right" = { ... }` directly in [ensemble] or [tune].
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class Table(NamedTuple):
     """A table of a scenario, some of whose keys are addresses.
 
     Attributes:
-        name: of the table.
-        kind: of its entries.
-        what: its entries are, in words.
+        name: name of the table.
+        kind: struct of an entry.
+        what: an entry in words, such as "a distribution".
         example: an entry written out.
     """
 

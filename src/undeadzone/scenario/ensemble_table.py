@@ -22,14 +22,14 @@ REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further o
 class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a number varies: exactly one of uniform, normal and log_normal.
 
-    A normal distribution is cut off where a value cannot be, such as a width below 0; what is cut
-    off is spread over the rest.
+    A normal distribution is cut off where a value cannot be, such as a width below 0; the
+    probability cut off is spread over the rest.
 
     Attributes:
         uniform: [low, high].
         normal: [mean, standard deviation].
         log_normal: [median, standard deviation of the logarithm].
-        relative: what is drawn is a factor on the nominal value, which must not be 0.
+        relative: the number drawn is a factor on the nominal value, which must not be 0.
         shared: one draw for all entries that the address names; else each has its own.
     """
 
@@ -61,13 +61,14 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `certified` the threshold. A width beyond `width_max` is not refused.
 
     Attributes:
-        runs: how many.
+        runs: number of runs.
         sampling: random; latin_hypercube, which depends on the number of runs; sobol, best with a
             power of 2; saltelli, the design for Sobol indices, whose runs are a multiple of the
             varied entries plus 2.
-        seed: of the random numbers; default: that of [simulation].
+        seed: seed of the random numbers; default: that of [simulation].
         tolerance: share of the largest |r| within which z - r has settled [1].
-        entries: what varies, by address; a key with a dot directly in [ensemble] is one of them.
+        entries: the distributions, by address; a key with a dot directly in [ensemble] is one of
+            them.
     """
 
     runs: int = 10_000
@@ -82,8 +83,8 @@ class CheckedDistribution(NamedTuple):
 
     Attributes:
         kind: uniform, normal or log_normal.
-        first, second: its two numbers, as in `Distribution`.
-        least: where a normal distribution is cut off below.
+        first, second: the two numbers, as in `Distribution`.
+        least: least value, at which a normal distribution is cut off.
     """
 
     kind: str
@@ -126,9 +127,9 @@ def spread(address: str, distribution: Distribution, least: float) -> CheckedDis
     """The distribution of a number, checked.
 
     Args:
-        address: of the number.
-        distribution: in words.
-        least: what the number must at least be.
+        address: address of the number.
+        distribution: the distribution in words.
+        least: the least value that the number can have.
 
     Raises:
         InputError: that names the key.

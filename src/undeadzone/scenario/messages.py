@@ -31,9 +31,9 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     """The message of a msgspec.ValidationError in a reader's words.
 
     Args:
-        message: of the error.
-        data: what was read.
-        root: the struct that it was read as.
+        message: the message of the error.
+        data: the tables that were read.
+        root: the struct that they were read as.
     """
     body, _, path = message.partition(" - at `$")
     key = _entry(path.rstrip("`").lstrip("."), data)

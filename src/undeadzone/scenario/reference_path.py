@@ -21,8 +21,8 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
     The reference gives it as such, or for the tip.
 
     Args:
-        scenario: with the reference.
-        model: of the robot, in continuous time.
+        scenario: the scenario, for its reference and duration.
+        model: model of the robot, in continuous time.
         start: the state from which the joints set out (n).
         step: between the instants at which a path of the tip is checked [s].
 

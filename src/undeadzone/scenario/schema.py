@@ -25,7 +25,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         A: as in [plant] (n x n); of a linear plant only.
         B: as in [plant] (n x m); of a linear plant only.
         C: as in [plant] (p x n); of a linear plant only.
-        parameters: of a nonlinear plant, by name.
+        parameters: numbers of a nonlinear plant, by name.
     """
 
     A: Array | None = None
@@ -38,13 +38,13 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """How long a run is, and how it is computed.
 
     Attributes:
-        duration: of the run [s].
+        duration: length of the run [s].
         time: continuous (RK4) or sampled (exact hold, discrete observer).
-        step: of the integration, or between samples [s].
-        seed: of every random number.
+        step: step of the integration, or time between samples [s].
+        seed: seed of every random number.
         substeps: RK4 steps within a sample, for a nonlinear plant in sampled time.
-        switching: in continuous time: located (the change of side is found inside the step, which
-            keeps the order) or plain (RK4 alone).
+        switching: how a change of side is met in continuous time: located (it is found inside the
+            step, which keeps the order) or plain (RK4 alone).
         order: 4 for RK4; 5 to 20 for Taylor series of that order, for loops that are linear on each
             side of the zone: much longer steps at the same accuracy.
     """
@@ -76,23 +76,23 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """A plant behind a dead zone, what it should follow, and what watches and drives it.
 
     Attributes:
-        plant: what is observed and controlled.
-        sensor: what is read of its output.
-        reference: what its output should follow.
-        observer: how state and widths are estimated.
-        controller: how the input is computed.
-        simulation: how long a run is, and how it is computed.
+        plant: the plant.
+        sensor: the sensor at its output, with a dead zone.
+        reference: the signal that its tracked outputs should follow.
+        observer: the method that estimates state and widths.
+        controller: the method that computes the input.
+        simulation: length of a run, and how it is computed.
         model: the plant as observer and controller know it; default: the plant itself.
-        disturbance: what is added to the input; default: nothing.
-        tracked: which outputs follow the reference, the first is 0; default: the first
+        disturbance: a signal added to the input; default: none.
+        tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
         units: names of units for labels and columns.
-        ensemble: what varies among many runs.
-        tune: what `undeadzone tune` may change, and to what end.
-        declared: what the methods of `undeadzone arena` may know.
+        ensemble: distributions of the numbers that vary among many runs.
+        tune: the numbers that `undeadzone tune` may change, and to what end.
+        declared: claims that the methods of `undeadzone arena` get.
         compare: another observer, whose run `undeadzone run` shows beside the first.
-        region: on which `undeadzone check` certifies a nonlinear model.
-        title: of figures and pages.
+        region: states and inputs on which `undeadzone check` certifies a nonlinear model.
+        title: title of figures and pages.
     """
 
     plant: Plant

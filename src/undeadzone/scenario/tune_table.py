@@ -18,7 +18,7 @@ class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     Attributes:
         between: [low, high], the bounds of the number.
         log: search on a logarithmic scale, for gains.
-        start: where the search begins; default: the number in the scenario; where the scenario
+        start: first number of the search; default: the number in the scenario; where the scenario
             leaves it to the method, the middle of the range.
     """
 
@@ -36,18 +36,18 @@ class Tune(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `controller.poles[0]`; without an index, or with `:` for one, every entry is tuned by itself.
 
     Attributes:
-        metric: of a run, to be made small: rms_tracking, rms_estimation, peak_tracking,
+        metric: number of a run, to be made small: rms_tracking, rms_estimation, peak_tracking,
             settling_time, rms_input, silent_fraction, or the size of a final error of the widths,
             `d_right_error[0]`, `d_left_error[0]`.
-        statistic: of the metric over the runs.
+        statistic: statistic of the metric over the runs.
         certified: keep the observer's constant gains certified with at least `margin`.
         margin: least margin of the certificate.
-        runs: of each candidate, the same for all, drawn as in [ensemble].
-        held_out: other runs, of the next seed, on which the result is judged.
-        budget: how many candidates are simulated in all, those for gradients included; one that is
+        runs: number of runs of each candidate, the same for all, drawn as in [ensemble].
+        held_out: number of other runs, of the next seed, on which the result is judged.
+        budget: number of candidates simulated in all, those for gradients included; one that is
             refused or lacks the certificate costs nothing of it.
-        seed: of the random numbers; default: that of [ensemble].
-        entries: what is tuned, by address; a key with a dot directly in [tune] is one of them.
+        seed: seed of the random numbers; default: that of [ensemble].
+        entries: the bounds, by address; a key with a dot directly in [tune] is one of them.
     """
 
     metric: str = "rms_tracking"

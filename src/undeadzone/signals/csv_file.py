@@ -16,7 +16,7 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     """The samples in a CSV file; a header line and lines that start with # are allowed.
 
     Args:
-        key: what messages call the signal.
+        key: name of the signal in messages.
         path: the file.
         channels: number of columns beside that of time.
 

@@ -23,11 +23,11 @@ class Exosystem(NamedTuple):
     """w' = S w between corners and r = Q w, of k states.
 
     Attributes:
-        S: of the states (k x k) [1/s].
-        Q: of the output (channels x k).
+        S: dynamics of the states (k x k) [1/s].
+        Q: gain of the output (channels x k).
         state: t (N) [s] -> w at times t (N x k).
-        period: of r [s], None where it has none.
-        corners: where w jumps [s], of the first period if there is one.
+        period: period of r [s], None where it has none.
+        corners: times at which w jumps [s], those of the first period if there is one.
     """
 
     S: Floats
@@ -46,8 +46,8 @@ class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes:
         amplitude: one number or one per channel.
-        frequency: of the sine [Hz].
-        phase: at t = 0, one number or one per channel [rad].
+        frequency: frequency of the sine [Hz].
+        phase: phase at t = 0, one number or one per channel [rad].
     """
 
     amplitude: Array
@@ -61,7 +61,7 @@ class Sine(
     """One sine about an offset.
 
     Attributes:
-        offset: what is added to the sine, one number or one per channel.
+        offset: constant added to the sine, one number or one per channel.
     """
 
     offset: Array = 0.0
@@ -79,7 +79,7 @@ class Sines(
 
     Attributes:
         components: the sines, each with amplitude, frequency and phase.
-        offset: what is added to the sines, one number or one per channel.
+        offset: constant added to the sines, one number or one per channel.
     """
 
     components: list[Tone]
@@ -98,7 +98,7 @@ class Step(
 
     Attributes:
         amplitude: the value after the step, one number or one per channel.
-        time: of the step [s].
+        time: time of the step [s].
         before: the value before the step, one number or one per channel.
     """
 
@@ -160,8 +160,8 @@ class Random(
     """Seeded Gaussian noise, first-order; a disturbance only.
 
     Attributes:
-        rms: of the noise, one number or one per channel.
-        correlation_time: of the noise [s].
+        rms: rms of the noise, one number or one per channel.
+        correlation_time: correlation time of the noise [s].
     """
 
     rms: Array
@@ -176,9 +176,9 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
     """The exosystem of a signal.
 
     Args:
-        key: what messages call the signal.
+        key: name of the signal in messages.
         signal: the signal in words.
-        channels: how many it has.
+        channels: number of channels.
         task: whether the channels are coordinates of an arm's tip.
 
     Raises:

@@ -26,7 +26,7 @@ class Colour(NamedTuple):
     """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard normal.
 
     Attributes:
-        memory: what is left of a number after a step [1].
+        memory: share of a number that is left after a step [1].
         drive: gain of the white noise [1].
     """
 
@@ -44,9 +44,9 @@ def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) 
 
     Args:
         seed: from 0 to 2^64 - 1.
-        stream: which of the streams, such as `AFTER`.
-        samples: how many per channel.
-        channels: how many channels.
+        stream: one of the streams, such as `AFTER`.
+        samples: number of samples per channel.
+        channels: number of channels.
         run: number of the run, from 0 to 2^64 - 1.
 
     Returns:
@@ -71,9 +71,9 @@ def coloured(
     """First-order Gaussian noise, stationary from the start.
 
     Args:
-        seed: of the numbers.
-        samples: how many per channel.
-        rms: of the noise (channels).
+        seed: seed of the numbers.
+        samples: number of samples per channel.
+        rms: rms of the noise (channels).
         correlation: correlation time [s].
         step: between samples [s].
         run: number of the run.

@@ -37,9 +37,9 @@ class Quintic(
     do not suit them. It is held before and after.
 
     Attributes:
-        points: to go through, a row per point (K x channels).
-        times: of the points, increasing (K) [s].
-        repeat: from the start again; then the last point is the first one, at time 0.
+        points: the points, a row per point (K x channels).
+        times: times of the points, increasing (K) [s].
+        repeat: whether the path starts again; then the last point is the first one, at time 0.
         space: joint, or task: coordinates of an arm's tip [m].
     """
 
@@ -53,10 +53,10 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A path around a centre in a plane, in two or three coordinates.
 
     Attributes:
-        centre: of the path (2 or 3).
+        centre: centre of the path (2 or 3).
         period: time of one turn [s].
-        normal: of the plane in three coordinates (3); default: z. Seen from its tip the path turns
-            anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a vertical
+        normal: normal of the plane in three coordinates (3); default: z. Seen from its tip the path
+            turns anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a vertical
             normal in the direction x.
         ramp: the path starts from rest, its speed rising as a quintic for this time [s]; default: a
             quarter of the period; 0: at full speed.
@@ -76,8 +76,8 @@ class Circle(
     """A circle around `centre`, once per period, in two or three coordinates.
 
     Attributes:
-        radius: of the circle.
-        phase: where it starts, from the direction across [rad].
+        radius: radius of the circle.
+        phase: angle at which it starts [rad].
     """
 
     radius: float
@@ -98,8 +98,8 @@ class FigureEight(
     direction that phase 0 has in a circle.
 
     Attributes:
-        width: across.
-        height: along.
+        width: size across.
+        height: size along.
     """
 
     width: float
@@ -129,9 +129,9 @@ def curve(key: str, path: Path, channels: int) -> Curve:
     """The curve of a path.
 
     Args:
-        key: what messages call the path.
+        key: name of the path in messages.
         path: the path in words.
-        channels: how many coordinates it has.
+        channels: number of coordinates.
 
     Raises:
         InputError: or a subclass, that names the key.
@@ -227,9 +227,9 @@ def _turning(
     w^2) and s (s^2 + w^2) (s^2 + 4 w^2) vanish on one and on two harmonics.
 
     Args:
-        key: what messages call the path.
+        key: name of the path in messages.
         path: the path in words.
-        harmonics: of the angle (K).
+        harmonics: multiples of the angle (K).
         gains: complex, of the harmonics (K x channels).
     """
     centre = vector(f"{key}.centre", path.centre, gains.shape[1], "one per coordinate")

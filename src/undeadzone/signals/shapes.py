@@ -19,7 +19,7 @@ def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
 
     Args:
         corners: times of its corners in one period, the first at 0 (6) [s].
-        amplitude: of each channel (channels).
+        amplitude: amplitude of each channel (channels).
     """
     levels = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
     slopes = np.diff(levels) / np.where(np.diff(corners) > 0, np.diff(corners), np.inf)

@@ -33,7 +33,7 @@ def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
     Args:
         moving: the moving joints, from base to tip (N).
         frames: their frames.
-        masses: of the bodies, then the payload (N + 1) [kg].
+        masses: masses of the bodies, then the payload (N + 1) [kg].
 
     Raises:
         InputError: adam-robotics is not installed.
@@ -114,13 +114,13 @@ def _joint(
     """A joint.
 
     Args:
-        kit: what it is made of.
-        name: of the joint.
+        kit: the classes that it is made of.
+        name: name of the joint.
         kind: revolute, continuous, prismatic or fixed.
         ends: parent and child link.
-        place: in the parent's coordinates (3) [m].
-        axis: of motion, a unit vector (3).
-        index: of the joint among those that move.
+        place: its place in the parent's coordinates (3) [m].
+        axis: axis of motion, a unit vector (3).
+        index: number of the joint among those that move.
     """
     parent, child = ends
     pose = kit.urdf.Pose(exact(place).tolist(), LEVEL)

@@ -59,9 +59,9 @@ class Arm(NamedTuple):
 
     Attributes:
         chain: the links.
-        names: of the parameters: the chain's, payload [kg], b1, b2, ... (viscous friction), f1, f2,
-            ... (Coulomb friction).
-        values: of the parameters, in the order of names.
+        names: names of the parameters: the chain's, payload [kg], b1, b2, ... (viscous friction),
+            f1, f2, ... (Coulomb friction).
+        values: values of the parameters, in the order of names.
         mass: (params, q) -> M with the payload (N x N).
         bias: (params, q, v) -> h with the payload, without friction (N).
         friction: (params, v) -> the torque of friction (N).
@@ -170,10 +170,10 @@ def numbers(
     """The values of an arm's parameters, some of them changed by name.
 
     Args:
-        names: of the parameters.
-        values: of the parameters.
+        names: names of the parameters.
+        values: values of the parameters.
         changes: other values, by name.
-        key: what messages call the plant.
+        key: name of the plant in messages.
 
     Raises:
         InputError: a name is unknown, or a value cannot be.

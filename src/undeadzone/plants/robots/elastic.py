@@ -60,8 +60,8 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
 
     Args:
         plant: the plant in words.
-        options: its arm.
-        key: what messages call the plant.
+        options: the arm of the plant.
+        key: name of the plant in messages.
 
     Raises:
         InputError: or a subclass, that names the key.

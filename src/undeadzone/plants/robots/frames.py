@@ -28,7 +28,7 @@ class Frames(NamedTuple):
         origins: the joints' places (N x 3) [m].
         anchors: the point of a joint's axis that is nearest to the anchor before, for shorter
             expressions (N x 3) [m].
-        bodies: what moves with each joint up to the next (N).
+        bodies: all that moves with each joint up to the next, as one body (N).
         tip: place of the tip (3) [m].
         turn: rotation matrix of the tip (3 x 3).
     """

@@ -57,7 +57,7 @@ class URDF(
         joints: names of those that move (N); default: all from the base to `tip`; the others stay
             at 0.
         tip: the link in which the arm ends; default: the last one.
-        gravity: in base coordinates (3) [m/s^2].
+        gravity: acceleration of gravity in base coordinates (3) [m/s^2].
     """
 
     path: str
@@ -77,7 +77,7 @@ class ElasticJoint(
     """A motor that moves a link through a spring, one of them measured (Spong 1987).
 
     Attributes:
-        measured: whose angle, less `reference`, is the output.
+        measured: the part whose angle, less `reference`, is the output.
         reference: angle at which the sensor reads 0 [rad].
         torque_max: largest torque of the motor [N m]; default: no limit.
         rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].

@@ -77,7 +77,7 @@ def check(parameters: Mapping[str, float], key: str = "plant") -> None:
 
     Args:
         parameters: numbers by name.
-        key: what messages call the table that holds `parameters`.
+        key: name of the table of `parameters` in messages.
     """
     for name, value in parameters.items():
         scalar(f"{key}.parameters.{name}", value, above=0.0 if name[0] in POSITIVE else None)

@@ -164,7 +164,7 @@ def _end(robot: Robot, moved: Sequence[str]) -> str:
 class _Functions(NamedTuple):
     """M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`.
 
-    masses: of the bodies, then the payload (N + 1) [kg].
+    masses: masses of the bodies, then the payload (N + 1) [kg].
     """
 
     mass: ca.Function

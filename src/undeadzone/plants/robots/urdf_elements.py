@@ -22,12 +22,12 @@ class Joint(NamedTuple):
     """A <joint> of the file.
 
     Attributes:
-        name: of the joint.
+        name: name of the joint.
         kind: revolute, continuous, prismatic or fixed.
         parent, child: the links that it joins.
-        place: of the child link on the parent (3) [m].
-        turn: of the child link on the parent, a rotation matrix (3 x 3).
-        axis: of motion, a unit vector (3).
+        place: place of the child link on the parent (3) [m].
+        turn: rotation matrix of the child link on the parent (3 x 3).
+        axis: axis of motion, a unit vector (3).
         mimics: name of the joint that it mimics, or None.
         limits: least and greatest position [rad or m], infinite where the file has none.
         effort: largest torque [N m] or force [N], infinite where the file has none.
@@ -53,9 +53,9 @@ class Body(NamedTuple):
     """A rigid body.
 
     Attributes:
-        mass: of the body [kg].
-        centre: of mass (3) [m].
-        inertia: about the centre, in the same coordinates (3 x 3) [kg m^2].
+        mass: mass of the body [kg].
+        centre: centre of mass (3) [m].
+        inertia: inertia about the centre, in the same coordinates (3 x 3) [kg m^2].
     """
 
     mass: float

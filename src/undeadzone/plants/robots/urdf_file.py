@@ -17,8 +17,8 @@ class Robot(NamedTuple):
     """A tree.
 
     Attributes:
-        links: bodies of the links, by name; massless without <inertial>.
-        joints: in the file's order.
+        links: the bodies of the links, by name; massless without <inertial>.
+        joints: the joints, in the file's order.
     """
 
     links: dict[str, Body]
@@ -39,7 +39,7 @@ def read(path: Path, key: str = "plant.arm.path") -> Robot:
 
     Args:
         path: the file.
-        key: what messages call it.
+        key: name of the file in messages.
 
     Raises:
         FileError: naming the key, the file and the element.
