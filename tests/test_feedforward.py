@@ -1,4 +1,7 @@
-"""Feedforward: C x_ref = r exactly, the plant follows when it starts on x_ref, and what cannot be followed is said."""
+"""Feedforward: C x_ref = r exactly, and the plant follows when it starts on x_ref.
+
+And the messages about what cannot be followed.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ def plant_of(**options: Any) -> System:
 def test_regulator_equations_hold_for_random_plants(
     seed: int, n: int, q: int, extra: int, frequency: float
 ) -> None:
-    """A Pi + B Gamma = Pi S, C Pi = Q, so that x_ref' = A x_ref + B u_ff and C x_ref = r for all time."""
+    """A Pi + B Gamma = Pi S, C Pi = Q: x_ref' = A x_ref + B u_ff and C x_ref = r for all time."""
     q = min(q, n)
     plant = random_plant(np.random.default_rng(seed), n, q + extra, q, stable=False)
     reference = exo(
@@ -102,10 +105,8 @@ def test_amplitude_of_the_feedforward_is_the_inverse_of_the_frequency_response()
 @pytest.mark.parametrize("order", [2, 4, 6])
 @pytest.mark.parametrize("frequency", [1e-2, 1.0, 1e3])
 def test_chains_far_from_unit_scale_are_followed(order: int, frequency: float) -> None:
-    reference, t = (
-        exo(Sine(amplitude=1e-3, frequency=frequency)),
-        np.linspace(0, 1 / frequency, 401),
-    )
+    reference = exo(Sine(amplitude=1e-3, frequency=frequency))
+    t = np.linspace(0, 1 / frequency, 401)
     target = linear_targets(plant_of(integrators=order), reference, [0], t)
     assert target.x_ref[:, 0] == pytest.approx(reference.value(t)[:, 0], abs=1e-10)
     assert np.abs(target.u_ff).max() == pytest.approx(1e-3 * (2 * np.pi * frequency) ** order)
@@ -176,9 +177,12 @@ def test_more_outputs_than_inputs_cannot_follow() -> None:
 
 
 PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"], "h": ["angle"], "states": ["angle", "rate"], "inputs": ["torque"],
+    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
+    "h": ["angle"],
+    "states": ["angle", "rate"],
+    "inputs": ["torque"],
     "parameters": {"g": 9.81, "b": 0.8},
-}  # fmt: skip
+}
 
 
 def test_inversion_of_a_pendulum_is_that_by_hand() -> None:
@@ -208,10 +212,8 @@ def test_inversion_of_two_coupled_outputs() -> None:
 
 def test_inversion_agrees_with_the_regulator_equations_on_a_linear_plant() -> None:
     formulas = plant_of(f=["v", "-x - 2 * v + u"], h=["x"], states=["x", "v"])
-    by_inversion, by_regulator = (
-        inverted_targets(formulas, exo(SINE), [0], T, np.zeros(2)),
-        linear_targets(PAPER_PLANT, exo(SINE), [0], T),
-    )
+    by_inversion = inverted_targets(formulas, exo(SINE), [0], T, np.zeros(2))
+    by_regulator = linear_targets(PAPER_PLANT, exo(SINE), [0], T)
     for one, other in zip(by_inversion, by_regulator, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
 

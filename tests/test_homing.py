@@ -1,4 +1,7 @@
-"""A rigid link on a horizontal table: its centre is known from a declared start alone, and is never claimed without one."""
+"""A rigid link on a horizontal table: only a declared start makes its centre known.
+
+Without one a filter never claims to know it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Paths and inverse kinematics: derivatives, smoothness, the tip where it should be, and what is said where a path cannot be followed."""
+"""Paths and inverse kinematics: derivatives, smoothness, the tip where it should be.
+
+And the messages about a path that cannot be followed.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,13 @@ from tests.scenes import linear
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
 from undeadzone.feedforward.targets import linear_targets
+from undeadzone.feedforward.tip_equations import equations_of, mapped, nearest, singular, solved
 from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.robots import planar
 from undeadzone.plants.robots.arm import Arm, Chain, arm
 from undeadzone.plants.robots.build import flat
 from undeadzone.plants.system import System
+from undeadzone.signals import paths
 from undeadzone.signals.exosystem import Exosystem, Signal, exosystem
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic
 from undeadzone.support.arrays import Floats, decode
@@ -44,29 +49,41 @@ def tip_path(path: Path, channels: int = 2) -> Exosystem:
 
 def spatial(joints: int, **bounds: Floats) -> Arm:
     """An arm that only moves: joints about z and y in turn, a link after each of them."""
-    axes, lengths = (
-        [np.eye(3)[2 if i in (0, 3, 5) else 1] for i in range(joints)],
-        [0.3, 0.5, 0.4, 0.1, 0.3, 0.2, 0.2],
-    )
+    about_z = [i in (0, 3, 5) for i in range(joints)]
+    axes = [np.eye(3)[1 + z] for z in about_z]
+    lengths = [0.3, 0.5, 0.4, 0.1, 0.3, 0.2, 0.2]
 
     def frames(q: Any) -> list[tuple[Any, Any]]:
-        found = [(ca.DM.eye(3), ca.DM.zeros(3, 1))]
+        poses = [(ca.DM.eye(3), ca.DM.zeros(3, 1))]
         for i in range(joints):
-            turn, point = found[-1]
+            turn, point = poses[-1]
             a, K = axes[i], np.cross(np.eye(3), axes[i] * -1.0)
             turn = turn @ (
                 ca.DM.eye(3) * ca.cos(q[i])
                 + ca.sin(q[i]) * ca.DM(K)
                 + (1 - ca.cos(q[i])) * ca.DM(np.outer(a, a))
             )
-            found.append((turn, point + turn @ ca.DM([0.05, 0.0, lengths[i]])))
-        return found
+            poses.append((turn, point + turn @ ca.DM([0.05, 0.0, lengths[i]])))
+        return poses
+
+    def points(p: Any, q: Any) -> Any:
+        return ca.horzcat(*[point for _, point in frames(q)]).T
 
     free = np.full(joints, np.inf)
     chain = Chain(
-        tuple(f"j{i}" for i in range(joints)), {}, lambda p, q: ca.SX.eye(joints), lambda p, q, v: 0 * v, lambda p, q: ca.horzcat(*(x for _, x in frames(q))).T,
-        lambda p, q: frames(q)[-1][0], lambda p: ca.DM([0.0, 0.0, -9.81]), (0, 1, 2), np.outer(free, [-1, 1]), free, free, np.zeros((2, joints)),
-    )  # fmt: skip
+        joints=tuple(f"j{i}" for i in range(joints)),
+        parameters={},
+        mass=lambda p, q: ca.SX.eye(joints),
+        bias=lambda p, q, v: 0 * v,
+        points=points,
+        turn=lambda p, q: frames(q)[-1][0],
+        gravity=lambda p: ca.DM([0.0, 0.0, -9.81]),
+        plane=(0, 1, 2),
+        limits=np.outer(free, [-1, 1]),
+        torque=free,
+        speed=free,
+        friction=np.zeros((2, joints)),
+    )
     return arm(chain._replace(**bounds))
 
 
@@ -354,9 +371,8 @@ def test_joint_path_against_the_textbook() -> None:
 
 def test_a_coarse_grid_gives_the_same_path() -> None:
     t = T[(T > 0) & (T < 8)]
-    coarse, fine = (
-        joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=step) for step in (0.05, 1e-3)
-    )
+    coarse = joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=0.05)
+    fine = joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=1e-3)
     for order in range(3):
         assert coarse.value(t, order) == pytest.approx(fine.value(t, order), abs=1e-11)
 
@@ -369,7 +385,8 @@ def test_a_grid_too_coarse_for_the_path(path: Path) -> None:
     """From one step to the next the elbow would flip, or a turn about the base go the short way."""
     with pytest.raises(
         TrackingError,
-        match=r"singular configuration .*, or it is too fast for steps as long as simulation.step; move it or slow",
+        match=r"singular configuration .*, or it is too fast for steps as long as "
+        r"simulation.step; move it or slow",
     ):
         joints(TWO_LINK, tip_path(path), ELBOWS[0], step=1.0)
 
@@ -525,7 +542,8 @@ def test_limits_of_the_joints() -> None:
         ),
         (
             TWO_LINK.chain._replace(speed=np.array([0.1, np.inf])),
-            rf"speed of -?{np.abs(v[:, 0]).max():.4g} from q1 at t = # s, which allows -0.1 to 0.1 \[rad/s",
+            rf"speed of -?{np.abs(v[:, 0]).max():.4g} from q1 at t = # s, "
+            r"which allows -0.1 to 0.1 \[rad/s",
         ),
     ]:
         with pytest.raises(TrackingError, match=r"^reference: the path needs a") as error:
@@ -576,6 +594,48 @@ def test_torque_limits() -> None:
 def test_too_few_joints() -> None:
     with pytest.raises(
         TrackingError,
-        match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; give the joints' path",
+        match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; "
+        r"give the joints' path",
     ):
         joints(arm(planar.one_link()), tip_path(CIRCLE), [0.3])
+
+
+@pytest.mark.parametrize("harmonics", [[1], [1, 2]])
+def test_the_closure_holds_on_waves_that_turn_evenly(harmonics: list[int]) -> None:
+    w, t = 1.7, np.linspace(0.0, 3.0, 20)
+    angle = [w * t, np.full_like(t, w), *[np.zeros_like(t)] * (paths.ORDER - 1)]
+    waves = paths._waves(np.array(harmonics), [part[:, None] for part in angle])
+    next_derivative = (1j * w * np.array(harmonics)) ** (paths.ORDER + 1) * waves[:, 0]
+    closure = paths._closure(np.array(harmonics), w)
+    assert np.einsum("i,nik->nk", closure, waves) == pytest.approx(next_derivative, rel=1e-12)
+
+
+def test_mapped_functions_are_those_of_each_row() -> None:
+    q = ca.SX.sym("q", 2)
+    function = ca.Function("f", [q], [ca.sin(q), ca.diag(q)])
+    rows = np.random.default_rng(0).normal(size=(5, 2))
+    sines, diagonals = mapped(function, rows)
+    assert sines[:, :, 0] == pytest.approx(np.sin(rows))
+    assert diagonals == pytest.approx(np.array([np.diag(row) for row in rows]))
+    (one,) = mapped(ca.Function("g", [q], [ca.sin(q)]), rows)
+    assert one == pytest.approx(sines)
+
+
+def test_solved_and_singular_jacobians() -> None:
+    J = np.array([np.eye(2), np.diag([1.0, 1e-5]), np.diag([1.0, -2.0])])
+    assert singular(J).tolist() == [False, True, True]
+    goals = np.array([[1.0, 2.0], [3.0, 4e-5], [5.0, 6.0]])
+    assert solved(J, goals) == pytest.approx(np.array([[1.0, 2.0], [3.0, 4.0], [5.0, -3.0]]))
+
+
+def test_the_equations_of_an_arm_hold_where_it_starts() -> None:
+    """Three equations place the tip in space; the joint to spare keeps its part at 0."""
+    body, start = spatial(4), np.array([0.3, 0.4, -0.6, 0.2])
+    equations = equations_of(body, body.values, start, "reference")
+    place, J = (part.full() for part in equations.place(start))
+    tip = body.tip(body.values, start).full().ravel()
+    assert place.ravel() == pytest.approx([*tip / equations.reach, 0.0])
+    assert equations.goals(tip[None]) == pytest.approx(place.T)
+    assert abs(np.linalg.det(J)) > 1e-3
+    angles = nearest(equations.place, place.ravel(), start + 0.05)
+    assert angles == pytest.approx(start, abs=1e-9)

@@ -1,4 +1,7 @@
-"""Plants: constructors against each other, SciPy and python-control; the exact hold; nonlinear plants against matrices."""
+"""Plants: constructors against each other, SciPy and python-control.
+
+The exact hold; nonlinear plants against matrices; how fast a plant is.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,13 @@ from undeadzone.plants.build import initial_state, matrices, system
 from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import (
+    fastest_pole,
+    in_poles,
+    moving_poles,
+    rates_of_motion,
+    time_scale,
+)
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 
@@ -311,3 +321,30 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
 def test_wrong_plants(options: dict[str, Any], error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         system(Plant(**options))
+
+
+def test_integrators_are_no_moving_poles() -> None:
+    """Poles 0, 0, -2, -8: a quarter period of each that moves, and their geometric mean."""
+    A = np.diag([0.0, 0.0, -2.0, -8.0])
+    plant = system(Plant(A=A, B=np.ones((4, 1)), C=np.ones((1, 4))))
+    assert sorted(rates_of_motion(A)) == pytest.approx([2.0, 8.0])
+    assert sorted(moving_poles(plant)) == pytest.approx([2.0, 8.0])
+    assert fastest_pole(plant) == pytest.approx(8.0)
+    assert time_scale(plant.linear) == pytest.approx(np.pi / 2 / 4.0)
+    slow = sampled(plant, 0.1)
+    assert moving_poles(slow) == pytest.approx(moving_poles(plant))
+
+
+def test_a_chain_of_integrators_has_a_rate_and_a_time_of_1() -> None:
+    plant = system(Plant(integrators=3))
+    assert rates_of_motion(plant.linear.A).size == 0
+    assert moving_poles(plant).tolist() == [1.0]
+    assert time_scale(plant.linear) == 1.0
+
+
+def test_a_rate_is_the_users_or_a_multiple_of_the_fastest_pole() -> None:
+    plant = system(Plant(companion=[4.0, 5.0]))
+    assert in_poles(plant, "observer.gain", 7.0, 3.0) == 7.0
+    assert in_poles(plant, "observer.gain", None, 3.0) == pytest.approx(12.0)
+    with pytest.raises(InputError, match=r"observer.gain"):
+        in_poles(plant, "observer.gain", -1.0, 3.0)

@@ -1,4 +1,7 @@
-"""Arms as plants of scenarios, end to end: parameters, limits, stops, quantised readings, tips, ensembles, engines, the page and the animation."""
+"""Arms as plants of scenarios, end to end.
+
+Parameters, limits, stops, quantised readings, tips, ensembles, engines, the page and the animation.
+"""
 
 from __future__ import annotations
 
@@ -91,11 +94,12 @@ def both() -> tuple[Run, Run]:
     named = [two_link(observer=FILTER | more) for more in ({}, {"blind": True})]
     names = _told_apart(named[0].observer, named[1].observer)
     runs = [simulate(one) for one in named]
-    first, second = (
-        dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name))
-        for run, name in zip(runs, names, strict=True)
-    )
+    first, second = (labelled(run, name) for run, name in zip(runs, names, strict=True))
     return first, second
+
+
+def labelled(run: Run, name: str) -> Run:
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=name))
 
 
 # --- The plant and what is believed of it
@@ -108,15 +112,13 @@ def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
             model={"parameters": {"payload": 0.2}},
         )
     )
-    plant, model = (
-        dict(zip(one.names, one.params, strict=True)) for one in (problem.plant, problem.model)
-    )
+    plant = dict(zip(problem.plant.names, problem.plant.params, strict=True))
+    model = dict(zip(problem.model.names, problem.model.params, strict=True))
     assert (plant["payload"], plant["f1"], plant["m1"]) == (0.5, 0.4, 3.0)
     assert model == plant | {"payload": 0.2}
     x, u = np.array([0.3, -0.8, 1.0, -0.5]), np.array([2.0, 1.0])
-    loaded, plain = (
-        system(Plant(arm=TwoLink(), parameters={"payload": value})) for value in (0.5, 0.0)
-    )
+    loaded = system(Plant(arm=TwoLink(), parameters={"payload": 0.5}))
+    plain = system(Plant(arm=TwoLink(), parameters={"payload": 0.0}))
     assert loaded.arm is not None
     needed = [
         torque(one.arm, one.params, x[:2], x[2:], np.array(one.move(one.params, x, u)).ravel()[2:])
@@ -219,7 +221,10 @@ def test_steep_friction_asks_for_shorter_steps() -> None:
 
 
 def test_torques_saturate_for_plant_and_observer_alike() -> None:
-    """An exact filter whose start is known sees no innovation while the motors saturate: it is told of the torque that they give."""
+    """An exact filter whose start is known sees no innovation while the motors saturate.
+
+    It gets the torque that they give.
+    """
     limit = np.array([12.0, 3.2])
     observer = FILTER | {
         "start": [-2.2, 1.9, 0.0, 0.0],
@@ -280,10 +285,12 @@ def test_quantised_readings_are_multiples_whose_side_and_noise_count_the_quantum
     assert run.info.threshold == pytest.approx([quantum / 2] * 2)
     assert np.array_equal(run.side, side(run.y, np.array(run.info.threshold)))
     assert np.array_equal(run.side, np.sign(np.round(steps)))
-    coarse, fine = (
-        resolve_scenario(two_link(sensor={"quantum": q, "noise": 0.01})).observer.params.R
-        for q in (0.1, 0.0)
-    )
+
+    def variance(quantum: float) -> Any:
+        scenario = two_link(sensor={"quantum": quantum, "noise": 0.01})
+        return resolve_scenario(scenario).observer.params.R
+
+    coarse, fine = variance(0.1), variance(0.0)
     np.testing.assert_allclose(coarse - fine, 0.1**2 / 12, rtol=1e-9)
 
 

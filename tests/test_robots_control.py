@@ -1,4 +1,7 @@
-"""Controllers of arms: computed torque, PD with gravity, LQR about a trajectory, and the feedforward along a path of the joints."""
+"""Controllers of arms: computed torque, PD with gravity, LQR about a trajectory.
+
+And the feedforward along a path of the joints.
+"""
 
 from __future__ import annotations
 
@@ -124,9 +127,9 @@ def test_targets_of_an_elastic_joint_satisfy_its_equations() -> None:
     )
     assert problem.path is not None
     h, t = 1e-4, np.linspace(0.0, 1.0, 23)
-    before, here, after = (
-        flat_targets(problem.flow, problem.path, [0], t + shift) for shift in (-h, 0.0, h)
-    )
+    before = flat_targets(problem.flow, problem.path, [0], t - h)
+    here = flat_targets(problem.flow, problem.path, [0], t)
+    after = flat_targets(problem.flow, problem.path, [0], t + h)
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 1)
     move = ca.Function("move", [x, u], [problem.flow.move(ca.SX(problem.flow.params), x, u)])
     rate = (after.x_ref - before.x_ref) / (2 * h)
@@ -156,10 +159,8 @@ def exact(t: Floats, e0: Floats, w: float, z: float) -> Floats:
 
 def test_computed_torque_makes_the_error_linear() -> None:
     """In continuous time exactly, held over samples to the first order of the sample time."""
-    offset, controller = (
-        np.array([0.4, -0.3]),
-        {"method": "computed_torque", "bandwidth": 10.0, "damping": 0.7},
-    )
+    offset = np.array([0.4, -0.3])
+    controller = {"method": "computed_torque", "bandwidth": 10.0, "damping": 0.7}
     x0 = on_path().x_ref[0] + np.append(offset, [0, 0])
     steps, errors = (4e-3, 2e-3, 1e-3), []
     for step in steps:
@@ -189,7 +190,10 @@ def test_on_the_path_computed_torque_is_the_feedforward() -> None:
 
 @pytest.mark.parametrize("reject", [True, False])
 def test_a_known_disturbance_is_taken_into_account(reject: bool) -> None:
-    """With x' = f(x, u) + w, w constant: e'' + K_d e' + K_p e = 0 where e' = v_ref - (v + w_q) and q'' = a + w_v."""
+    """With x' = f(x, u) + w, w constant: e'' + K_d e' + K_p e = 0.
+
+    There e' = v_ref - (v + w_q) and q'' = a + w_v.
+    """
     model, rng = arm_model(), np.random.default_rng(1)
     assert model.arm is not None
     k_p, k_d = np.array([30.0, 50.0]), np.array([9.0, 11.0])
@@ -204,7 +208,7 @@ def test_a_known_disturbance_is_taken_into_account(reject: bool) -> None:
 
 
 def test_the_step_that_is_refused_is_the_one_that_is_unstable() -> None:
-    """Held over Ts, the double integrator under K_p, K_d: refused at a spectral radius of 1 and no sooner."""
+    """The double integrator held over Ts: refused at a spectral radius of 1 and no sooner."""
     for k_p, k_d in ((100.0, 14.0), (4000.0, 20.0)):
         limit = min(2 / k_d, 2 * k_d / k_p)
         for Ts, stable in ((0.99 * limit, True), (1.01 * limit, False)):
@@ -246,17 +250,15 @@ def test_gravity_pd_hangs_where_it_does_not_know_the_payload() -> None:
     arm = problem.plant.arm
     assert arm is not None
     empty = np.where(np.array(arm.names) == "payload", 0.0, problem.plant.params)
-    g, believed = (
-        np.asarray(arm.bias(p, q, np.zeros(2))).ravel()
-        for p, q in ((problem.plant.params, run.x[-1, :2]), (empty, [0.4, -0.7]))
-    )
+    g = np.asarray(arm.bias(problem.plant.params, run.x[-1, :2], np.zeros(2))).ravel()
+    compensated = np.asarray(arm.bias(empty, [0.4, -0.7], np.zeros(2))).ravel()
     gap = np.array([0.4, -0.7]) - run.x[-1, :2]
-    assert 200.0 * gap == pytest.approx(g - believed, abs=1e-4)
+    assert 200.0 * gap == pytest.approx(g - compensated, abs=1e-4)
     assert np.abs(gap).max() > 5e-3
 
 
 def test_gravity_pd_brings_an_elastic_joint_to_rest_from_its_motor() -> None:
-    """Tomei (1991): the link stands at its reference, the motor further by the spring's deflection."""
+    """Tomei (1991): the link stands at its reference, the motor further by the deflection."""
     joint = LINK | {
         "plant": {"arm": {"kind": "elastic_joint", "measured": "link"}, "parameters": {"b2": 0.2}}
     }
@@ -305,7 +307,10 @@ def test_on_a_linear_plant_lqr_is_the_algebraic_solution(inputs_: int) -> None:
 
 
 def test_lqr_is_optimal_about_the_trajectory() -> None:
-    """The cost of a small perturbation is e'P e, and constant gains, whatever posture they are made for, cost more."""
+    """The cost of a small perturbation is e'P e.
+
+    Constant gains, for whatever posture they are made, cost more.
+    """
     target, options = on_path(), {"method": "lqr"}
     offset = 1e-3 * np.array([1.0, -1.0, 0.0, 0.0])
     start = (target.x_ref[0] + offset).tolist()
@@ -370,7 +375,7 @@ def test_lqr_follows_with_a_plant_given_by_formulas() -> None:
 
 
 def test_a_reference_twice_as_large_does_not_scale_the_gains() -> None:
-    """scale.reference, which ensembles vary, scales the targets of a linear plant and nothing else."""
+    """scale.reference of ensembles scales the targets of a linear plant and nothing else."""
     data = table(
         controller={"method": "lqr", "R": 0.01},
         observer={"method": "full_state"},
@@ -420,7 +425,7 @@ def test_compiled_lanes_run_the_same(
 
 
 def test_what_is_planned_varies_along_the_path_and_is_no_parameter() -> None:
-    """The gains of an arm change with its posture; they are inputs of the loop, which all lanes share."""
+    """The gains of an arm change with its posture: inputs of the loop, which all lanes share."""
     problem = resolve_scenario(moving(OPTIMAL))
     plan = targets(problem).plan
     assert plan.shape == (problem.steps + 1, 8)

@@ -1,4 +1,4 @@
-"""Planar arms and the elastic joint: against MuJoCo, Lagrange's equations, energy, and each other."""
+"""Planar arms and the elastic joint against MuJoCo, Lagrange's equations, energy, each other."""
 
 from __future__ import annotations
 
@@ -56,11 +56,13 @@ def elastic(measured: str = "motor", x_eq: Any = None, **parameters: float) -> S
 
 
 def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
-    """Kinetic and potential energy of the links and payload, from the paths of their centres of mass in the complex plane."""
+    """Kinetic and potential energy of the links and payload.
+
+    From the paths of their centres of mass in the complex plane.
+    """
     p = dict(zip(body.names, numbers, strict=True))
-    links = [
-        {name: p[name + tag] for name in "mlcI"} for tag in ([""] if body.size == 1 else ["1", "2"])
-    ]
+    tags = [""] if body.size == 1 else ["1", "2"]
+    links = [{name: p[name + tag] for name in "mlcI"} for tag in tags]
     joint, speed, total = 0j, 0j, 0.0
     for link, angle, rate in zip(links, np.cumsum(q), np.cumsum(v), strict=True):
         along = np.exp(1j * angle)
@@ -106,8 +108,12 @@ MJCF = """
   <compiler angle="radian"/>
   <option gravity="0 {g} 0"/>
   <worldbody>
-    <body><joint axis="0 0 1" damping="{b1}" armature="0"/><inertial pos="{c1} 0 0" mass="{m1}" diaginertia="{I1} {I1} {I1}"/>
-      <body pos="{l1} 0 0"><joint axis="0 0 1" damping="{b2}" armature="0"/><inertial pos="{c2} 0 0" mass="{m2}" diaginertia="{I2} {I2} {I2}"/>
+    <body>
+      <joint axis="0 0 1" damping="{b1}" armature="0"/>
+      <inertial pos="{c1} 0 0" mass="{m1}" diaginertia="{I1} {I1} {I1}"/>
+      <body pos="{l1} 0 0">
+        <joint axis="0 0 1" damping="{b2}" armature="0"/>
+        <inertial pos="{c2} 0 0" mass="{m2}" diaginertia="{I2} {I2} {I2}"/>
         <body pos="{l2} 0 0">{payload}</body>
       </body>
     </body>
@@ -120,12 +126,22 @@ ELASTIC_MJCF = """
   <compiler angle="radian"/>
   <option gravity="0 {g} 0"/>
   <worldbody>
-    <body><joint name="motor" axis="0 0 1" damping="{b1}"/><inertial pos="0 0 0" mass="1" diaginertia="{J} {J} {J}"/></body>
-    <body><joint name="link" axis="0 0 1" damping="{b2}"/><inertial pos="{c} 0 0" mass="{m}" diaginertia="{I} {I} {I}"/>
+    <body>
+      <joint name="motor" axis="0 0 1" damping="{b1}"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="{J} {J} {J}"/>
+    </body>
+    <body>
+      <joint name="link" axis="0 0 1" damping="{b2}"/>
+      <inertial pos="{c} 0 0" mass="{m}" diaginertia="{I} {I} {I}"/>
       <body pos="{l} 0 0">{payload}</body>
     </body>
   </worldbody>
-  <tendon><fixed stiffness="{k}" springlength="0 0"><joint joint="motor" coef="1"/><joint joint="link" coef="-1"/></fixed></tendon>
+  <tendon>
+    <fixed stiffness="{k}" springlength="0 0">
+      <joint joint="motor" coef="1"/>
+      <joint joint="link" coef="-1"/>
+    </fixed>
+  </tendon>
 </mujoco>
 """
 
@@ -164,11 +180,9 @@ def test_two_links_accelerate_as_in_mujoco(changes: dict[str, float]) -> None:
     body = ARMS["two_link"]
     numbers = params(body, **changes)
     rng = np.random.default_rng(1)
-    q, v, u = (
-        rng.uniform(-np.pi, np.pi, (1000, 2)),
-        rng.normal(size=(1000, 2)) * 5,
-        rng.normal(size=(1000, 2)) * 20,
-    )
+    q = rng.uniform(-np.pi, np.pi, (1000, 2))
+    v = rng.normal(size=(1000, 2)) * 5
+    u = rng.normal(size=(1000, 2)) * 20
     expected = mujoco_accelerations(MJCF, dict(zip(body.names, numbers, strict=True)), q, v, u)
     found = np.array([column(acceleration(body, numbers, q[i], v[i], u[i])) for i in range(1000)])
     assert (
@@ -215,7 +229,10 @@ def test_mass_is_symmetric_and_positive_and_the_energy_that_of_the_links(
 @kinds
 @given(seed=seeds)
 def test_bias_is_lagranges(kind: str, seed: int) -> None:
-    """h - gravity = (dM/dt) v - 1/2 d(v'Mv)/dq, hence v'(dM/dt)v / 2 = v'(h - gravity): the arm is passive; gravity = dV/dq."""
+    """h - gravity = (dM/dt) v - 1/2 d(v'Mv)/dq, and gravity = dV/dq.
+
+    Hence v'(dM/dt)v / 2 = v'(h - gravity): the arm is passive.
+    """
     body = ARMS[kind]
     _, numbers, q, v = drawn(body, seed)
     x, w = ca.SX.sym("q", body.size), ca.SX.sym("v", body.size)
@@ -274,7 +291,7 @@ def test_default_inertias_are_those_of_uniform_rods() -> None:
 
 @given(seeds)
 def test_two_links_with_a_straight_held_elbow_are_one_link(seed: int) -> None:
-    """The torque of joint 1 for an acceleration of joint 1 alone, elbow straight, is that of one link with all the mass."""
+    """An elbow that is straight and stays so: joint 1 moves one link with all the mass."""
     two, one = ARMS["two_link"], ARMS["one_link"]
     _, numbers, q, v = drawn(two, seed)
     p = dict(zip(two.names, numbers, strict=True))
@@ -308,11 +325,9 @@ def test_the_elastic_joint_accelerates_as_in_mujoco(payload: float) -> None:
 def test_the_elastic_joints_power_goes_into_energy_and_friction(seed: int) -> None:
     plant = ELASTIC
     rng = np.random.default_rng(seed)
-    numbers, x, u = (
-        rng.uniform(0.1, 2.0, len(plant.names)),
-        rng.normal(size=4) * 3,
-        rng.normal(size=1) * 5,
-    )
+    numbers = rng.uniform(0.1, 2.0, len(plant.names))
+    x = rng.normal(size=4) * 3
+    u = rng.normal(size=1) * 5
     p = dict(zip(plant.names, numbers, strict=True))
     drag = sum(
         p["b" + i] * v**2 + p["f" + i] * v**2 / np.sqrt(v**2 + 0.05**2)
@@ -380,10 +395,8 @@ def test_linearisation_has_the_poles_of_the_closed_form(
     numbers = {"b1": 0.3, "b2": 0.2, "f1": 0.1, "f2": 0.05, "payload": 0.6}
     plant = system(Plant(arm=ElasticJoint(measured=measured), parameters=numbers, x0=x0))  # type: ignore[arg-type]
     p = dict(zip(plant.names, plant.params, strict=True))
-    inertia, weight = (
-        p["I"] + p["m"] * p["c"] ** 2 + 0.6 * p["l"] ** 2,
-        (p["m"] * p["c"] + 0.6 * p["l"]) * p["g"],
-    )
+    inertia = p["I"] + p["m"] * p["c"] ** 2 + 0.6 * p["l"] ** 2
+    weight = (p["m"] * p["c"] + 0.6 * p["l"]) * p["g"]
     motor = [p["J"], 0.3 + 0.1 / 0.05, p["k"]]
     link = [inertia, 0.2 + 0.05 / 0.05, p["k"] - weight * np.sin(angle)]
     polynomial = np.polysub(np.polymul(motor, link), [p["k"] ** 2])
@@ -454,3 +467,7 @@ def test_what_else_is_refused() -> None:
         system(Plant(arm=ElasticJoint(torque_max=0.0)))
     with pytest.raises(InputError, match=r"plant\.arm\.rest"):
         system(Plant(arm=ElasticJoint(rest=0.0)))
+
+
+def test_changed_parameters_are_those_of_the_chain_alone() -> None:
+    assert planar.changed({"m": 1.0, "l": 2.0}, {"l": 3.0, "b1": 4.0}) == {"m": 1.0, "l": 3.0}

@@ -24,7 +24,8 @@ from undeadzone.support.arrays import Floats
 pytest.importorskip("adam.casadi")
 
 UR5 = Path(__file__).parent.parent / "examples" / "ur5.urdf"
-INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>'
+INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/>'
+INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
 LIMIT = '<limit lower="-1" upper="2" effort="30" velocity="3"/>'
 Pinocchio = Any
 
@@ -35,17 +36,16 @@ def pin() -> Pinocchio:
 
 
 def joint(name: str, parent: str, child: str, kind: str = "revolute", rest: str = "") -> str:
-    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{rest}</joint>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{rest}</joint>'
 
 
 def link(name: str, inertial: str = INERTIAL) -> str:
     return f'<link name="{name}">{inertial}</link>'
 
 
-SHOULDER, ELBOW = (
-    joint("shoulder", "base", "upper", rest=LIMIT),
-    joint("elbow", "upper", "lower", "continuous", '<origin xyz="0 1 0"/>'),
-)
+SHOULDER = joint("shoulder", "base", "upper", rest=LIMIT)
+ELBOW = joint("elbow", "upper", "lower", "continuous", '<origin xyz="0 1 0"/>')
 SMALL = (
     f'<robot name="small">{link("base", "")}{link("upper")}{link("lower")}{SHOULDER}{ELBOW}</robot>'
 )
@@ -98,7 +98,9 @@ def random_arm(seed: int, kinds: list[str]) -> str:
                 strict=True,
             )
         )
-        return f'<inertial>{origin()}<mass value="{rng.uniform(0.5, 3)}"/><inertia {entries}/></inertial>'
+        place = origin()
+        mass = f'<mass value="{rng.uniform(0.5, 3)}"/>'
+        return f"<inertial>{place}{mass}<inertia {entries}/></inertial>"
 
     def moving(i: int, kind: str) -> str:
         axis = '<axis xyz="{} {} {}"/>'.format(
@@ -258,7 +260,8 @@ def test_what_the_file_says_of_the_joints(
 ) -> None:
     more = ELBOW.replace(
         "</joint>",
-        '<limit lower="0" upper="0" effort="5" velocity="7"/><dynamics damping="0.3" friction="0.1"/></joint>',
+        '<limit lower="0" upper="0" effort="5" velocity="7"/>'
+        '<dynamics damping="0.3" friction="0.1"/></joint>',
     )
     noise = '<gazebo><x/></gazebo><transmission name="t"/><sensor name="s"/><material name="m"/>'
     given = chain(written(tmp_path, SMALL.replace(ELBOW, more + noise)))
@@ -418,7 +421,10 @@ def test_gravity_has_three_numbers(tmp_path: Path) -> None:
 def test_adam_is_imported_when_it_is_used_and_named_when_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code = "import sys, undeadzone.plants.robots.urdf; sys.exit('adam' in sys.modules or 'urdf_parser_py' in sys.modules)"
+    code = (
+        "import sys, undeadzone.plants.robots.urdf; "
+        "sys.exit('adam' in sys.modules or 'urdf_parser_py' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     monkeypatch.setitem(sys.modules, "adam.casadi.casadi_like", None)
     with pytest.raises(InputError, match=r"pip install 'undeadzone\[robots\]'"):

@@ -1,4 +1,7 @@
-"""Scenarios: files that run as they are, every wrong input with its own error and key, and a fuzz that lets nothing else out."""
+"""Scenarios: files that run as they are, every wrong input with its own error and key.
+
+And a fuzz that lets nothing else out.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
 
 SAMPLED = """
-# What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, a plant that is not quite the model.
+# What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, an inexact model.
 title = "Sampled, asymmetric, noisy, mismatched"
 
 [plant]
@@ -77,9 +80,14 @@ step = 1e-2
 seed = 1
 """
 PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"], "h": ["angle"], "states": ["angle", "rate"], "inputs": ["torque"],
-    "parameters": {"g": 9.81, "b": 0.8}, "x0": [0.1, 0.0], "x_eq": [0.0, 0.0],
-}  # fmt: skip
+    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
+    "h": ["angle"],
+    "states": ["angle", "rate"],
+    "inputs": ["torque"],
+    "parameters": {"g": 9.81, "b": 0.8},
+    "x0": [0.1, 0.0],
+    "x_eq": [0.0, 0.0],
+}
 INTEGRATORS = {"method": "certified", "L": [3.0, 2.0], "gamma": 1.0}
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 1.0, "seed": 1, "substeps": 3}
 
@@ -141,7 +149,7 @@ def test_fast_sampling_is_no_obstacle(step: float) -> None:
 
 
 def test_fast_plants_in_their_own_unit_of_time_run_alike() -> None:
-    """Poles at 1e4 rad/s, third order: nothing in the checks takes it for unobservable or for a plant that cannot follow."""
+    """Poles at 1e4 rad/s, third order: no check takes it for unobservable or unable to follow."""
     a = np.array([1e12, 3e8, 3e4])
     run = simulate(
         scene(
@@ -412,7 +420,8 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"plant": UNSTABLE, "observer": WEAK},
         StructureError,
-        "observer.L: the model is unstable .growth rate 1 1/s. and this gain cannot bound .* A - L C grows at 0.7071",
+        "observer.L: the model is unstable .growth rate 1 1/s. and this gain cannot bound .* "
+        "A - L C grows at 0.7071",
     ),
     (
         {"plant": UNSTABLE, "observer": WEAK, "simulation": AT_100_HZ},
@@ -509,19 +518,23 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
 ]
 
 
+def without_none(value: Any) -> Any:
+    """A table without the keys whose value is None; anything else as it is."""
+    if not isinstance(value, dict):
+        return value
+    return {key: inner for key, inner in value.items() if inner is not None}
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "words"), WRONG, ids=[words[:50] for _, _, words in WRONG]
 )
 def test_wrong_input(changes: dict[str, Any], error: type[InputError], words: str) -> None:
-    changes = {
-        key: {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
-        for key, value in changes.items()
-    }
-    with pytest.raises(error, match=words) as found:
+    changes = {key: without_none(value) for key, value in changes.items()}
+    with pytest.raises(error, match=words) as raised:
         simulate(scene(**changes))
-    assert type(found.value) is error
-    assert len(str(found.value)) < 400
-    assert "\n" not in str(found.value)
+    assert type(raised.value) is error
+    assert len(str(raised.value)) < 400
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -577,37 +590,98 @@ def test_wrong_csv_in_a_scenario(tmp_path: Path, rows: str, words: str) -> None:
 BASES = [
     table(),
     table(
-        simulation=AT_100_HZ, model={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]]}, sensor={"noise": 0.02, "threshold": 0.1},
-        disturbance={"kind": "sine", "amplitude": 10.0, "frequency": 0.3}, controller={"method": "state_feedback", "poles": [-10.0, -10.0]},
+        simulation=AT_100_HZ,
+        model={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]]},
+        sensor={"noise": 0.02, "threshold": 0.1},
+        disturbance={"kind": "sine", "amplitude": 10.0, "frequency": 0.3},
+        controller={"method": "state_feedback", "poles": [-10.0, -10.0]},
     ),
     table(plant=PENDULUM, model={"parameters": {"g": 9.0}}),
     table(
-        plant={"second_order": {"zeta": 0.5, "omega_n": 3.0, "gain": 2.0}}, observer={"method": "luenberger", "poles": [-3.0, -4.0]},
-        reference={"kind": "sines", "components": [{"amplitude": 1.0, "frequency": 1.0, "phase": 0.1}], "offset": 0.1},
+        plant={"second_order": {"zeta": 0.5, "omega_n": 3.0, "gain": 2.0}},
+        observer={"method": "luenberger", "poles": [-3.0, -4.0]},
+        reference={
+            "kind": "sines",
+            "components": [{"amplitude": 1.0, "frequency": 1.0, "phase": 0.1}],
+            "offset": 0.1,
+        },
         disturbance={"kind": "random", "rms": 1.0, "correlation_time": 0.1},
     ),
     table(
         plant={"transfer_function": {"numerator": [1.0, 2.0], "denominator": [1.0, 3.0, 3.0]}},
-        observer={"method": "printed", "L": [12.0, 15.0], "widths0": 1.0, "sharpness": 100.0, "left_sign": 1.0},
+        observer={
+            "method": "printed",
+            "L": [12.0, 15.0],
+            "widths0": 1.0,
+            "sharpness": 100.0,
+            "left_sign": 1.0,
+        },
         controller={"method": "pd", "alpha": 10.0, "Q": 1.0, "L": [1.0, 2.0], "filter_time": 0.01},
         reference={"kind": "trapezoid", "amplitude": 1.0, "rise": 0.3, "hold": 0.2},
     ),
     table(
-        plant={"companion": [1.0, 3.0, 3.0]}, observer={"method": "oracle", "L": [0.0, 0.0, 0.0], "silence": True}, tracked=[0],
-        controller={"method": "state_feedback", "K": [0.0, 0.0, 0.0], "Q": 1.0, "robust": {"gain": 1.0, "width": 0.1}},
-        reference={"kind": "step", "amplitude": 1.0, "time": 0.5, "before": 0.1}, units={"output": "m", "input": "N", "state": ["m", "m", "m"]},
+        plant={"companion": [1.0, 3.0, 3.0]},
+        observer={"method": "oracle", "L": [0.0, 0.0, 0.0], "silence": True},
+        tracked=[0],
+        controller={
+            "method": "state_feedback",
+            "K": [0.0, 0.0, 0.0],
+            "Q": 1.0,
+            "robust": {"gain": 1.0, "width": 0.1},
+        },
+        reference={"kind": "step", "amplitude": 1.0, "time": 0.5, "before": 0.1},
+        units={"output": "m", "input": "N", "state": ["m", "m", "m"]},
     ),
     table(
-        plant={"A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]], "B": [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]], "C": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]},
-        sensor={"kind": "jump", "right": [1.0, 0.5], "left": [1.0, 0.5], "noise": [0.0, 0.1], "noise_before": [0.0, 0.1], "false_alarm_rate": 0.1},
+        plant={
+            "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]],
+            "B": [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]],
+            "C": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        },
+        sensor={
+            "kind": "jump",
+            "right": [1.0, 0.5],
+            "left": [1.0, 0.5],
+            "noise": [0.0, 0.1],
+            "noise_before": [0.0, 0.1],
+            "false_alarm_rate": 0.1,
+        },
         observer={"method": "certified", "gamma": [1.0, 2.0], "widths0": [[0.1, 0.1], [0.1, 0.2]]},
-        reference={"kind": "sine", "amplitude": [1.0, 2.0], "frequency": 1.0, "phase": [0.0, 0.1], "offset": [0.0, 1.0]},
+        reference={
+            "kind": "sine",
+            "amplitude": [1.0, 2.0],
+            "frequency": 1.0,
+            "phase": [0.0, 0.1],
+            "offset": [0.0, 1.0],
+        },
     ),
     table(plant={"integrators": 2}, observer=INTEGRATORS),
-    table(simulation=AT_100_HZ, observer={"method": "kalman", "right": [0.0, 2.0], "left": [0.0, 1.0], "noise": 0.1, "x_std": 1.0, "drift": 0.01}),
-    table(simulation=AT_100_HZ, observer={"method": "censored", "right": [0.0, 2.0], "noise": 0.1, "disturbance": 0.1, "tolerance": {"A[1,0]": 0.1}}),
-    table(simulation=AT_100_HZ, observer=FREE | {"adaptation": {"method": "least_squares", "forgetting": 0.1}}),
-]  # fmt: skip
+    table(
+        simulation=AT_100_HZ,
+        observer={
+            "method": "kalman",
+            "right": [0.0, 2.0],
+            "left": [0.0, 1.0],
+            "noise": 0.1,
+            "x_std": 1.0,
+            "drift": 0.01,
+        },
+    ),
+    table(
+        simulation=AT_100_HZ,
+        observer={
+            "method": "censored",
+            "right": [0.0, 2.0],
+            "noise": 0.1,
+            "disturbance": 0.1,
+            "tolerance": {"A[1,0]": 0.1},
+        },
+    ),
+    table(
+        simulation=AT_100_HZ,
+        observer=FREE | {"adaptation": {"method": "least_squares", "forgetting": 0.1}},
+    ),
+]
 SIZES = [
     0,
     1,
@@ -684,7 +758,7 @@ def places(data: Any) -> Iterator[tuple[Any, Any]]:
 
 @st.composite
 def mutants(draw: st.DrawFn) -> dict[str, Any]:
-    """A scenario's tables with one or two things dropped, renamed, replaced, wrapped or repeated."""
+    """A scenario's tables, one or two things dropped, renamed, replaced, wrapped or repeated."""
     data = copy.deepcopy(draw(st.sampled_from(BASES)))
     for _ in range(draw(st.sampled_from([1, 1, 1, 2]))):
         container, key = draw(st.sampled_from(list(places(data))))

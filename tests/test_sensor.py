@@ -1,4 +1,7 @@
-"""The deadzone block: published responses, describing function, algebra, thresholds; one definition for NumPy and CasADi."""
+"""The deadzone block: published responses, describing function, algebra, thresholds.
+
+One definition serves NumPy and CasADi.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ def test_published_responses(
 
 
 def saturation_describing_function(ratio: float) -> float:
-    """N_sat(d / A) = 2/pi (asin q + q sqrt(1 - q^2)), Gelb and Vander Velde (1968), table of describing functions."""
+    """N_sat(d / A) = 2/pi (asin q + q sqrt(1 - q^2)).
+
+    Source: Gelb and Vander Velde (1968), table of describing functions.
+    """
     q = min(ratio, 1.0)
     return float(2 / np.pi * (np.arcsin(q) + q * np.sqrt(1 - q**2)))
 
@@ -51,7 +57,8 @@ def test_describing_function_is_one_minus_that_of_saturation(
     amplitude: float, right: float, left: float, slope: float
 ) -> None:
     corners = [np.arcsin(edge / amplitude) for edge in (right, -left) if abs(edge) < amplitude]
-    points = sorted([c for corner in corners for c in (corner, np.sign(corner) * np.pi - corner)])
+    mirrored = [np.sign(corner) * np.pi - corner for corner in corners]
+    points = sorted(corners + mirrored)
     harmonic = quad(
         lambda a: deadzone(amplitude * np.sin(a), right, left, slope) * np.sin(a),
         -np.pi,
@@ -121,9 +128,8 @@ def test_edges_are_where_the_side_changes(
     above, below = sensor.edges(right, left, slope, kind, threshold, noise)
     if min(abs(z - above), abs(z + below), abs(z - right), abs(z + left)) < 1e-9:
         return
-    assert sensor.side(read(z, right, left, slope) + noise, threshold) == (
-        1.0 if z > above else -1.0 if z < -below else 0.0
-    )
+    expected = float(z > above) - float(z < -below)
+    assert sensor.side(read(z, right, left, slope) + noise, threshold) == expected
 
 
 def test_side_of_edges_noise_and_missing_samples() -> None:
@@ -156,14 +162,17 @@ BOTH: list[tuple[Any, list[ca.SX]]] = [
     (lambda r, l, m, t, n: sensor.edges(r, l, m, "deadzone", t, n), [_r, _l, _m, _t, _n]),
     (lambda r, l, m, t, n: sensor.edges(r, l, m, "jump", t, n), [_r, _l, _m, _t, _n]),
 ]
-COMPILED = [
-    ca.Function(
-        "f",
-        [_z, _y, _s, _r, _l, _m, _t, _n],
-        [ca.vertcat(*out) if isinstance(out := f(*args), tuple) else out],
-    )
-    for f, args in BOTH
-]
+
+
+def compiled(function: Any, arguments: list[Any]) -> ca.Function:
+    """A function of the sensor as a CasADi function of all symbols."""
+    value = function(*arguments)
+    if isinstance(value, tuple):
+        value = ca.vertcat(*value)
+    return ca.Function("f", [_z, _y, _s, _r, _l, _m, _t, _n], [value])
+
+
+COMPILED = [compiled(function, arguments) for function, arguments in BOTH]
 
 
 @given(
@@ -180,9 +189,9 @@ def test_numpy_and_casadi_agree(
     z: float, y: float, s: float, r: float, l: float, m: float, t: float, n: float
 ) -> None:
     values = dict(zip("zysrlmtn", (z, y, s, r, l, m, t, n), strict=True))
-    for (function, arguments), compiled in zip(BOTH, COMPILED, strict=True):
+    for (function, arguments), graph in zip(BOTH, COMPILED, strict=True):
         expected = np.ravel(function(*(np.float64(values[str(name)]) for name in arguments)))
-        assert compiled(z, y, s, r, l, m, t, n).full().ravel() == pytest.approx(
+        assert graph(z, y, s, r, l, m, t, n).full().ravel() == pytest.approx(
             expected, rel=1e-15, abs=1e-15
         )
 

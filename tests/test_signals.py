@@ -1,4 +1,4 @@
-"""Signals: their values, derivatives against finite differences, the exosystem w' = S w, CSV files and what is wrong with them."""
+"""Signals: values, derivatives against finite differences, the exosystem w' = S w, CSV files."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from scipy.linalg import expm
 
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.signals import exosystem as signals
+from undeadzone.signals import shapes
+from undeadzone.signals.csv_file import read_csv
 from undeadzone.signals.exosystem import (
     Random,
     Samples,
@@ -24,6 +26,7 @@ from undeadzone.signals.exosystem import (
     Trapezoid,
     exosystem,
 )
+from undeadzone.signals.periods import common_period
 
 T = np.linspace(0.013, 5.987, 523)
 
@@ -162,7 +165,7 @@ def test_smooth_samples_follow_a_sine_closely(smooth: Samples) -> None:
 )
 def test_csv_header_comments_and_byte_order_mark(tmp_path: Path, start: str) -> None:
     path = write_csv(tmp_path / "r.csv", [(0, 1), (1, 3), (2, 5)], start)
-    t, values = signals.read_csv("reference", path, 1)
+    t, values = read_csv("reference", path, 1)
     assert (t.tolist(), values.tolist()) == ([0, 1, 2], [[1], [3], [5]])
 
 
@@ -258,3 +261,33 @@ def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> No
 def test_random_is_a_disturbance_only() -> None:
     assert not isinstance(Random(rms=1.0, correlation_time=1.0), signals.Signal)
     assert isinstance(Sine(amplitude=1.0, frequency=1.0), signals.Signal)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "period"),
+    [([2.0], 0.5), ([1.0, 1.5], 2.0), ([0.3, 0.5, 0.7], 10.0), ([1.0, np.sqrt(2)], None)],
+)
+def test_common_period(frequencies: list[float], period: float | None) -> None:
+    if period is None:
+        assert common_period(frequencies) is None
+    else:
+        assert common_period(frequencies) == pytest.approx(period, rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [shapes.lines, shapes.spline])
+def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) -> None:
+    t = np.array([0.0, 0.5, 2.0, 3.0])
+    values = np.array([[1.0, 0.0], [2.0, -1.0], [0.0, 4.0], [3.0, 3.0]])
+    derivatives = shape(t, values)
+    assert derivatives(t)[:, 0] == pytest.approx(values)
+    outside = derivatives(np.array([-1.0, 9.0]))
+    assert outside[:, 0] == pytest.approx(values[[0, -1]])
+    assert not outside[:, 1:].any()
+
+
+def test_a_trapezoid_by_hand() -> None:
+    corners = np.array([0.0, 1.0, 3.0, 5.0, 7.0, 8.0])
+    derivatives = shapes.trapezoid(corners, np.array([2.0]))
+    values = derivatives(np.array([0.5, 2.0, 4.5, 6.0, 7.5, 8.5]))[:, :, 0]
+    assert values[:, 0].tolist() == [1.0, 2.0, -1.0, -2.0, -1.0, 1.0]
+    assert values[:, 1].tolist() == [2.0, 0.0, -2.0, 0.0, 2.0, 2.0]

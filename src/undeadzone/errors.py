@@ -1,4 +1,8 @@
-"""What can be wrong with an input, as exceptions: each message says which key, what was found, what to do."""
+"""What can be wrong with an input, as exceptions.
+
+Each message says which key, what was found, what to do. "Raises InputError or a subclass" in a
+docstring means the exceptions of this file.
+"""
 
 
 class UndeadzoneError(Exception):
@@ -14,7 +18,10 @@ class ShapeError(InputError):
 
 
 class StructureError(InputError):
-    """A plant or gain for which the task has no solution: unobservable, uncontrollable, not stabilised."""
+    """A plant or gain for which the task has no solution.
+
+    The plant is not observable or not controllable, or the gain does not stabilise it.
+    """
 
 
 class TrackingError(InputError):
@@ -30,8 +37,11 @@ class FileError(InputError):
 
 
 class ProofError(InputError):
-    """A stored proof that does not hold for what it is said to prove."""
+    """A stored proof that does not hold for what it should prove."""
 
 
 class ClusterError(InputError):
-    """A cluster that cannot be reached or used: no workers, workers with other versions, workers that die."""
+    """A cluster that cannot be used.
+
+    It cannot be reached, has no workers or workers with other versions, or its workers die.
+    """

@@ -1,7 +1,8 @@
-"""The output deadzone, equations (1)-(13) as corrected in docs/model.md: d_r, d_l > 0 and y = m (z - Sat z).
+"""The output deadzone, equations (1)-(13) as corrected in docs/model.md.
 
-Every function takes NumPy arrays or CasADi expressions alike. z is the true output, y the reading,
-right = d_r and left = d_l the widths (unit of z), m the slope (unit of y per unit of z).
+The widths d_r, d_l are positive, and the reading is y = m (z - Sat z). Every function takes NumPy
+arrays or CasADi expressions alike. z is the true output, y the reading, right = d_r and left = d_l
+the widths (unit of z), m the slope (unit of y per unit of z).
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent
 
 
 def _ops(*values: Any) -> Any:
-    """CasADi when any value is a CasADi expression, else NumPy: fmax, fmin, tanh have the same names in both."""
+    """CasADi when any value is a CasADi expression, else NumPy.
+
+    fmax, fmin and tanh have the same names in both.
+    """
     if any(type(value).__module__.startswith("casadi") for value in values):
         import casadi
 
@@ -48,17 +52,26 @@ def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
 
 
 def present(y: Any) -> Any:
-    """1 where a reading is a finite number, 0 where it is missing (NaN, infinite). CasADi takes y == y for true."""
+    """1 where a reading is a finite number, 0 where it is missing (NaN, infinite).
+
+    CasADi takes y == y for true, so the reading is compared with large numbers.
+    """
     return 1.0 * (y < 1e300) * (y > -1e300)
 
 
 def side(y: Any, threshold: Any = 0.0) -> Any:
-    """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0 (silent, also for NaN)."""
+    """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
+
+    0 is silent, also for NaN.
+    """
     return 1.0 * (y > threshold) - 1.0 * (y < -threshold)
 
 
 def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
-    """The paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y); both are 1/2 at y = 0."""
+    """The paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y).
+
+    Both are 1/2 at y = 0. sharpness is k_s [1/y].
+    """
     sign = _ops(y, sharpness).tanh(sharpness * y)
     return (1.0 + sign) / 2.0, (1.0 - sign) / 2.0
 
@@ -72,12 +85,25 @@ def quantised(y: Any, quantum: Any) -> Any:
 
 
 def offset(side: Any, right: Any, left: Any) -> Any:
-    """chi_bar d of (12) with chi_bar = [chi_r, -chi_l]: what the deadzone takes off z on that side."""
+    """chi_bar d of (12) with chi_bar = [chi_r, -chi_l].
+
+    That is what the deadzone takes off z on that side (+1, -1; 0 where silent).
+    """
     return right * (side > 0) - left * (side < 0)
 
 
 def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> Any:
-    """The reading on a given branch, continued beyond its edge: m (z - chi_bar d), m z for a jump sensor, 0 inside."""
+    """The reading on a given branch, continued beyond its edge.
+
+    It is m (z - chi_bar d), m z for a jump sensor, 0 inside.
+
+    Args:
+        z: true output.
+        zone: the branch, +1, -1, or 0 inside.
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: "deadzone" or "jump".
+    """
     taken = 0.0 if kind == "jump" else offset(zone, right, left)
     return slope * (z - taken) * (zone != 0)
 
@@ -85,30 +111,56 @@ def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> A
 def inverse(
     y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone"
 ) -> Any:
-    """The deadzone inverse (26): y / m + chi_bar d on the measured side, y / m where silent or of the jump kind."""
-    return y / slope + (0.0 if kind == "jump" else offset(side, right, left))
+    """The deadzone inverse (26): y / m + chi_bar d on the measured side.
+
+    It is y / m where the sensor is silent or of the jump kind.
+
+    Args:
+        y: reading.
+        side: the measured side, +1, -1, or 0 where silent.
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: "deadzone" or "jump".
+    """
+    taken = 0.0 if kind == "jump" else offset(side, right, left)
+    return y / slope + taken
 
 
 def edges(
     right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0
 ) -> tuple[Any, Any]:
-    """(z_r, z_l): the side reads right above z_r and left below -z_l, given threshold and additive noise on y.
+    """(z_r, z_l): the measured side is right above z_r and left below -z_l.
 
-    Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that side.
+    Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that
+        side.
+
+    Args:
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: "deadzone" or "jump".
+        threshold: |y| that counts as silent [y].
+        noise: a number added to y [y].
     """
-    ops = _ops(right, left, slope, threshold, noise)
+    right_margin = (threshold - noise) / slope
+    left_margin = (threshold + noise) / slope
+    return _edge(right, left, right_margin, kind), _edge(left, right, left_margin, kind)
 
-    def edge(own: Any, other: Any, margin: Any) -> Any:
-        outer, inner = (
-            (ops.fmax(own, margin), ops.fmin(-other, margin))
-            if kind == "jump"
-            else (own + margin, margin - other)
-        )
-        return outer * (margin >= 0) + inner * (margin < 0)
 
-    return edge(right, left, (threshold - noise) / slope), edge(
-        left, right, (threshold + noise) / slope
-    )
+def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
+    """|z| from which a side is read.
+
+    Args:
+        own, other: widths of this side and of the other [z].
+        margin: the threshold less noise towards this side, over the slope [z]; negative where noise
+            alone exceeds the threshold.
+        kind: "deadzone" or "jump".
+    """
+    if kind == "jump":
+        ops = _ops(own, other, margin)
+        outer, inner = ops.fmax(own, margin), ops.fmin(-other, margin)
+    else:
+        outer, inner = own + margin, margin - other
+    return outer * (margin >= 0) + inner * (margin < 0)
 
 
 def bound(right: Any, left: Any) -> Any:
@@ -117,7 +169,15 @@ def bound(right: Any, left: Any) -> Any:
 
 
 def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
-    """|y| below which a reading counts as silent, so that white noise of that rms gives `rate` false alarms per second."""
+    """|y| below which a reading counts as silent (p) [y].
+
+    White noise of that rms then gives `rate` false alarms per second.
+
+    Args:
+        noise: rms of the reading's noise (p) [y].
+        step: time between readings [s].
+        rate: false alarms [1/s].
+    """
     if not noise.any():
         return np.zeros_like(noise)
     from scipy.special import ndtri
@@ -127,13 +187,23 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An output deadzone of p outputs; each entry is one number or one per output.
+    """An output deadzone of p outputs; each array is one number or one per output.
 
-    right, left: d_r, d_l [z]; slope: m [y/z]; noise: rms added after the deadzone [y]; noise_before: rms added to z
-    ahead of it [z]; threshold: |y| that counts as silent [y] (default: from noise and false_alarm_rate [1/s]).
-    quantum: of the reading, which is rounded to its multiples [y], as an encoder's; sampled time only.
-    drift [1/sqrt(s)]: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms; dropout: probability
-    that a reading is missing, below 1.
+    Attributes:
+        right, left: widths d_r, d_l of the dead zone (p) [z].
+        kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of
+            velocity sensors.
+        slope: m, the reading per true output (p) [y/z].
+        noise: rms of the noise added after the deadzone (p) [y].
+        noise_before: rms of the noise added to z ahead of the deadzone (p) [z].
+        threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
+            quantum.
+        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s].
+        quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
+            only.
+        drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms
+            (p) [1/sqrt(s)].
+        dropout: probability that a reading is missing (p), below 1.
     """
 
     right: Array
@@ -150,7 +220,19 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Zone(msgspec.Struct, frozen=True):
-    """A `Sensor` checked and spread over p outputs, with its silence threshold decided; right, left at t = 0."""
+    """A `Sensor` checked and spread over p outputs, with its silence threshold decided.
+
+    Attributes:
+        kind: "deadzone" or "jump".
+        right, left: widths d_r, d_l at t = 0 (p) [z].
+        slope: m (p) [y/z].
+        noise: rms of the noise after the deadzone (p) [y].
+        noise_before: rms of the noise ahead of the deadzone (p) [z].
+        threshold: |y| that counts as silent (p) [y].
+        drift: rms of the random walks of log d_r and log d_l (p) [1/sqrt(s)].
+        dropout: probability that a reading is missing (p).
+        quantum: the reading is rounded to its multiples (p) [y]; 0: it is not.
+    """
 
     kind: str
     right: Floats
@@ -165,28 +247,37 @@ class Zone(msgspec.Struct, frozen=True):
 
     @property
     def rms(self) -> Floats:
-        """What a reading on an active side is off by, rms (p) [z]: noise ahead of and after the zone, rounding."""
-        return np.hypot(
-            np.hypot(self.noise / self.slope, self.noise_before),
-            self.quantum / self.slope / np.sqrt(12),
-        )
+        """What a reading on an active side is off by, rms (p) [z].
+
+        The sum of noise ahead of and after the zone, and rounding.
+        """
+        noise = np.hypot(self.noise / self.slope, self.noise_before)
+        rounding = self.quantum / self.slope / np.sqrt(12)
+        return np.hypot(noise, rounding)
 
 
 def resolve(sensor: Sensor, p: int, step: float) -> Zone:
-    """Check a sensor against p outputs at a time step [s]. Raises InputError, ShapeError."""
+    """The checked sensor of a plant.
+
+    Args:
+        sensor: the sensor in a user's words.
+        p: number of the plant's outputs.
+        step: time between readings [s], for the default threshold.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
     why = f"one per output, the plant has {p}"
-    right, left = (
-        nonnegative(f"sensor.{key}", getattr(sensor, key), p, why) for key in ("right", "left")
-    )
+    right = nonnegative("sensor.right", sensor.right, p, why)
+    left = nonnegative("sensor.left", sensor.left, p, why)
     slope = vector("sensor.slope", sensor.slope, p, why)
     if (slope <= 0).any():
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
     noise = nonnegative("sensor.noise", sensor.noise, p, why)
     before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
-    drift, dropout, quantum = (
-        nonnegative(f"sensor.{key}", getattr(sensor, key), p, why)
-        for key in ("drift", "dropout", "quantum")
-    )
+    drift = nonnegative("sensor.drift", sensor.drift, p, why)
+    dropout = nonnegative("sensor.dropout", sensor.dropout, p, why)
+    quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
     rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)

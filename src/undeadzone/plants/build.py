@@ -1,8 +1,13 @@
-"""Plants: x' = f(x, u), z = h(x); linear ones (14), (15), (37)-(39) and known nonlinear ones share one shape, `System`."""
+"""From a plant in words to a `System`.
+
+Plants are x' = f(x, u), z = h(x): linear ones (14), (15), (37)-(39) and known nonlinear ones share
+one shape.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -10,9 +15,9 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.plants import formulas as expression
-from undeadzone.plants.options import Plant, TransferFunction
+from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import System, linearise
-from undeadzone.support.arrays import LARGEST, Floats, matrix, scalar, series, vector
+from undeadzone.support.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 
 # Each form by its leading key, and the keys that belong to it.
 _FORMS = {
@@ -26,31 +31,18 @@ _FORMS = {
 }
 
 
-def _transfer_function(key: str, given: TransferFunction) -> Matrices:
-    num, den = (
-        np.trim_zeros(series(f"{key}.{name}", getattr(given, name)), "f")
-        for name in ("numerator", "denominator")
-    )
-    if den.size < 2 or num.size == 0:
-        raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
-    if num.size >= den.size:
-        raise InputError(
-            f"{key}: must be strictly proper (numerator order {num.size - 1} < denominator order {den.size - 1})"
-        )
-    with np.errstate(over="ignore"):
-        return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
-
-
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
-    """The matrices of a linear plant given in any form. Raises InputError, ShapeError."""
+    """The matrices of a linear plant in any form.
+
+    Args:
+        plant: the plant in words.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
     if plant.second_order is not None:
-        zeta, gain = (
-            scalar(f"{key}.second_order.{name}", getattr(plant.second_order, name))
-            for name in ("zeta", "gain")
-        )
-        omega = scalar(f"{key}.second_order.omega_n", plant.second_order.omega_n, above=0.0)
-        found = companion([omega * omega, 2 * zeta * omega])
-        return found._replace(B=gain * found.B)
+        return _second_order(f"{key}.second_order", plant.second_order)
     if plant.companion is not None:
         return companion(series(f"{key}.companion", plant.companion))
     if plant.integrators is not None:
@@ -61,37 +53,20 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
         return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:
         raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
-    for name in "ABC":
-        if getattr(plant, name) is None:
-            raise InputError(
-                f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)"
-            )
-    A = matrix(f"{key}.A", plant.A)
-    n = A.shape[0]
-    A = matrix(f"{key}.A", plant.A, n, n, "A must be square")
-    return Matrices(
-        A,
-        matrix(f"{key}.B", plant.B, n, None, f"as many rows as A, {n}"),
-        matrix(f"{key}.C", plant.C, None, n, f"as many columns as A, {n}"),
-    )
+    return _written_out(plant, key)
 
 
 def system(plant: Plant, key: str = "plant") -> System:
-    """The continuous-time `System` of a plant. Raises InputError, ShapeError that name the key."""
-    given = [form for form in _FORMS if getattr(plant, form) is not None]
-    if len(given) != 1:
-        found = f"found {' and '.join(given)}" if given else "found none"
-        raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), {found}")
-    known = {given[0], *_FORMS[given[0]], "x0"}
-    present = [
-        name
-        for name in Plant.__struct_fields__
-        if not (getattr(plant, name) is None or (name == "parameters" and not plant.parameters))
-    ]
-    if unused := [name for name in present if name not in known]:
-        raise InputError(
-            f"{key}.{unused[0]}: has no meaning for a plant given by {given[0]}; remove one of them"
-        )
+    """The continuous-time `System` of a plant.
+
+    Args:
+        plant: the plant in words.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    form = _form(plant, key)
     if plant.f is not None:
         return _nonlinear(plant, key)
     if plant.arm is not None:
@@ -100,92 +75,178 @@ def system(plant: Plant, key: str = "plant") -> System:
         return robot(plant, plant.arm, key)
     linear = matrices(plant, key)
     if not all(np.abs(part).max() < LARGEST**2 for part in linear):
-        raise InputError(f"{key}.{given[0]}: its numbers are too far apart to compute with")
+        raise InputError(f"{key}.{form}: its numbers are too far apart to compute with")
     return System(linear, _linear_move, _linear_output, linear, nonlinear=False)
 
 
 def initial_state(plant: Plant, n: int, key: str = "plant") -> Floats:
-    """x(0), zeros if not given. Raises ShapeError."""
-    return np.zeros(n) if plant.x0 is None else vector(f"{key}.x0", plant.x0, n, "one per state")
+    """x(0) (n), zeros by default. Raises ShapeError."""
+    return _vector_or_zeros(f"{key}.x0", plant.x0, n, "one per state")
+
+
+def _form(plant: Plant, key: str) -> str:
+    """The leading key of the plant's form. Raises InputError where keys of another are given."""
+    forms = [form for form in _FORMS if getattr(plant, form) is not None]
+    if len(forms) != 1:
+        present = " and ".join(forms) or "none"
+        raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), found {present}")
+    (form,) = forms
+    known = {form, *_FORMS[form], "x0"}
+    for name in Plant.__struct_fields__:
+        value = getattr(plant, name)
+        absent = value is None or (name == "parameters" and not value)
+        if not absent and name not in known:
+            raise InputError(
+                f"{key}.{name}: has no meaning for a plant given by {form}; remove one of them"
+            )
+    return form
+
+
+def _written_out(plant: Plant, key: str) -> Matrices:
+    """The matrices A, B, C that a plant gives itself."""
+    for name in "ABC":
+        if getattr(plant, name) is None:
+            raise InputError(
+                f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)"
+            )
+    A = matrix(f"{key}.A", plant.A)
+    n = A.shape[0]
+    A = matrix(f"{key}.A", plant.A, n, n, "A must be square")
+    B = matrix(f"{key}.B", plant.B, n, None, f"as many rows as A, {n}")
+    C = matrix(f"{key}.C", plant.C, None, n, f"as many columns as A, {n}")
+    return Matrices(A, B, C)
+
+
+def _second_order(key: str, options: SecondOrder) -> Matrices:
+    """The matrices of (37) in companion form."""
+    zeta = scalar(f"{key}.zeta", options.zeta)
+    gain = scalar(f"{key}.gain", options.gain)
+    omega = scalar(f"{key}.omega_n", options.omega_n, above=0.0)
+    unit = companion([omega * omega, 2 * zeta * omega])
+    return unit._replace(B=gain * unit.B)
+
+
+def _transfer_function(key: str, options: TransferFunction) -> Matrices:
+    """The matrices of a transfer function in companion form."""
+    num = np.trim_zeros(series(f"{key}.numerator", options.numerator), "f")
+    den = np.trim_zeros(series(f"{key}.denominator", options.denominator), "f")
+    if den.size < 2 or num.size == 0:
+        raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
+    if num.size >= den.size:
+        orders = f"numerator order {num.size - 1} < denominator order {den.size - 1}"
+        raise InputError(f"{key}: must be strictly proper ({orders})")
+    with np.errstate(over="ignore"):
+        return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
 
 
 def _linear_move(params: Matrices, x: Any, u: Any) -> Any:
+    """x' (or x+) = A x + B u."""
     return params.A @ x + params.B @ u
 
 
 def _linear_output(params: Matrices, x: Any) -> Any:
+    """z = C x."""
     return params.C @ x
 
 
+class _Functions(NamedTuple):
+    """The functions of a nonlinear plant: n states, m inputs.
+
+    Attributes:
+        n, m: number of states and of inputs.
+        move: (params, x, u) -> the derivative of x (n).
+        output: (params, x) -> z (p).
+    """
+
+    n: int
+    m: int
+    move: Callable[[Any, Any, Any], Any]
+    output: Callable[[Any, Any], Any]
+
+
 def _nonlinear(plant: Plant, key: str) -> System:
+    """The system of formulas, or of Python callables, f and h."""
     names = list(plant.parameters)
     if callable(plant.f) != callable(plant.h):
         raise InputError(f"{key}: f and h must both be formulas or both be callables")
-    if callable(plant.f):
-        if plant.states is not None:
-            n = len(plant.states)
-        elif plant.x0 is not None:
-            n = np.size(plant.x0)
-        else:
-            raise InputError(
-                f"{key}: a plant given by callables needs x0 or states, to know its order"
-            )
-        m = len(plant.inputs) if plant.inputs is not None else 1
-
-        def move(params: Any, x: Any, u: Any) -> Any:
-            return ca.SX(plant.f(x, u))
-
-        def output(params: Any, x: Any) -> Any:
-            return ca.SX(plant.h(x))
-    else:
-        states, inputs = plant.states, plant.inputs or ["u"]
-        if not (isinstance(plant.f, list) and isinstance(plant.h, list) and states):
-            raise InputError(
-                f"{key}: formulas need lists f and h and the names in states (and inputs)"
-            )
-        if len(plant.f) != len(states):
-            raise ShapeError(
-                f"{key}.f: expected {len(states)} formulas (one per state), found {len(plant.f)}"
-            )
-        if len({*states, *inputs, *names}) < len(states) + len(inputs) + len(names):
-            raise InputError(f"{key}: a name is used twice among states, inputs and parameters")
-        if not all(isinstance(text, str) for text in [*plant.f, *plant.h]) or not plant.h:
-            raise InputError(
-                f"{key}: every entry of f and h must be a formula in quotes, and h must not be empty"
-            )
-        n, m = len(states), len(inputs)
-
-        def scope(params: Any, x: Any) -> dict[str, Any]:
-            return dict(
-                zip([*states, *names], [*ca.vertsplit(x), *ca.vertsplit(params)], strict=True)
-            )
-
-        def move(params: Any, x: Any, u: Any) -> Any:
-            bound = scope(params, x) | dict(zip(inputs, ca.vertsplit(u), strict=True))
-            return ca.vertcat(
-                *(
-                    expression.evaluate(f"{key}.f[{i}]", text, bound)
-                    for i, text in enumerate(plant.f)
-                )
-            )
-
-        def output(params: Any, x: Any) -> Any:
-            bound = scope(params, x)
-            return ca.vertcat(
-                *(
-                    expression.evaluate(f"{key}.h[{i}]", text, bound)
-                    for i, text in enumerate(plant.h)
-                )
-            )
-
+    n, m, move, output = _callables(plant, key) if callable(plant.f) else _formulas(plant, key)
     params = np.array(
         [scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names]
     )
-    x_eq = (
-        np.zeros(n) if plant.x_eq is None else vector(f"{key}.x_eq", plant.x_eq, n, "one per state")
-    )
-    u_eq = (
-        np.zeros(m) if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, m, "one per input")
-    )
+    x_eq = _vector_or_zeros(f"{key}.x_eq", plant.x_eq, n, "one per state")
+    u_eq = _vector_or_zeros(f"{key}.u_eq", plant.u_eq, m, "one per input")
     linear = linearise(key, move, output, params, x_eq, u_eq)
     return System(params, move, output, linear, nonlinear=True, names=tuple(names))
+
+
+def _callables(plant: Plant, key: str) -> _Functions:
+    """The functions of a plant that gives f and h as Python callables."""
+    if plant.states is not None:
+        n = len(plant.states)
+    elif plant.x0 is not None:
+        n = np.size(plant.x0)
+    else:
+        raise InputError(f"{key}: a plant given by callables needs x0 or states, to know its order")
+    m = len(plant.inputs) if plant.inputs is not None else 1
+
+    def move(params: Any, x: Any, u: Any) -> Any:
+        return ca.SX(plant.f(x, u))
+
+    def output(params: Any, x: Any) -> Any:
+        return ca.SX(plant.h(x))
+
+    return _Functions(n, m, move, output)
+
+
+def _formulas(plant: Plant, key: str) -> _Functions:
+    """The functions of a plant that gives f and h as formulas in a scenario."""
+    _require_formulas(plant, key)
+    states = plant.states or []
+    inputs = plant.inputs or ["u"]
+    names = list(plant.parameters)
+
+    def scope(params: Any, x: Any) -> dict[str, Any]:
+        values = [*ca.vertsplit(x), *ca.vertsplit(params)]
+        return dict(zip([*states, *names], values, strict=True))
+
+    def move(params: Any, x: Any, u: Any) -> Any:
+        bound = scope(params, x) | dict(zip(inputs, ca.vertsplit(u), strict=True))
+        return _column(f"{key}.f", plant.f, bound)
+
+    def output(params: Any, x: Any) -> Any:
+        return _column(f"{key}.h", plant.h, scope(params, x))
+
+    return _Functions(len(states), len(inputs), move, output)
+
+
+def _column(key: str, formulas: list[str], names: dict[str, Any]) -> Any:
+    """The values of formulas, as a CasADi column."""
+    values = [expression.evaluate(f"{key}[{i}]", text, names) for i, text in enumerate(formulas)]
+    return ca.vertcat(*values)
+
+
+def _require_formulas(plant: Plant, key: str) -> None:
+    """Raise InputError or ShapeError unless f and h are formulas.
+
+    There must be one of f per state, and no name may come twice.
+    """
+    states, inputs, names = plant.states, plant.inputs or ["u"], list(plant.parameters)
+    if not (isinstance(plant.f, list) and isinstance(plant.h, list) and states):
+        raise InputError(f"{key}: formulas need lists f and h and the names in states (and inputs)")
+    if len(plant.f) != len(states):
+        raise ShapeError(
+            f"{key}.f: expected {len(states)} formulas (one per state), found {len(plant.f)}"
+        )
+    if len({*states, *inputs, *names}) < len(states) + len(inputs) + len(names):
+        raise InputError(f"{key}: a name is used twice among states, inputs and parameters")
+    if not all(isinstance(text, str) for text in [*plant.f, *plant.h]) or not plant.h:
+        raise InputError(
+            f"{key}: every entry of f and h must be a formula in quotes, and h must not be empty"
+        )
+
+
+def _vector_or_zeros(key: str, value: Array | None, size: int, why: str) -> Floats:
+    """A vector of that size as the user gives it, zeros where none is given. Raises ShapeError."""
+    if value is None:
+        return np.zeros(size)
+    return vector(key, value, size, why)

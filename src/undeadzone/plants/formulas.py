@@ -1,4 +1,7 @@
-"""Formulas in a scenario file, such as "-g / l * sin(angle) + torque", read safely into CasADi expressions."""
+"""Formulas in a scenario file, read safely into CasADi expressions.
+
+An example is "-g / l * sin(angle) + torque".
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import difflib
 import math
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -22,60 +25,105 @@ _BINARY: dict[type, Any] = {
 }
 _UNARY: dict[type, Any] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 _FUNCTIONS = {
-    "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan,
-    "sinh": ca.sinh, "cosh": ca.cosh, "tanh": ca.tanh, "exp": ca.exp, "log": ca.log, "sqrt": ca.sqrt,
-    "abs": ca.fabs, "sign": ca.sign, "min": ca.fmin, "max": ca.fmax, "atan2": ca.atan2,
-}  # fmt: skip
+    "sin": ca.sin,
+    "cos": ca.cos,
+    "tan": ca.tan,
+    "asin": ca.asin,
+    "acos": ca.acos,
+    "atan": ca.atan,
+    "sinh": ca.sinh,
+    "cosh": ca.cosh,
+    "tanh": ca.tanh,
+    "exp": ca.exp,
+    "log": ca.log,
+    "sqrt": ca.sqrt,
+    "abs": ca.fabs,
+    "sign": ca.sign,
+    "min": ca.fmin,
+    "max": ca.fmax,
+    "atan2": ca.atan2,
+}
 _CONSTANTS = {"pi": math.pi}
 
 
+class _Formula(NamedTuple):
+    """A formula to be evaluated: the key where it stands, its text, the values of its names."""
+
+    key: str
+    text: str
+    names: Mapping[str, Any]
+
+
 def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """The value of formula `text` with `names` bound; only arithmetic and elementary functions. Raises InputError."""
+    """The value of a formula; only arithmetic and elementary functions.
 
-    def fail(what: str, advice: str = "") -> InputError:
-        return InputError(f"{key}: {what} in formula {text!r:.80}{advice}")
+    Args:
+        key: where the formula stands, for messages.
+        text: the formula.
+        names: numbers or CasADi expressions, by name.
 
-    def unknown(name: str, known: list[str]) -> InputError:
-        near = difflib.get_close_matches(name, known, 1)
-        return fail(
-            f"unknown name {name!r}",
-            f"; did you mean {near[0]!r}?" if near else f"; known names: {', '.join(known)}",
-        )
-
-    def value(node: ast.expr) -> Any:
-        found = compute(node)
-        if isinstance(found, complex) or (isinstance(found, float) and not math.isfinite(found)):
-            raise OverflowError
-        return found
-
-    def compute(node: ast.expr) -> Any:
-        match node:
-            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return float(number)
-            case ast.Name(id=name):
-                if name not in names and name not in _CONSTANTS:
-                    raise unknown(name, [*names, *_CONSTANTS])
-                return names[name] if name in names else _CONSTANTS[name]
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-                return _BINARY[type(op)](value(left), value(right))
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-                return _UNARY[type(op)](value(operand))
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-                if name not in _FUNCTIONS:
-                    raise unknown(name, list(_FUNCTIONS))
-                return _FUNCTIONS[name](*map(value, args))
-        raise fail(
-            f"found {ast.unparse(node)!r:.80}",
-            "; only numbers, names, + - * / ** and elementary functions are allowed",
-        )
-
+    Raises:
+        InputError: the formula cannot be read, or is not finite.
+    """
+    formula = _Formula(key, text, names)
     try:
-        return value(ast.parse(text.strip(), mode="eval").body)
+        return _value(formula, ast.parse(text.strip(), mode="eval").body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
-        raise fail("cannot be read") from None
+        raise _refused(formula, "cannot be read") from None
     except (NotImplementedError, TypeError):
-        raise fail("a function has the wrong number of arguments") from None
+        raise _refused(formula, "a function has the wrong number of arguments") from None
     except (ZeroDivisionError, OverflowError):
-        raise fail("a constant part is not a finite real number") from None
+        raise _refused(formula, "a constant part is not a finite real number") from None
+
+
+def _value(formula: _Formula, node: ast.expr) -> Any:
+    """The value of a part of a formula. Raises OverflowError where that number is not finite."""
+    value = _compute(formula, node)
+    if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
+        raise OverflowError
+    return value
+
+
+def _compute(formula: _Formula, node: ast.expr) -> Any:
+    """The value of a part of a formula, finite or not."""
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
+        case ast.Name(id=name):
+            return _named(formula, name)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            return _BINARY[type(op)](_value(formula, left), _value(formula, right))
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
+            return _UNARY[type(op)](_value(formula, operand))
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
+            if name not in _FUNCTIONS:
+                raise _unknown(formula, name, list(_FUNCTIONS))
+            return _FUNCTIONS[name](*[_value(formula, arg) for arg in args])
+    raise _refused(
+        formula,
+        f"found {ast.unparse(node)!r:.80}",
+        "; only numbers, names, + - * / ** and elementary functions are allowed",
+    )
+
+
+def _named(formula: _Formula, name: str) -> Any:
+    """What a name stands for; the plant's own names hide the constants."""
+    if name in formula.names:
+        return formula.names[name]
+    if name in _CONSTANTS:
+        return _CONSTANTS[name]
+    raise _unknown(formula, name, [*formula.names, *_CONSTANTS])
+
+
+def _unknown(formula: _Formula, name: str, known: list[str]) -> InputError:
+    """An unknown name, with the nearest known one."""
+    near = difflib.get_close_matches(name, known, 1)
+    advice = f"did you mean {near[0]!r}?" if near else f"known names: {', '.join(known)}"
+    return _refused(formula, f"unknown name {name!r}", f"; {advice}")
+
+
+def _refused(formula: _Formula, what: str, advice: str = "") -> InputError:
+    """What is wrong with a formula."""
+    return InputError(f"{formula.key}: {what} in formula {formula.text!r:.80}{advice}")

@@ -14,7 +14,15 @@ from undeadzone.plants.options import Plant
 def from_statespace(system: Any, x0: Any = None) -> Plant:
     """A `Plant` from any object with A, B, C, D: scipy `StateSpace`, python-control `StateSpace`.
 
-    Raises InputError for a discrete-time system or a direct feedthrough D != 0.
+    Args:
+        system: the object, in continuous time, with D = 0.
+        x0: initial state (n); default: 0.
+
+    Returns:
+        The plant, given by its matrices A, B, C.
+
+    Raises:
+        InputError: a discrete-time system, or a direct feedthrough D != 0.
     """
     if getattr(system, "dt", None) not in (None, 0):
         raise InputError(
@@ -22,7 +30,8 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
         )
     if np.any(np.asarray(system.D)):
         raise InputError(
-            "from_statespace: D must be 0, an output deadzone with direct feedthrough is not supported"
+            "from_statespace: D must be 0, "
+            "an output deadzone with direct feedthrough is not supported"
         )
     return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
 
@@ -32,7 +41,17 @@ from_control = from_statespace
 
 
 def to_scipy(plant: Plant) -> Any:
-    """The plant as `scipy.signal.StateSpace`. Raises InputError if it is nonlinear."""
+    """The plant as `scipy.signal.StateSpace`.
+
+    Args:
+        plant: a linear plant in any form.
+
+    Returns:
+        The state-space object, with D = 0.
+
+    Raises:
+        InputError: the plant is nonlinear, or its numbers are wrong.
+    """
     from scipy.signal import StateSpace
 
     A, B, C = matrices(plant)
@@ -40,7 +59,17 @@ def to_scipy(plant: Plant) -> Any:
 
 
 def to_control(plant: Plant) -> Any:
-    """The plant as `control.StateSpace` (extra `control`). Raises InputError if it is nonlinear."""
+    """The plant as `control.StateSpace` (extra `control`).
+
+    Args:
+        plant: a linear plant in any form.
+
+    Returns:
+        The state-space object, with D = 0.
+
+    Raises:
+        InputError: the plant is nonlinear, or its numbers are wrong.
+    """
     import control
 
     A, B, C = matrices(plant)

@@ -13,14 +13,23 @@ from undeadzone.support.arrays import Array, Floats, array
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a nonlinear model is certified: x (n x 2) and u (m x 2), a range [lo, hi] per state and input (u: by default the torque limits)."""
+    """Where a nonlinear model is certified.
+
+    Attributes:
+        x: a range [lo, hi] of each state (n x 2).
+        u: a range [lo, hi] of each input (m x 2); default: the torque limits of an arm.
+    """
 
     x: Array
     u: Array | None = None
 
 
 class Box(NamedTuple):
-    """Ranges of x, then of u: low <= [x; u] <= high (n + m each)."""
+    """Ranges of x, then of u: low <= [x; u] <= high.
+
+    Attributes:
+        low, high: the bounds (n + m).
+    """
 
     low: Floats
     high: Floats
@@ -32,34 +41,44 @@ class Box(NamedTuple):
 
 
 def box(region: Region, model: System) -> Box:
-    """The box of a region for a model. Raises InputError, ShapeError that name the key."""
+    """The box of a region for a model.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
     if not model.nonlinear:
         raise InputError(
             "region: the model is linear, and its certificate holds everywhere; remove the region"
         )
+    inputs = _input_ranges(region, model)
+    states = _ranges("region.x", region.x, model.n, "one [lo, hi] per state")
+    return Box(*np.vstack([states, inputs]).T)
+
+
+def _input_ranges(region: Region, model: System) -> Floats:
+    """The ranges of the inputs (m x 2): those of the region, or the model's torque limits."""
     if region.u is not None:
-        inputs = _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
-    elif model.limit is not None and np.isfinite(model.limit).all():
-        inputs = np.stack([-model.limit, model.limit], axis=1)
-    else:
-        raise InputError(
-            "region.u: missing; give a range [lo, hi] per input, this model has no torque limits to take in its place"
-        )
-    return Box(
-        *np.vstack([_ranges("region.x", region.x, model.n, "one [lo, hi] per state"), inputs]).T
+        return _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
+    if model.limit is not None and np.isfinite(model.limit).all():
+        return np.stack([-model.limit, model.limit], axis=1)
+    raise InputError(
+        "region.u: missing; give a range [lo, hi] per input, "
+        "this model has no torque limits to take in its place"
     )
 
 
 def _ranges(key: str, value: Array, size: int, why: str) -> Floats:
-    found = array(key, value)
-    if found.shape == (2,) and size == 1:
-        found = found[None]
-    if found.shape != (size, 2):
-        raise ShapeError(
-            f"{key}: expected {size} x 2 numbers ({why}), found {' x '.join(map(str, found.shape)) or 'one number'}"
-        )
-    if (wrong := np.flatnonzero(found[:, 0] >= found[:, 1])).size:
+    """Ranges [lo, hi] (size x 2), checked."""
+    ranges = array(key, value)
+    if ranges.shape == (2,) and size == 1:
+        ranges = ranges[None]
+    if ranges.shape != (size, 2):
+        shape = " x ".join(map(str, ranges.shape)) or "one number"
+        raise ShapeError(f"{key}: expected {size} x 2 numbers ({why}), found {shape}")
+    wrong = np.flatnonzero(ranges[:, 0] >= ranges[:, 1])
+    if wrong.size:
+        first = wrong[0]
         raise InputError(
-            f"{key}[{wrong[0]}]: a range [lo, hi] must have lo < hi, found {found[wrong[0]].tolist()}"
+            f"{key}[{first}]: a range [lo, hi] must have lo < hi, found {ranges[first].tolist()}"
         )
-    return found
+    return ranges

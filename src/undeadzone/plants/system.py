@@ -17,9 +17,14 @@ from undeadzone.support.arrays import LARGEST, Floats
 
 
 class Flat(NamedTuple):
-    """Coordinates that, with their derivatives up to `order`, say what state and input are (flatness: Fliess and others 1995).
+    """Flat coordinates of a plant.
 
-    solve(params, derivatives (coordinates x order + 1)): (x, u) in continuous time.
+    With their derivatives up to `order` they determine state and input (flatness: Fliess and others
+    1995).
+
+    Attributes:
+        order: order of the highest derivative.
+        solve: (params, derivatives (coordinates x order + 1)) -> (x, u), in continuous time.
     """
 
     order: int
@@ -29,11 +34,19 @@ class Flat(NamedTuple):
 class System(NamedTuple):
     """Dynamics as pure functions on CasADi expressions, and their numbers.
 
-    move(params, x, u): the derivative of x, or its next value when Ts [s] is set; output(params, x): z.
-    linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant; flow: those in continuous
-    time of a sampled plant. Of robots: arm: links and joints, of rigid ones x = [q; q'];
-    flat: the state and input along a path of the joints; limit: largest |u| (m), infinite where there is none.
-    names: of the parameters of a nonlinear plant, in the order of params; rate: what `move` was before it was sampled.
+    Attributes:
+        params: the numbers: `Matrices` of a linear plant, a vector of a nonlinear one.
+        move: (params, x, u) -> the derivative of x, or its next value when Ts is set (n).
+        output: (params, x) -> z (p).
+        linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant.
+        nonlinear: whether the plant is nonlinear.
+        Ts: sample time [s]; None in continuous time.
+        flow: the matrices in continuous time of a sampled plant.
+        arm: links and joints of a robot; x = [q; q'] of a rigid one.
+        flat: the state and input of a robot along a path of its joints.
+        limit: largest |u| of a robot (m) [N m or N], infinite where there is none.
+        names: names of the parameters of a nonlinear plant, in the order of params.
+        rate: `move` before the plant was sampled.
     """
 
     params: Any
@@ -68,26 +81,43 @@ class System(NamedTuple):
 def linearise(
     key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats
 ) -> Matrices:
-    """The linearisation of a continuous plant. Raises ShapeError, InputError."""
+    """The linearisation of a continuous plant.
+
+    Args:
+        key: name of the plant in messages.
+        move: (params, x, u) -> the derivative of x (n).
+        output: (params, x) -> z (p).
+        params: the plant's numbers.
+        x_eq: the state at which to linearise (n).
+        u_eq: the input at which to linearise (m).
+
+    Raises:
+        ShapeError: not one derivative per state.
+        InputError: a derivative is not finite there.
+    """
     x, u = ca.SX.sym("x", x_eq.size), ca.SX.sym("u", u_eq.size)
     dx, z = move(ca.SX(params), x, u), output(ca.SX(params), x)
     if dx.shape != x.shape:
+        shape = f"{dx.shape[0]} x {dx.shape[1]}"
         raise ShapeError(
-            f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {dx.shape[0]} x {dx.shape[1]}"
+            f"{key}.f: expected {x.shape[0]} derivatives (one per state), found {shape}"
         )
     jacobians = ca.Function(
         "jacobians", [x, u], [ca.jacobian(dx, x), ca.jacobian(dx, u), ca.jacobian(z, x)]
     )
-    found = Matrices(*(np.asarray(value.full()) for value in jacobians(x_eq, u_eq)))
-    if not all((np.abs(value) < LARGEST**2).all() for value in found):
+    linear = Matrices(*(np.asarray(value.full()) for value in jacobians(x_eq, u_eq)))
+    if not all((np.abs(value) < LARGEST**2).all() for value in linear):
         raise InputError(
             f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)"
         )
-    return found
+    return linear
 
 
 def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
-    """The plant seen every Ts [s] with u held: exact zero-order hold if linear, else RK4 with `substeps`."""
+    """The plant seen every Ts [s] with u held.
+
+    An exact zero-order hold if the plant is linear, else RK4 with `substeps` steps.
+    """
     linear = zoh(plant.linear, Ts)
     if not plant.nonlinear:
         return plant._replace(params=linear, linear=linear, Ts=Ts, flow=plant.linear)
@@ -101,7 +131,10 @@ def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
 
 
 def held(model: System) -> Floats:
-    """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w, w held over a step (n x n): the integral of e^(A t)."""
+    """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w (n x n) [s].
+
+    w is held over a step: the integral of e^(A t).
+    """
     assert model.flow is not None
     assert model.Ts is not None
     return zoh(model.flow._replace(B=np.eye(model.n)), model.Ts).B

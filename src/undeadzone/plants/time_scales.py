@@ -8,12 +8,25 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 
+STILL = 1e-6  # of |A|: a pole this close to 0 is an integrator's
+
+
+def rates_of_motion(A: Floats) -> Floats:
+    """|pole| of x' = A x [1/s] for each pole that moves; those of integrators are left out.
+
+    Empty for a chain of integrators.
+    """
+    rates = np.abs(np.linalg.eigvals(A))
+    return rates[rates > STILL * np.linalg.norm(A, 2)]
+
 
 def moving_poles(model: System) -> Floats:
-    """|pole| of the plant in continuous time [1/s], those of integrators left out; 1 for a chain of integrators."""
-    A = (model.linear if model.flow is None else model.flow).A
-    rates = np.abs(np.linalg.eigvals(A))
-    moving = rates[rates > 1e-6 * np.linalg.norm(A, 2)]
+    """|pole| of the plant in continuous time [1/s], those of integrators left out.
+
+    One rate of 1 for a chain of integrators.
+    """
+    flow = model.linear if model.flow is None else model.flow
+    moving = rates_of_motion(flow.A)
     return moving if moving.size else np.ones(1)
 
 
@@ -22,13 +35,32 @@ def fastest_pole(model: System) -> float:
     return float(moving_poles(model).max())
 
 
-def in_poles(model: System, key: str, given: float | None, default: float) -> float:
-    """A rate [1/s] as given, or `default` times the fastest pole of the plant. Raises InputError."""
-    return default * fastest_pole(model) if given is None else scalar(key, given, above=0.0)
+def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
+    """A rate as the user gives it, or a multiple of the plant's fastest pole.
+
+    Args:
+        model: the plant.
+        key: name of the rate in messages.
+        rate: as the user gives it [1/s], or None.
+        default: the rate in fastest poles [1], in place of None.
+
+    Returns:
+        The rate [1/s].
+
+    Raises:
+        InputError: the rate is no positive number.
+    """
+    if rate is None:
+        return default * fastest_pole(model)
+    return scalar(key, rate, above=0.0)
 
 
 def time_scale(flow: Matrices) -> float:
-    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators; 1 s if all are."""
-    rates = np.abs(np.linalg.eigvals(flow.A))
-    moving = rates[rates > 1e-6 * np.linalg.norm(flow.A, 2)]
-    return float(np.pi / 2 * np.exp(-np.log(moving).mean())) if moving.size else 1.0
+    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators.
+
+    1 s if all are. flow: the matrices in continuous time.
+    """
+    moving = rates_of_motion(flow.A)
+    if not moving.size:
+        return 1.0
+    return float(np.pi / 2 * np.exp(-np.log(moving).mean()))

@@ -1,4 +1,7 @@
-"""What varies from run to run, in the words of a scenario's [ensemble] table: an address and a distribution."""
+"""What varies from run to run, in the words of a scenario's [ensemble] table.
+
+An entry is an address and a distribution.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,22 @@ from undeadzone.scenario.address_table import Table
 from undeadzone.support.arrays import LARGEST, Floats, scalar
 
 POSITIVE: Final = float(np.finfo(float).tiny)
+KINDS: Final = ("uniform", "normal", "log_normal")
 REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further out
 
 
 class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Exactly one of uniform: [low, high]; normal: [mean, standard deviation]; log_normal: [median, standard deviation of the logarithm].
+    """How a number varies: exactly one of uniform, normal and log_normal.
 
-    A normal distribution is cut off where a value cannot be, such as a width below 0; what is cut off is spread over the rest.
-    relative: what is drawn is a factor on the nominal value, which must not be 0. shared: one draw for all entries that
-    the address names, else each has its own.
+    A normal distribution is cut off where a value cannot be, such as a width below 0; the
+    probability cut off is spread over the rest.
+
+    Attributes:
+        uniform: [low, high].
+        normal: [mean, standard deviation].
+        log_normal: [median, standard deviation of the logarithm].
+        relative: the number drawn is a factor on the nominal value, which must not be 0.
+        shared: one draw for all entries that the address names; else each has its own.
     """
 
     uniform: tuple[float, float] | None = None
@@ -31,21 +41,34 @@ class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Many runs of the scenario. A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.
+    """Many runs of the scenario.
 
-    Addresses: `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `plant.A[1,0]`, `B`, `C` in continuous
-    time, whatever form the plant is given in; `plant.parameters.NAME`; `plant.x0[0]`; `reference.scale`, a factor on the
-    whole reference, or `reference.amplitude` of a sine, step or trapezoid about 0; likewise `disturbance.scale`,
-    `disturbance.amplitude` (a bias is a step at time 0), `disturbance.rms`; the numbers of observer and controller by their
-    names in the loop, such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and `observer.model.A[1,0]`
-    for what the observer alone believes. Without an index, or with `:` for one, an address names several entries; `+` joins
-    addresses: `"plant.A[1,:] + plant.B[1,:]"` with `relative` and `shared` divides the second equation by a mass. `sensor`
-    and `plant` are the truth: observer, controller and feedforward stay as designed for the nominal plant or [model],
-    sensor and noise; but `oracle` is told the widths, and `certified` the threshold. A width beyond `width_max` is not refused.
-    runs: how many. sampling: random; latin_hypercube, which depends on the number of runs; sobol, best with a power of 2;
-    saltelli, the design for Sobol indices, whose runs are a multiple of the varied entries plus 2. seed: default that of
-    [simulation]. tolerance: share of the largest |r| within which z - r has settled. entries: what varies, by address; a
-    key with a dot directly in [ensemble] is one of them.
+    A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.
+    Addresses are:
+
+    `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `plant.A[1,0]`, `B`, `C`
+    in continuous time, in whatever form the plant is given; `plant.parameters.NAME`; `plant.x0[0]`;
+    `reference.scale`, a factor on the whole reference, or `reference.amplitude` of a sine, step or
+    trapezoid about 0; likewise `disturbance.scale`, `disturbance.amplitude` (a bias is a step at
+    time 0), `disturbance.rms`; the numbers of observer and controller by their names in the loop,
+    such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and
+    `observer.model.A[1,0]` for the model of the observer alone.
+
+    Without an index, or with `:` for one, an address names several entries; `+` joins addresses:
+    `"plant.A[1,:] + plant.B[1,:]"` with `relative` and `shared` divides the second equation by a
+    mass. `sensor` and `plant` are the truth: observer, controller and feedforward stay as designed
+    for the nominal plant or [model], sensor and noise; but `oracle` knows the widths, and
+    `certified` the threshold. A width beyond `width_max` is not refused.
+
+    Attributes:
+        runs: number of runs.
+        sampling: random; latin_hypercube, which depends on the number of runs; sobol, best with a
+            power of 2; saltelli, the design for Sobol indices, whose runs are a multiple of the
+            varied entries plus 2.
+        seed: seed of the random numbers; default: that of [simulation].
+        tolerance: share of the largest |r| within which z - r has settled [1].
+        entries: the distributions, by address; a key with a dot directly in [ensemble] is one of
+            them.
     """
 
     runs: int = 10_000
@@ -56,7 +79,13 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class CheckedDistribution(NamedTuple):
-    """A distribution that has been checked, cut off below `least`."""
+    """A distribution that has been checked.
+
+    Attributes:
+        kind: uniform, normal or log_normal.
+        first, second: the two numbers, as in `Distribution`.
+        least: least value, at which a normal distribution is cut off.
+    """
 
     kind: str
     first: float
@@ -87,43 +116,67 @@ def entry_name(address: str) -> str:
 
 
 def decoded(table: Any) -> Any:
-    """An [ensemble] table as TOML gives it, with the keys that are addresses moved to `entries`. Raises InputError."""
+    """An [ensemble] table as TOML gives it, with the keys that are addresses moved to `entries`.
+
+    Raises InputError.
+    """
     return TABLE.decoded(table)
 
 
-def spread(address: str, given: Distribution, least: float) -> CheckedDistribution:
-    """The distribution of a number that is at least `least`, checked. Raises InputError."""
-    key = entry_name(address)
-    kinds = [
-        kind for kind in ("uniform", "normal", "log_normal") if getattr(given, kind) is not None
-    ]
-    if len(kinds) != 1:
+def spread(address: str, distribution: Distribution, least: float) -> CheckedDistribution:
+    """The distribution of a number, checked.
+
+    Args:
+        address: address of the number.
+        distribution: the distribution in words.
+        least: the least value that the number can have.
+
+    Raises:
+        InputError: that names the key.
+    """
+    kind, first, second = _numbers(address, distribution)
+    key = f"{entry_name(address)}.{kind}"
+    if kind == "uniform" and first > second:
         raise InputError(
-            f"{key}: expected exactly one of uniform, normal, log_normal, found {' and '.join(kinds) or 'none'}"
+            f"{key}: expected [low, high] with low <= high, found [{first:g}, {second:g}]"
         )
-    kind, pair = kinds[0], getattr(given, kinds[0])
+    if kind != "uniform" and second < 0:
+        raise InputError(f"{key}: the standard deviation must not be negative, found {second:g}")
+    if kind == "log_normal":
+        _require_range(key, first, second)
+    if first < least:
+        limit = "must not be negative" if least == 0 else "must be positive"
+        what = "low" if kind == "uniform" else "mean"
+        raise InputError(f"{key}: this {limit}, found {what} = {first:g}")
+    return CheckedDistribution(kind, first, second, least)
+
+
+def _numbers(address: str, distribution: Distribution) -> tuple[str, float, float]:
+    """The kind of a distribution and its two numbers. Raises InputError."""
+    key = entry_name(address)
+    kinds = [kind for kind in KINDS if getattr(distribution, kind) is not None]
+    if len(kinds) != 1:
+        present = " and ".join(kinds) or "none"
+        raise InputError(
+            f"{key}: expected exactly one of uniform, normal, log_normal, found {present}"
+        )
+    (kind,) = kinds
+    pair = getattr(distribution, kind)
     if np.shape(pair) != (2,):
         raise InputError(f"{key}.{kind}: expected two numbers, found {pair!r:.60}")
     first, second = (scalar(f"{key}.{kind}[{i}]", number) for i, number in enumerate(pair))
-    if kind == "uniform" and first > second:
+    return kind, first, second
+
+
+def _require_range(key: str, median: float, deviation: float) -> None:
+    """Raise InputError unless a log-normal distribution has values to compute with."""
+    if median <= 0:
         raise InputError(
-            f"{key}.uniform: expected [low, high] with low <= high, found [{first:g}, {second:g}]"
+            f"{key}: the median must be positive, found {median:g}; "
+            "for a negative number vary a factor on it (relative = true)"
         )
-    if kind != "uniform" and second < 0:
+    if np.log(median) + REACH * deviation > np.log(LARGEST):
         raise InputError(
-            f"{key}.{kind}: the standard deviation must not be negative, found {second:g}"
+            f"{key}: expected a smaller standard deviation of the logarithm, found {deviation:g}: "
+            f"values would exceed {LARGEST:g}"
         )
-    if kind == "log_normal" and first <= 0:
-        raise InputError(
-            f"{key}.log_normal: the median must be positive, found {first:g}; for a negative number vary a factor on it (relative = true)"
-        )
-    if kind == "log_normal" and np.log(first) + REACH * second > np.log(LARGEST):
-        raise InputError(
-            f"{key}.log_normal: expected a smaller standard deviation of the logarithm, found {second:g}: values would exceed {LARGEST:g}"
-        )
-    if first < least:
-        limit = "must not be negative" if least == 0 else "must be positive"
-        raise InputError(
-            f"{key}.{kind}: this {limit}, found {'low' if kind == 'uniform' else 'mean'} = {first:g}"
-        )
-    return CheckedDistribution(kind, first, second, least)

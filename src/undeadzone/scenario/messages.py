@@ -1,4 +1,7 @@
-"""What is wrong with a scenario's words: msgspec's messages with the key first and a suggestion where one is near."""
+"""What is wrong with a scenario's words: the key first, and a suggestion where one is near.
+
+The messages are made of msgspec's.
+"""
 
 from __future__ import annotations
 
@@ -10,50 +13,83 @@ from typing import Any
 import msgspec
 
 _WORDS = {
-    "object": "a table", "dict": "a table", "array": "a list", "list": "a list", "float": "a number", "int": "a whole number",
-    "str": "text", "bool": "true or false", "null": "nothing",
-}  # fmt: skip
+    "object": "a table",
+    "dict": "a table",
+    "array": "a list",
+    "list": "a list",
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "null": "nothing",
+}
+_CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]
 
 
 def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> str:
-    """The message of a msgspec.ValidationError about `data`, read as `root`, in a reader's words."""
+    """The message of a msgspec.ValidationError in a reader's words.
+
+    Args:
+        message: the message of the error.
+        data: the tables that were read.
+        root: the struct that they were read as.
+    """
     body, _, path = message.partition(" - at `$")
     key = _entry(path.rstrip("`").lstrip("."), data)
+    unknown = re.match(r"(?s)Object contains unknown field `(.*)`", body)
+    if unknown:
+        name = unknown[1]
+        advice = _advice(name, _fields(root, key, data), "known keys:")
+        return f"{_join(key, name)}: unknown key; {advice}"
+    missing = re.match(r"Object missing required field `(.*)`", body)
+    if missing:
+        return _missing(key, missing[1], root)
+    invalid = re.match(r"(?s)Invalid (?:enum )?value '(.*)'", body)
+    choices = _choices(root, key, data)
+    if invalid and choices:
+        advice = _advice(invalid[1], choices, "expected one of")
+        return f"{key}: unknown choice {invalid[1]!r}; {advice}"
+    body = re.sub(r"`([\w| ]+)`", _in_words, body)
+    where = f"{key}: " if key else ""
+    return f"{where}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
+
+
+def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
+    """The message about a key that is missing from the table at `key`."""
+    text = f"{_join(key, name)}: missing; this key is required"
+    choices = _tags(root, key) if name in _CHOOSERS else []
+    if choices:
+        text += f" (one of {', '.join(choices)})"
+    return text
+
+
+def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
+    """The words that may stand at a dotted key; none where it does not choose among words."""
     parent, _, name = key.rpartition(".")
-    if found := re.match(r"(?s)Object contains unknown field `(.*)`", body):
-        return f"{_join(key, found[1])}: unknown key; {_advice(found[1], _fields(root, key, data), 'known keys:')}"
-    if found := re.match(r"Object missing required field `(.*)`", body):
-        choices = _tags(root, key) if found[1] in ("kind", "method") else []
-        return f"{_join(key, found[1])}: missing; this key is required" + (
-            f" (one of {', '.join(choices)})" if choices else ""
-        )
-    choices = _tags(root, parent) if name in ("kind", "method") else []
-    choices = choices or [
-        str(word) for hint in _hints(root, parent, name, data) for word in _literals(hint)
-    ]
-    if choices and (found := re.match(r"(?s)Invalid (?:enum )?value '(.*)'", body)):
-        return (
-            f"{key}: unknown choice {found[1]!r}; {_advice(found[1], choices, 'expected one of')}"
-        )
-    body = re.sub(
-        r"`([\w| ]+)`",
-        lambda types: " or ".join(_WORDS.get(word, word) for word in _alternatives(types[1])),
-        body,
-    )
-    return f"{key and key + ': '}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
+    tags = _tags(root, parent) if name in _CHOOSERS else []
+    if tags:
+        return tags
+    words = []
+    for annotation in _annotations(root, parent, name, data):
+        words += [str(word) for word in _literals(annotation)]
+    return words
 
 
-def _alternatives(types: str) -> list[str]:
-    words = types.split(" | ")
-    return [word for word in words if word != "null"] or words
+def _in_words(types: re.Match[str]) -> str:
+    """The types that msgspec names, in a reader's words."""
+    names = types[1].split(" | ")
+    names = [name for name in names if name != "null"] or names
+    return " or ".join(_WORDS.get(name, name) for name in names)
 
 
 def _join(key: str, name: str) -> str:
+    """The dotted key of a name in the table at `key`."""
     return f"{key}.{name}" if key else name or "''"
 
 
 def _advice(name: str, known: list[str], otherwise: str) -> str:
+    """The nearest known name, or all of them."""
     near = difflib.get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(sorted(known))}"
 
@@ -61,92 +97,89 @@ def _advice(name: str, known: list[str], otherwise: str) -> str:
 def _walk(key: str, data: Any) -> Any:
     """What stands at a dotted key of the data; an empty table where nothing does."""
     for part in filter(None, re.findall(r"[^.\[\]]+", key)):
-        data = (
-            data[int(part)]
-            if isinstance(data, list)
-            else data.get(part, {})
-            if isinstance(data, dict)
-            else {}
-        )
+        if isinstance(data, list):
+            data = data[int(part)]
+        elif isinstance(data, dict):
+            data = data.get(part, {})
+        else:
+            data = {}
     return data
 
 
 def _entry(key: str, data: Any) -> str:
-    """The key with the name of the entry that is no number, where msgspec says [...]: only tables of numbers have free names."""
-    table, found, _ = key.partition("[...]")
-    wrong = (
-        [
-            name
-            for name, value in _walk(table, data).items()
-            if isinstance(value, bool) or not isinstance(value, int | float)
-        ]
-        if found
-        else []
-    )
-    return f"{table}.{wrong[0]}" if wrong else key
+    """The key with the name of the entry that is no number, where msgspec says [...].
+
+    Only tables of numbers have free names.
+    """
+    table, anonymous, _ = key.partition("[...]")
+    if anonymous:
+        for name, value in _walk(table, data).items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                return f"{table}.{name}"
+    return key
 
 
 def _structs(annotation: Any) -> _Structs:
+    """The structs that an annotation allows."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
-    return [found for part in typing.get_args(annotation) for found in _structs(part)]
+    structs: _Structs = []
+    for part in typing.get_args(annotation):
+        structs += _structs(part)
+    return structs
 
 
 def _literals(annotation: Any) -> list[Any]:
+    """The words that an annotation allows."""
     if typing.get_origin(annotation) is typing.Literal:
         return list(typing.get_args(annotation))
-    return [word for part in typing.get_args(annotation) for word in _literals(part)]
+    words = []
+    for part in typing.get_args(annotation):
+        words += _literals(part)
+    return words
 
 
-def _hints(root: type[msgspec.Struct], key: str, name: str, data: dict[str, Any]) -> list[Any]:
+def _annotations(
+    root: type[msgspec.Struct], key: str, name: str, data: dict[str, Any]
+) -> list[Any]:
     """The annotations that a field may have in the structs at a dotted key."""
-    return [
-        hints[name]
-        for struct in _chosen(root, key, data)
-        if name in (hints := typing.get_type_hints(struct))
-    ]
+    hints = [typing.get_type_hints(struct) for struct in _chosen(root, key, data)]
+    return [fields[name] for fields in hints if name in fields]
 
 
 def _at(root: type[msgspec.Struct], key: str) -> _Structs:
     """The structs that may stand at a dotted key."""
     here: _Structs = [root]
     for part in filter(None, re.sub(r"\[[^\]]*\]", "", key).split(".")):
-        here = [
-            found for struct in here for found in _structs(typing.get_type_hints(struct).get(part))
-        ]
+        below: _Structs = []
+        for struct in here:
+            below += _structs(typing.get_type_hints(struct).get(part))
+        here = below
     return here
 
 
 def _tags(root: type[msgspec.Struct], key: str) -> list[str]:
-    return [
-        str(struct.__struct_config__.tag)
-        for struct in _at(root, key)
-        if struct.__struct_config__.tag is not None
-    ]
+    """The names of the variants at a dotted key."""
+    tags = [struct.__struct_config__.tag for struct in _at(root, key)]
+    return [str(tag) for tag in tags if tag is not None]
 
 
 def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
     """The variant at a dotted key that the data choose, or all that may stand there."""
-    here, structs = _walk(key, data), _at(root, key)
-    return [
-        s
-        for s in structs
-        if isinstance(here, dict)
-        and s.__struct_config__.tag in (here.get("kind"), here.get("method"))
-    ] or structs
+    table, structs = _walk(key, data), _at(root, key)
+    if not isinstance(table, dict):
+        return structs
+    chosen = [table.get(chooser) for chooser in _CHOOSERS]
+    return [struct for struct in structs if struct.__struct_config__.tag in chosen] or structs
 
 
 def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
     """Keys known at a dotted key, of the variant that the data choose where there are several."""
-    chosen = _chosen(root, key, data)
-    names = [field for struct in chosen for field in struct.__struct_fields__]
-    return list(
-        dict.fromkeys(
-            names
-            + [
-                str(s.__struct_config__.tag_field)
-                for s in chosen
-                if s.__struct_config__.tag is not None
-            ]
-        )
-    )
+    names: list[str] = []
+    choosers: list[str] = []
+    for struct in _chosen(root, key, data):
+        names += struct.__struct_fields__
+        config = struct.__struct_config__
+        if config.tag is not None:
+            choosers.append(str(config.tag_field))
+    return list(dict.fromkeys(names + choosers))

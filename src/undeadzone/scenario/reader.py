@@ -20,7 +20,18 @@ from undeadzone.support.files import reason
 
 
 def read(path: str | os.PathLike[str]) -> Scenario:
-    """The scenario in a TOML file. Raises FileError, InputError with the key, what was found and what to do."""
+    """The scenario in a TOML file.
+
+    Args:
+        path: the file; the files that it names are relative to its folder.
+
+    Returns:
+        The scenario, its keys and types checked.
+
+    Raises:
+        FileError: the file cannot be read.
+        InputError: with the key, what was found and what to do.
+    """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -31,7 +42,15 @@ def read(path: str | os.PathLike[str]) -> Scenario:
 
 
 def parse(text: str, folder: Path = Path()) -> Scenario:
-    """The scenario in a TOML text; paths in it are relative to `folder`. Raises InputError."""
+    """The scenario in a TOML text.
+
+    Args:
+        text: the text.
+        folder: the files that it names are relative to it.
+
+    Raises:
+        InputError: with the key, what was found and what to do.
+    """
     try:
         data = tomllib.loads(text)
     except RecursionError:
@@ -42,14 +61,21 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
 
 
 def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
-    """The scenario in a dictionary as TOML gives it. Raises InputError."""
+    """The scenario in a dictionary as TOML gives it.
+
+    Args:
+        data: the tables.
+        folder: the files that it names are relative to it.
+
+    Raises:
+        InputError: with the key, what was found and what to do.
+    """
     try:
         _require_finite(data, "")
-        data = data | {
-            kind.TABLE.name: kind.TABLE.decoded(data[kind.TABLE.name])
-            for kind in (vary, tuning)
-            if kind.TABLE.name in data
-        }
+        data = dict(data)
+        for table in (vary.TABLE, tuning.TABLE):
+            if table.name in data:
+                data[table.name] = table.decoded(data[table.name])
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None
@@ -70,15 +96,15 @@ def anchored(scenario: Scenario, folder: Path) -> Scenario:
 
 def _anchor(part: Any, folder: Path) -> Any:
     """The part with the file that it names, if any, taken from `folder`."""
-    paths = {
-        name: str(folder / path)
-        for name in ("path", "design")
-        if (path := getattr(part, name, None)) is not None
-    }
-    return msgspec.structs.replace(part, **paths) if paths else part
+    for name in ("path", "design"):
+        path = getattr(part, name, None)
+        if path is not None:
+            part = msgspec.structs.replace(part, **{name: str(folder / path)})
+    return part
 
 
 def _require_finite(value: Any, key: str) -> None:
+    """Raise InputError where a number at or below a key is not finite, or too large."""
     if isinstance(value, dict):
         for name, child in value.items():
             _require_finite(child, f"{key}.{name}" if key else name)

@@ -1,4 +1,4 @@
-"""The path of a robot's joints that a scenario's reference asks for, checked before anything runs."""
+"""The path of a robot's joints that a reference asks for, checked before anything runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,21 @@ CHECKED = 0.01  # [s] between the instants at which a path is checked
 
 
 def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
-    """The path of the flat coordinates - the joints', or an elastic joint's link's - that the reference gives as such, or for the tip.
+    """The path of the flat coordinates: of the joints, or of an elastic joint's link.
 
-    start: the state from which the joints set out. Raises InputError; TrackingError where the tip or the motors cannot follow.
+    The reference gives it as such, or for the tip.
+
+    Args:
+        scenario: the scenario, for its reference and duration.
+        model: model of the robot, in continuous time.
+        start: the state from which the joints set out (n).
+        step: between the instants at which a path of the tip is checked [s].
+
+    Raises:
+        InputError: or a subclass; TrackingError where the tip or the motors cannot follow.
     """
-    reference, duration, body = scenario.reference, scenario.simulation.duration, model.arm
+    reference, duration = scenario.reference, scenario.simulation.duration
+    body = model.arm
     assert body is not None
     t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
     if getattr(reference, "space", "joint") == "joint":

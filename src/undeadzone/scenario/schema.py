@@ -19,7 +19,14 @@ from undeadzone.support.arrays import Array
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What observer and controller believe of the plant; absent keys are the plant's."""
+    """The plant as observer and controller know it; absent keys are the plant's.
+
+    Attributes:
+        A: as in [plant] (n x n); of a linear plant only.
+        B: as in [plant] (n x m); of a linear plant only.
+        C: as in [plant] (p x n); of a linear plant only.
+        parameters: numbers of a nonlinear plant, by name.
+    """
 
     A: Array | None = None
     B: Array | None = None
@@ -28,12 +35,18 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """duration [s]; time: continuous (RK4) or sampled (exact hold, discrete observer); step [s].
+    """How long a run is, and how it is computed.
 
-    seed: of every random number; substeps: RK4 steps within a sample, for a nonlinear plant in sampled time; switching,
-    in continuous time: located (the change of side is found inside the step, which keeps the order) or plain RK4.
-    order: 4 for RK4; 5 to 20 for Taylor series of that order, for loops that are linear on each side of the zone: much
-    longer steps at the same accuracy.
+    Attributes:
+        duration: length of the run [s].
+        time: continuous (RK4) or sampled (exact hold, discrete observer).
+        step: step of the integration, or time between samples [s].
+        seed: seed of every random number.
+        substeps: RK4 steps within a sample, for a nonlinear plant in sampled time.
+        switching: how a change of side is met in continuous time: located (it is found inside the
+            step, which keeps the order) or plain (RK4 alone).
+        order: 4 for RK4; 5 to 20 for Taylor series of that order, for loops that are linear on each
+            side of the zone: much longer steps at the same accuracy.
     """
 
     duration: float = 20.0
@@ -46,7 +59,13 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Names of units for labels and columns; numbers are never converted."""
+    """Names of units for labels and columns; numbers are never converted.
+
+    Attributes:
+        output: unit of z and of the reference.
+        input: unit of u.
+        state: unit of the states, one for all or one per state.
+    """
 
     output: str = "1"
     input: str = "1"
@@ -56,9 +75,24 @@ class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A plant behind a dead zone, what it should follow, and what watches and drives it.
 
-    tracked: outputs that follow the reference (default: the first min(inputs, outputs)). ensemble: what varies among many runs. tune:
-    what `undeadzone tune` may change, and to what end. declared: what the methods of `undeadzone arena` are told.
-    compare: another observer, whose run `undeadzone run` shows beside the first. region: on which `undeadzone check` certifies a nonlinear model.
+    Attributes:
+        plant: the plant.
+        sensor: the sensor at its output, with a dead zone.
+        reference: the signal that its tracked outputs should follow.
+        observer: the method that estimates state and widths.
+        controller: the method that computes the input.
+        simulation: length of a run, and how it is computed.
+        model: the plant as observer and controller know it; default: the plant itself.
+        disturbance: a signal added to the input; default: none.
+        tracked: the outputs that follow the reference, counted from 0; default: the first
+            min(inputs, outputs).
+        units: names of units for labels and columns.
+        ensemble: distributions of the numbers that vary among many runs.
+        tune: the numbers that `undeadzone tune` may change, and to what end.
+        declared: claims that the methods of `undeadzone arena` get.
+        compare: another observer, whose run `undeadzone run` shows beside the first.
+        region: states and inputs on which `undeadzone check` certifies a nonlinear model.
+        title: title of figures and pages.
     """
 
     plant: Plant

@@ -1,8 +1,9 @@
-"""Seeded Gaussian numbers, one independent stream per purpose and channel; each is a function of its place alone.
+"""Seeded Gaussian numbers, one independent stream per purpose and channel.
 
-The key of a Philox counter is the seed; its words are step // 4, stream and channel, and the run's number. Run 0 is the
-scenario on its own; run k of an ensemble draws as run k, also when it is replayed alone. `engine.normal` draws the same
-numbers, bit for bit, for many runs at once.
+Each is a function of its place alone. The key of a Philox counter is the seed; its words are step
+// 4, stream and channel, and the run's number. Run 0 is the scenario on its own; run k of an
+ensemble draws as run k, also when it is replayed alone. `engine.normal` draws the same numbers, bit
+for bit, for many runs at once.
 """
 
 from __future__ import annotations
@@ -16,11 +17,18 @@ import numpy as np
 from undeadzone.engine.philox import LOW, box_muller, philox
 from undeadzone.support.arrays import Floats
 
+# The streams: noise after and ahead of the dead zone, disturbance, drift of the widths, lost
+# readings.
 AFTER, BEFORE, DISTURBANCE, WEAR, LOSS = range(5)
 
 
 class Colour(NamedTuple):
-    """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard normal."""
+    """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard normal.
+
+    Attributes:
+        memory: share of a number that is left after a step [1].
+        drive: gain of the white noise [1].
+    """
 
     memory: float
     drive: float
@@ -32,9 +40,17 @@ def word(stream: int, channel: int) -> int:
 
 
 def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) -> Floats:
-    """samples x channels standard normal numbers, a function of (seed, run, stream, channel, sample) alone.
+    """Standard normal numbers, each a function of (seed, run, stream, channel, sample) alone.
 
-    seed, run: from 0 to 2^64 - 1.
+    Args:
+        seed: from 0 to 2^64 - 1.
+        stream: one of the streams, such as `AFTER`.
+        samples: number of samples per channel.
+        channels: number of channels.
+        run: number of the run, from 0 to 2^64 - 1.
+
+    Returns:
+        The numbers (samples x channels).
     """
     fours = np.arange(-(-samples // 4), dtype=np.uint64)[:, None]
     words = np.array([word(stream, channel) for channel in range(channels)], np.uint64)
@@ -44,7 +60,7 @@ def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) 
 
 
 def colour(correlation: float, step: float) -> Colour:
-    """Of a correlation time [s] on a grid of `step` [s]."""
+    """The first-order noise of a correlation time [s] on a grid of `step` [s]."""
     memory = math.exp(-step / correlation)
     return Colour(memory, math.sqrt(1 - memory**2))
 
@@ -52,12 +68,25 @@ def colour(correlation: float, step: float) -> Colour:
 def coloured(
     seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0
 ) -> Floats:
-    """First-order Gaussian noise of given rms and correlation time [s] on a grid of `step` [s], stationary from the start."""
+    """First-order Gaussian noise, stationary from the start.
+
+    Args:
+        seed: seed of the numbers.
+        samples: number of samples per channel.
+        rms: rms of the noise (channels).
+        correlation: correlation time [s].
+        step: between samples [s].
+        run: number of the run.
+
+    Returns:
+        The noise (samples x channels).
+    """
     memory, drive = colour(correlation, step)
     white = gaussian(seed, DISTURBANCE, samples, rms.size, run)
     white[1:] *= drive
-    columns = [
-        list(accumulate(column.tolist(), lambda last, new: memory * last + new))
-        for column in white.T
-    ]
+
+    def following(last: float, new: float) -> float:
+        return memory * last + new
+
+    columns = [list(accumulate(column.tolist(), following)) for column in white.T]
     return np.reshape(columns, white.T.shape).T * rms

@@ -1,4 +1,7 @@
-"""Paths through points, around circles and figures of eight, of joints or of an arm's tip: a value and its derivatives at any time."""
+"""Paths of joints or of an arm's tip: through points, around circles, along figures of eight.
+
+A path is a value and its derivatives at any time.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from undeadzone.support.arrays import Array, Floats, array, matrix, scalar, seri
 
 Space = Literal["joint", "task"]
 ORDER = 4  # derivatives of a turning path
-START = np.polynomial.Polynomial(
-    [0, 0, 0, 0, 2.5, -3, 1]
-)  # turned after a share of the ramp: its slope is the quintic from 0 to 1
+
+# The angle turned after a share of the ramp: its slope is the quintic from 0 to 1.
+START = np.polynomial.Polynomial([0, 0, 0, 0, 2.5, -3, 1])
 
 
 class Quintic(
@@ -27,11 +30,17 @@ class Quintic(
     tag_field="kind",
     tag="quintic",
 ):
-    """Through `points` (K x channels) at `times` (K) [s], at rest at both ends: the path of least mean square jerk.
+    """A path through points, at rest at both ends: that of least mean square jerk.
 
-    That is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two points): four times continuously differentiable; it may
-    swing beyond the points where the times do not suit them. Held before and after; repeat: from the start again, which then is the last point, at time 0.
-    space: joint, or task: coordinates of an arm's tip [m].
+    It is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two
+    points): four times continuously differentiable; it may swing beyond the points where the times
+    do not suit them. It is held before and after.
+
+    Attributes:
+        points: the points, a row per point (K x channels).
+        times: times of the points, increasing (K) [s].
+        repeat: whether the path starts again; then the last point is the first one, at time 0.
+        space: joint, or task: coordinates of an arm's tip [m].
     """
 
     points: Array
@@ -41,6 +50,19 @@ class Quintic(
 
 
 class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A path around a centre in a plane, in two or three coordinates.
+
+    Attributes:
+        centre: centre of the path (2 or 3).
+        period: time of one turn [s].
+        normal: normal of the plane in three coordinates (3); default: z. Seen from its tip the path
+            turns anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a vertical
+            normal in the direction x.
+        ramp: the path starts from rest, its speed rising as a quintic for this time [s]; default: a
+            quarter of the period; 0: at full speed.
+        space: task: coordinates of an arm's tip [m]; or joint.
+    """
+
     centre: Array
     period: float
     normal: Array | None = None
@@ -51,11 +73,11 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Circle(
     _Turn, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="circle"
 ):
-    """Around `centre` at `radius`, once per period [s], from `phase` [rad], in two or three coordinates.
+    """A circle around `centre`, once per period, in two or three coordinates.
 
-    normal: of its plane in three coordinates (default: z), seen from whose tip it turns anticlockwise. Phase 0 lies in the horizontal direction z x normal,
-    for a vertical normal in the direction x. ramp [s]: it starts from rest, its speed rising as a quintic (default: a quarter of the period; 0: at full speed).
-    space: task: coordinates of an arm's tip [m]; or joint.
+    Attributes:
+        radius: radius of the circle.
+        phase: angle at which it starts [rad].
     """
 
     radius: float
@@ -70,9 +92,14 @@ class FigureEight(
     tag_field="kind",
     tag="figure_eight",
 ):
-    """width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane, from `centre`, once per period [s].
+    """A figure of eight from `centre`, once per period, in two or three coordinates.
 
-    Across is the direction that phase 0 has in a circle; normal, ramp and space as there.
+    It is width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane. Across is the
+    direction that phase 0 has in a circle.
+
+    Attributes:
+        width: size across.
+        height: size along.
     """
 
     width: float
@@ -83,9 +110,13 @@ Path = Quintic | Circle | FigureEight
 
 
 class Curve(NamedTuple):
-    """derivatives(t): the value and its derivatives (len(t) x order x channels); corners, period [s] as in `signals.Exosystem`.
+    """A path as a function of time.
 
-    closure: the derivative that follows the last, as a combination of those (order).
+    Attributes:
+        derivatives: t (N) [s] -> the value and its derivatives (N x order x channels).
+        closure: the derivative that follows the last, as a combination of those (order).
+        corners: as in `Exosystem` [s].
+        period: as in `Exosystem` [s].
     """
 
     derivatives: Callable[[Floats], Floats]
@@ -95,71 +126,80 @@ class Curve(NamedTuple):
 
 
 def curve(key: str, path: Path, channels: int) -> Curve:
-    """The curve of a path with that many channels. Raises InputError, ShapeError."""
+    """The curve of a path.
+
+    Args:
+        key: name of the path in messages.
+        path: the path in words.
+        channels: number of coordinates.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
     match path:
         case Quintic():
             return _quintic(key, path, channels)
         case Circle():
             across, along = _plane(key, path, channels)
-            radius, phase = (
-                scalar(f"{key}.radius", path.radius, above=0.0),
-                scalar(f"{key}.phase", path.phase),
-            )
-            return _turning(
-                key, path, np.array([1]), radius * np.exp(1j * phase) * (across - 1j * along)[None]
-            )
+            radius = scalar(f"{key}.radius", path.radius, above=0.0)
+            phase = scalar(f"{key}.phase", path.phase)
+            gains = radius * np.exp(1j * phase) * (across - 1j * along)[None]
+            return _turning(key, path, np.array([1]), gains)
         case FigureEight():
-            width, height = (
-                scalar(f"{key}.{name}", getattr(path, name), above=0.0)
-                for name in ("width", "height")
-            )
+            width = scalar(f"{key}.width", path.width, above=0.0)
+            height = scalar(f"{key}.height", path.height, above=0.0)
             across, along = _plane(key, path, channels)
-            return _turning(
-                key, path, np.array([1, 2]), -0.5j * np.stack([width * across, height * along])
-            )
+            gains = -0.5j * np.stack([width * across, height * along])
+            return _turning(key, path, np.array([1, 2]), gains)
 
 
 def _quintic(key: str, path: Quintic, channels: int) -> Curve:
+    """The curve through points."""
     from scipy.interpolate import make_interp_spline
 
-    points = array(f"{key}.points", path.points)
-    points = matrix(
-        f"{key}.points",
-        points[:, None] if points.ndim == channels == 1 else points,
-        None,
-        channels,
-        "a row per point",
-    )
-    times = series(f"{key}.times", path.times)
-    if times.size != len(points) or times.size < 2:
-        raise ShapeError(
-            f"{key}.times: expected one time per point and two points or more, found {times.size} times and {len(points)} points"
-        )
-    if (np.diff(times) <= 0).any():
-        raise InputError(f"{key}.times: must increase from point to point")
-    if path.repeat and (times[0] != 0 or (points[0] != points[-1]).any()):
-        raise InputError(
-            f"{key}.repeat: the first time must be 0 and the last point the first one again, so that the path can repeat"
-        )
+    points, times = _points(key, path, channels)
     at_rest = [(1, np.zeros(channels)), (2, np.zeros(channels))]
     spline = make_interp_spline(times, points, k=5, bc_type=(at_rest, at_rest))
     start, end = times[[0, -1]]
 
     def derivatives(t: Floats) -> Floats:
         at = np.mod(t, end) if path.repeat else t
-        inside, moving = np.clip(at, start, end), ((at >= start) & (at < end))[:, None]
-        return np.stack(
-            [spline(inside, order) * (moving | (order == 0)) for order in range(6)], axis=1
-        )
+        inside = np.clip(at, start, end)
+        moving = ((at >= start) & (at < end))[:, None]
+        values = [spline(inside, order) * (moving | (order == 0)) for order in range(6)]
+        return np.stack(values, axis=1)
 
     return Curve(derivatives, np.zeros(6), times, float(end) if path.repeat else None)
+
+
+def _points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
+    """Points (K x channels) and times (K), checked."""
+    points = array(f"{key}.points", path.points)
+    if points.ndim == channels == 1:
+        points = points[:, None]
+    points = matrix(f"{key}.points", points, None, channels, "a row per point")
+    times = series(f"{key}.times", path.times)
+    if times.size != len(points) or times.size < 2:
+        raise ShapeError(
+            f"{key}.times: expected one time per point and two points or more, "
+            f"found {times.size} times and {len(points)} points"
+        )
+    if (np.diff(times) <= 0).any():
+        raise InputError(f"{key}.times: must increase from point to point")
+    if path.repeat and (times[0] != 0 or (points[0] != points[-1]).any()):
+        raise InputError(
+            f"{key}.repeat: the first time must be 0 and the last point the first one again, "
+            "so that the path can repeat"
+        )
+    return points, times
 
 
 def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats, Floats]:
     """The directions of the sine and of the cosine: of phase 0 and of a quarter turn later."""
     if channels not in (2, 3):
+        be = "is" if channels == 1 else "are"
         raise ShapeError(
-            f"{key}: a path in a plane needs two or three coordinates, there {'is' if channels == 1 else 'are'} {channels}"
+            f"{key}: a path in a plane needs two or three coordinates, there {be} {channels}"
         )
     if channels == 2:
         if path.normal is not None:
@@ -171,57 +211,77 @@ def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats,
         raise InputError(f"{key}.normal: must not be zero")
     normal = normal / np.linalg.norm(normal)
     across = np.cross(z, normal)
-    across = (
-        across / np.linalg.norm(across)
-        if np.linalg.norm(across) > 1e-9
-        else np.array([1.0, 0.0, 0.0])
-    )
+    if np.linalg.norm(across) > 1e-9:
+        across = across / np.linalg.norm(across)
+    else:
+        across = np.array([1.0, 0.0, 0.0])
     return across, np.cross(normal, across)
 
 
 def _turning(
     key: str, path: Circle | FigureEight, harmonics: np.ndarray, gains: np.ndarray
 ) -> Curve:
-    """centre + the real part of the sum of gains (K x channels) e^{i harmonics angle}, whose angle turns ever faster during the ramp, then evenly.
+    """centre + the real part of the sum of gains e^{i harmonics angle}.
 
-    Once the angle turns evenly the closure is exact: s^3 (s^2 + w^2) and s (s^2 + w^2) (s^2 + 4 w^2) vanish on one and on two harmonics.
+    The angle turns ever faster during the ramp, then evenly. Then the closure is exact: s^3 (s^2 +
+    w^2) and s (s^2 + w^2) (s^2 + 4 w^2) vanish on one and on two harmonics.
+
+    Args:
+        key: name of the path in messages.
+        path: the path in words.
+        harmonics: multiples of the angle (K).
+        gains: complex, of the harmonics (K x channels).
     """
     centre = vector(f"{key}.centre", path.centre, gains.shape[1], "one per coordinate")
     period = scalar(f"{key}.period", path.period, above=0.0)
     ramp = period / 4 if path.ramp is None else scalar(f"{key}.ramp", path.ramp, least=0.0)
-    w = 2 * np.pi / period
-    factors = [np.array([1.0, 0.0, (harmonic * w) ** 2]) for harmonic in harmonics]
-    closure = np.zeros(ORDER + 1)
-    known = -(factors[0] if len(factors) == 1 else np.polymul(*factors))[
-        :0:-1
-    ]  # lowest derivative first
-    closure[-known.size :] = known
-
-    def turned(t: Floats) -> list[Floats]:
-        """The angle and its derivatives."""
-        if ramp == 0:
-            return [w * t, np.full_like(t, w), *[np.zeros_like(t)] * (ORDER - 1)]
-        share = np.clip(t / ramp, 0, 1)
-        found = [w * ramp ** (1 - order) * START.deriv(order)(share) for order in range(ORDER + 1)]
-        found[0] = found[0] + w * np.maximum(t - ramp, 0)
-        return [*found[:-1], found[-1] * ((t >= 0) & (t < ramp))]
+    w = 2 * np.pi / period  # [rad/s]
 
     def derivatives(t: Floats) -> Floats:
-        angle = [part[:, None] for part in turned(t)]
-        waves = [np.exp(1j * harmonics * angle[0])]
-        for order in range(ORDER):  # Leibniz on wave' = i harmonics angle' wave
-            waves.append(
-                1j
-                * harmonics
-                * sum(comb(order, k) * angle[k + 1] * waves[order - k] for k in range(order + 1))
-            )
-        found = (np.stack(waves, axis=1) @ gains).real
-        found[:, 0] += centre
-        return found
+        angle = [part[:, None] for part in _angle(t, w, ramp)]
+        values = (_waves(harmonics, angle) @ gains).real
+        values[:, 0] += centre
+        return values
 
-    return Curve(
-        derivatives,
-        closure,
-        np.array([0.0, ramp]) if ramp else np.empty(0),
-        None if ramp else period,
-    )
+    closure = _closure(harmonics, w)
+    if ramp:
+        return Curve(derivatives, closure, np.array([0.0, ramp]), None)
+    return Curve(derivatives, closure, np.empty(0), period)
+
+
+def _angle(t: Floats, w: float, ramp: float) -> list[Floats]:
+    """The angle [rad] and its derivatives at times t [s].
+
+    It turns evenly with w [rad/s] after the ramp [s].
+    """
+    if ramp == 0:
+        return [w * t, np.full_like(t, w), *[np.zeros_like(t)] * (ORDER - 1)]
+    share = np.clip(t / ramp, 0, 1)
+    angle = [w * ramp ** (1 - order) * START.deriv(order)(share) for order in range(ORDER + 1)]
+    angle[0] = angle[0] + w * np.maximum(t - ramp, 0)
+    angle[-1] = angle[-1] * ((t >= 0) & (t < ramp))  # jumps there
+    return angle
+
+
+def _waves(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
+    """The waves e^{i harmonics angle} and their derivatives (N x order x K).
+
+    By Leibniz' rule on wave' = i harmonics angle' wave. angle: the angle and its derivatives (N x 1
+    each).
+    """
+    waves = [np.exp(1j * harmonics * angle[0])]
+    for order in range(ORDER):
+        terms = [comb(order, k) * angle[k + 1] * waves[order - k] for k in range(order + 1)]
+        waves.append(1j * harmonics * sum(terms))
+    return np.stack(waves, axis=1)
+
+
+def _closure(harmonics: np.ndarray, w: float) -> Floats:
+    """The closure of harmonics that turn evenly with w [rad/s] (ORDER + 1), as in `Curve`."""
+    vanishing = np.array([1.0])  # polynomial in s, highest power first
+    for harmonic in harmonics:
+        vanishing = np.polymul(vanishing, np.array([1.0, 0.0, (harmonic * w) ** 2]))
+    lowest_first = -vanishing[:0:-1]
+    closure = np.zeros(ORDER + 1)
+    closure[-lowest_first.size :] = lowest_first
+    return closure

@@ -1,1 +1,1 @@
-"""robots."""
+"""Robot arms as plants: planar ones, an elastic joint, URDF files."""

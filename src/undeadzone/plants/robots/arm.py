@@ -1,10 +1,13 @@
-"""Serial arms of rigid links: M(q) a + h(q, v) + friction = torque, with a payload at the tip, as pure functions on CasADi expressions."""
+"""Serial arms of rigid links, with a payload at the tip, as pure functions on CasADi expressions.
+
+Their equation is M(q) a + h(q, v) + friction = torque.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -19,12 +22,20 @@ Numbers = Mapping[str, Any]  # an arm's parameters, by name
 class Chain(NamedTuple):
     """The links alone: N joints, of angles q [rad] or displacements [m].
 
-    joints: their names; parameters: numbers that may differ between plant and model, with their values (with `payload` among them the
-    chain carries it itself); mass(numbers, q): M (N x N); bias(numbers, q, v): Coriolis, centrifugal and gravity torques h (N);
-    points(numbers, q): base, joints and tip ((K x 3) [m]) in the order of the chain; turn(numbers, q): the tip's rotation matrix
-    (3 x 3); gravity(numbers): (3) [m/s^2].
-    plane: coordinates in which the tip moves, 0 to 2; limits (N x 2), torque (N), speed (N): what the joints can do, infinite where nothing is said.
-    friction: viscous [N m s/rad] and Coulomb [N m] coefficients (2 x N).
+    Attributes:
+        joints: names of the joints (N).
+        parameters: numbers that may differ between plant and model, with their values; with
+            `payload` among them the chain carries it itself.
+        mass: (numbers, q) -> M (N x N).
+        bias: (numbers, q, v) -> Coriolis, centrifugal and gravity torques h (N).
+        points: (numbers, q) -> base, joints and tip in the order of the chain (K x 3) [m].
+        turn: (numbers, q) -> the tip's rotation matrix (3 x 3).
+        gravity: (numbers) -> acceleration of gravity (3) [m/s^2].
+        plane: coordinates in which the tip moves, 0 to 2.
+        limits: positions that the joints can take (N x 2), infinite where there is no limit.
+        torque: largest torque of the joints (N) [N m or N], infinite where there is no limit.
+        speed: largest speed of the joints (N) [rad/s or m/s], infinite where there is no limit.
+        friction: viscous [N m s/rad] and Coulomb [N m] coefficients (2 x N).
     """
 
     joints: tuple[str, ...]
@@ -42,11 +53,21 @@ class Chain(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """A chain with payload and friction; each function's first argument is the column of its parameters, in the order of `names`.
+    """A chain with payload and friction.
 
-    names, values: of the parameters: the chain's, payload [kg], b1, b2, ... (viscous), f1, f2, ... (Coulomb friction);
-    mass(params, q), bias(params, q, v): payload included, friction not; friction(params, v) (N); points(params, q), turn(params, q): as
-    in `Chain`; tip(params, q): its position in the chain's `plane`.
+    Each function's first argument is the column of the parameters, in the order of `names`.
+
+    Attributes:
+        chain: the links.
+        names: names of the parameters: the chain's, payload [kg], b1, b2, ... (viscous friction),
+            f1, f2, ... (Coulomb friction).
+        values: values of the parameters, in the order of names.
+        mass: (params, q) -> M with the payload (N x N).
+        bias: (params, q, v) -> h with the payload, without friction (N).
+        friction: (params, v) -> the torque of friction (N).
+        points: (params, q) -> as in `Chain` (K x 3) [m].
+        turn: (params, q) -> as in `Chain` (3 x 3).
+        tip: (params, q) -> the tip's position in the chain's `plane` [m].
     """
 
     chain: Chain
@@ -66,78 +87,108 @@ class Arm(NamedTuple):
 
 
 def arm(chain: Chain, rest: float = 0.05) -> Arm:
-    """The arm of a chain; rest: speed [rad/s] below which Coulomb friction fades, f v / sqrt(v^2 + rest^2)."""
+    """The arm of a chain.
+
+    Args:
+        chain: the links.
+        rest: speed [rad/s] below which Coulomb friction fades, f v / sqrt(v^2 + rest^2).
+    """
     N = len(chain.joints)
-    viscous, coulomb = ([f"{letter}{i + 1}" for i in range(N)] for letter in "bf")
-    parameters = (
-        chain.parameters
-        | {"payload": 0.0}
-        | dict(zip([*viscous, *coulomb], chain.friction.ravel(), strict=True))
-    )
-    params, q, v = (
-        ca.SX.sym(name, size) for name, size in (("p", len(parameters)), ("q", N), ("v", N))
-    )
-    given = dict(zip(parameters, ca.vertsplit(params), strict=True))
-    points = chain.points(given, q)
+    viscous = [f"b{i + 1}" for i in range(N)]
+    coulomb = [f"f{i + 1}" for i in range(N)]
+    friction = dict(zip([*viscous, *coulomb], chain.friction.ravel(), strict=True))
+    parameters = chain.parameters | {"payload": 0.0} | friction
+    params = ca.SX.sym("p", len(parameters))
+    q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
+    numbers = dict(zip(parameters, ca.vertsplit(params), strict=True))
+    points = chain.points(numbers, q)
     tip = points[-1, :].T
-    load = 0 if "payload" in chain.parameters else given["payload"]
+    load = 0 if "payload" in chain.parameters else numbers["payload"]
     J = ca.jacobian(tip, q)
     swing = ca.jtimes(ca.jtimes(tip, q, v), q, v)  # the tip's acceleration at constant v
-    b, f = (ca.vertcat(*(given[name] for name in group)) for group in (viscous, coulomb))
-
-    def function(name: str, inputs: list[ca.SX], value: ca.SX) -> ca.Function:
-        return ca.Function(name, [params, *inputs], [value], {"cse": True})
-
+    bias = chain.bias(numbers, q, v) + load * J.T @ (swing - chain.gravity(numbers))
+    b, f = _column(numbers, viscous), _column(numbers, coulomb)
     return Arm(
         chain,
         tuple(parameters),
         np.array(list(parameters.values()), float),
-        function("mass", [q], chain.mass(given, q) + load * J.T @ J),
-        function(
-            "bias", [q, v], chain.bias(given, q, v) + load * J.T @ (swing - chain.gravity(given))
-        ),
-        function("friction", [v], b * v + f * v / ca.sqrt(v**2 + rest**2)),
-        function("points", [q], points),
-        function("turn", [q], chain.turn(given, q)),
-        function("tip", [q], tip[list(chain.plane)]),
+        _function("mass", [params, q], chain.mass(numbers, q) + load * J.T @ J),
+        _function("bias", [params, q, v], bias),
+        _function("friction", [params, v], b * v + f * v / ca.sqrt(v**2 + rest**2)),
+        _function("points", [params, q], points),
+        _function("turn", [params, q], chain.turn(numbers, q)),
+        _function("tip", [params, q], tip[list(chain.plane)]),
     )
 
 
-def acceleration(given: Arm, params: Any, q: Any, v: Any, torque: Any) -> Any:
+def _column(numbers: Numbers, names: Iterable[str]) -> Any:
+    """Some of the numbers as a CasADi column."""
+    return ca.vertcat(*[numbers[name] for name in names])
+
+
+def _function(name: str, inputs: list[ca.SX], value: ca.SX) -> ca.Function:
+    """A function whose common subexpressions are computed once."""
+    return ca.Function(name, inputs, [value], {"cse": True})
+
+
+def acceleration(body: Arm, params: Any, q: Any, v: Any, torque: Any) -> Any:
     """Forward dynamics: the joints' acceleration (N) under a torque (N)."""
-    D, L, order = ca.ldl(ca.densify(given.mass(params, q)))
-    return ca.ldl_solve(torque - given.bias(params, q, v) - given.friction(params, v), D, L, order)
+    D, L, order = ca.ldl(ca.densify(body.mass(params, q)))
+    return ca.ldl_solve(torque - body.bias(params, q, v) - body.friction(params, v), D, L, order)
 
 
-def torque(given: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
-    """Inverse dynamics: the torque (N) for an acceleration."""
-    return given.mass(params, q) @ a + given.bias(params, q, v) + given.friction(params, v)
+def torque(body: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
+    """Inverse dynamics: the torque (N) for an acceleration (N)."""
+    return body.mass(params, q) @ a + body.bias(params, q, v) + body.friction(params, v)
 
 
 def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
-    """f(params, q) for each row of q (N x joints): N x rows, or N x rows x columns of a matrix."""
-    found = np.asarray(f.map(len(q))(np.broadcast_to(params[:, None], (params.size, len(q))), q.T))
-    each = found.reshape(f.size1_out(0), len(q), -1).swapaxes(0, 1)
-    return each[..., 0] if f.size2_out(0) == 1 else each
+    """f(params, q) for each row of q.
+
+    Args:
+        f: a function of an `Arm`, of parameters and positions.
+        params: the arm's parameters.
+        q: positions of the joints (N x joints).
+
+    Returns:
+        N x rows of the value, or N x rows x columns where it is a matrix.
+    """
+    columns = np.broadcast_to(params[:, None], (params.size, len(q)))
+    side_by_side = np.asarray(f.map(len(q))(columns, q.T))
+    values = side_by_side.reshape(f.size1_out(0), len(q), -1).swapaxes(0, 1)
+    return values[..., 0] if f.size2_out(0) == 1 else values
 
 
 def signless(name: str) -> bool:
-    """Whether a parameter of an arm has no sign: masses, lengths, inertias, a spring's stiffness, friction."""
+    """Whether a parameter of an arm has no sign: masses, lengths, inertias, stiffness, friction."""
     return name == "payload" or re.fullmatch(r"[mlIJkbf]\d*", name) is not None
 
 
-def numbers(names: tuple[str, ...], values: Floats, given: Mapping[str, float], key: str) -> Floats:
-    """The values of named parameters, some of them given otherwise. Raises InputError."""
-    for name in given:
+def numbers(
+    names: tuple[str, ...], values: Floats, changes: Mapping[str, float], key: str
+) -> Floats:
+    """The values of an arm's parameters, some of them changed by name.
+
+    Args:
+        names: names of the parameters.
+        values: values of the parameters.
+        changes: other values, by name.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: a name is unknown, or a value cannot be.
+    """
+    for name in changes:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
+            advice = f"did you mean {near[0]!r}? " if near else ""
             raise InputError(
-                f"{key}.parameters.{name}: unknown; {f'did you mean {near[0]!r}? ' if near else ''}this arm has {', '.join(names)}"
+                f"{key}.parameters.{name}: unknown; {advice}this arm has {', '.join(names)}"
             )
-    found = dict(zip(names, values, strict=True)) | {
-        name: scalar(f"{key}.parameters.{name}", value) for name, value in given.items()
-    }
-    for name, value in found.items():
+    parameters = dict(zip(names, values, strict=True))
+    for name, value in changes.items():
+        parameters[name] = scalar(f"{key}.parameters.{name}", value)
+    for name, value in parameters.items():
         if value < 0 and signless(name):
             raise InputError(f"{key}.parameters.{name}: must not be negative, found {value:g}")
-    return np.array(list(found.values()), float)
+    return np.array(list(parameters.values()), float)

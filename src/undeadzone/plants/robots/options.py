@@ -10,11 +10,18 @@ from undeadzone.support.arrays import Array
 
 
 class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What every rigid arm may say.
+    """What every rigid arm of N joints may have; its numbers stand in `plant.parameters`.
 
-    measured: the joints' position q less `reference` (at which a sensor reads 0; one or one per joint), or their velocity; torque_max: one or one per joint
-    [N m]; limits: [lo, hi] of each joint (N x 2), which a path must keep; stops: stiffness [N m/rad] and damping [N m s/rad] of mechanical stops
-    there (default: none); rest: speed [rad/s] below which Coulomb friction f v / sqrt(v^2 + rest^2) fades. Its numbers stand in `plant.parameters`.
+    Attributes:
+        measured: the joints' position q less `reference`, or their velocity.
+        reference: position at which a sensor reads 0, one number or one per joint (N) [rad or m].
+        torque_max: largest torque, one number or one per joint (N) [N m]; default: of a URDF file
+            its efforts, else no limit.
+        limits: [lo, hi], or one per joint (N x 2) [rad or m], which a path must keep; default: of a
+            URDF file its limits, else none.
+        stops: stiffness [N m/rad] and damping [N m s/rad] of mechanical stops at the limits;
+            default: there are none.
+        rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].
     """
 
     measured: Literal["position", "velocity"] = "position"
@@ -34,16 +41,23 @@ class OneLink(
 class TwoLink(
     Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="two_link"
 ):
-    """Two links in a plane; q1 from the x axis, q2 from the first link, gravity along -y (g = 0: a horizontal table)."""
+    """Two links in a plane, gravity along -y (g = 0: a horizontal table).
+
+    q1 is measured from the x axis, q2 from the first link.
+    """
 
 
 class URDF(
     Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="urdf"
 ):
-    """A serial arm from a URDF file (path relative to the scenario's); needs the extra `robots`.
+    """A serial arm of N joints from a URDF file; needs the extra `robots`.
 
-    joints: those that move (default: all from the base to `tip`; the others stay at 0); tip: a link (default: the last one);
-    gravity [m/s^2] in base coordinates.
+    Attributes:
+        path: the file, relative to the scenario's.
+        joints: names of those that move (N); default: all from the base to `tip`; the others stay
+            at 0.
+        tip: the link in which the arm ends; default: the last one.
+        gravity: acceleration of gravity in base coordinates (3) [m/s^2].
     """
 
     path: str
@@ -60,9 +74,13 @@ class ElasticJoint(
     tag_field="kind",
     tag="elastic_joint",
 ):
-    """A motor that moves a link through a spring, one of them measured (Spong 1987): its angle less `reference` [rad].
+    """A motor that moves a link through a spring, one of them measured (Spong 1987).
 
-    torque_max [N m] of the motor; rest: speed [rad/s] below which Coulomb friction f v / sqrt(v^2 + rest^2) fades.
+    Attributes:
+        measured: the part whose angle, less `reference`, is the output.
+        reference: angle at which the sensor reads 0 [rad].
+        torque_max: largest torque of the motor [N m]; default: no limit.
+        rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].
     """
 
     measured: Literal["motor", "link"] = "motor"

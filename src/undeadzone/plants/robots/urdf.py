@@ -1,19 +1,24 @@
-"""Arms from URDF files: the serial chain of a file in frames that make its dynamics short, which adam-robotics computes."""
+"""Arms from URDF files: the serial chain of a file, whose dynamics adam-robotics computes.
+
+The chain stands in frames that make its dynamics short.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.plants.robots.adam_model import algorithms
 from undeadzone.plants.robots.arm import Chain, Numbers
-from undeadzone.plants.robots.frames import Frames, exact, straightened
-from undeadzone.plants.robots.urdf_file import MOVABLE, Joint, Robot, read, suggest
+from undeadzone.plants.robots.frames import Frames, straightened
+from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint
+from undeadzone.plants.robots.urdf_file import Robot, read, suggest
 from undeadzone.support.arrays import Array, Floats, vector
 
 
@@ -25,46 +30,57 @@ def chain(
 ) -> Chain:
     """The serial arm in a URDF file, on a fixed base.
 
-    joints: names of the N that move, from base to tip (default: all revolute, continuous and prismatic ones on the way); all others of
-    the file are fixed at 0. tip: a link (default: the one in which the chain ends). gravity (3) [m/s^2] in the base's coordinates.
-    Parameters [kg]: m1, ... mN: mass of what moves with a joint up to the next, its inertia in proportion; payload: a point at the tip.
-    The dynamics are those of adam-robotics (composite rigid bodies, recursive Newton-Euler: Featherstone 2008), which
-    pip install 'undeadzone[robots]' brings.
+    Parameters [kg]: m1, ... mN: mass of what moves with a joint up to the next, its inertia in
+    proportion; payload: a point at the tip. The dynamics are those of adam-robotics (composite
+    rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install 'undeadzone[robots]'
+    brings.
 
-    Raises FileError (the file, or what it says), InputError (joints, tip, gravity; adam-robotics is missing).
+    Args:
+        path: the file.
+        joints: names of the N joints that move, from base to tip; default: all revolute, continuous
+            and prismatic ones on the way. All others of the file are fixed at 0.
+        tip: a link; default: the one in which the chain ends.
+        gravity: acceleration in the base's coordinates (3) [m/s^2].
+
+    Raises:
+        FileError: the file, or its contents.
+        InputError: joints, tip, gravity; or adam-robotics is missing.
     """
     g = vector("plant.arm.gravity", gravity, 3, "x, y, z")
     robot = read(Path(path))
     moving, tip = _selected(robot, joints, tip)
     frames = straightened(robot, moving, tip)
-    for joint, body in zip(moving, frames.bodies, strict=True):
-        if body.mass == 0:
-            advice = (
-                f"give it an <inertial>, or leave {joint.name} out of plant.arm.joints (fixed at 0)"
-            )
-            raise FileError(
-                f"plant.arm.path: {path}: link {joint.child} moves but has no mass; {advice}"
-            )
+    _require_masses(path, moving, frames)
     parameters = {f"m{i + 1}": body.mass for i, body in enumerate(frames.bodies)} | {"payload": 0.0}
-    mass, bias, points, turn = _functions(moving, frames, g)
+    functions = _functions(moving, frames, g)
 
     def masses(numbers: Numbers) -> Any:
-        return ca.vertcat(*(numbers[name] for name in parameters))
+        return ca.vertcat(*[numbers[name] for name in parameters])
 
     return Chain(
-        tuple(joint.name for joint in moving),
-        parameters,
-        lambda numbers, q: mass(masses(numbers), q),
-        lambda numbers, q, v: bias(masses(numbers), q, v),
-        lambda numbers, q: points(q),
-        lambda numbers, q: turn(q),
-        lambda numbers: ca.DM(g),
-        (0, 1, 2),
-        np.array([joint.limits for joint in moving]),
-        np.array([joint.effort for joint in moving]),
-        np.array([joint.velocity for joint in moving]),
-        np.array([joint.friction for joint in moving]).T,
+        joints=tuple(joint.name for joint in moving),
+        parameters=parameters,
+        mass=lambda numbers, q: functions.mass(masses(numbers), q),
+        bias=lambda numbers, q, v: functions.bias(masses(numbers), q, v),
+        points=lambda numbers, q: functions.points(q),
+        turn=lambda numbers, q: functions.turn(q),
+        gravity=lambda numbers: ca.DM(g),
+        plane=(0, 1, 2),
+        limits=np.array([joint.limits for joint in moving]),
+        torque=np.array([joint.effort for joint in moving]),
+        speed=np.array([joint.velocity for joint in moving]),
+        friction=np.array([joint.friction for joint in moving]).T,
     )
+
+
+def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: Frames) -> None:
+    """Raise FileError where a link moves that has no mass."""
+    for joint, body in zip(moving, frames.bodies, strict=True):
+        if body.mass == 0:
+            raise FileError(
+                f"plant.arm.path: {path}: link {joint.child} moves but has no mass; "
+                f"give it an <inertial>, or leave {joint.name} out of plant.arm.joints (fixed at 0)"
+            )
 
 
 def _selected(
@@ -75,159 +91,113 @@ def _selected(
     movable = [joint.name for joint in robot.joints if joint.kind in MOVABLE]
     for i, name in enumerate(joints or ()):
         if name not in movable:
-            raise InputError(
-                f"plant.arm.joints[{i}]: {'a fixed joint' if name in known else 'no joint'} {name!r}; {suggest(name, movable)}"
-            )
+            what = "a fixed joint" if name in known else "no joint"
+            advice = suggest(name, movable)
+            raise InputError(f"plant.arm.joints[{i}]: {what} {name!r}; {advice}")
     if tip is not None and tip not in robot.links:
         raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest(tip, robot.links)}")
+    moved = movable if joints is None else joints
     if tip is None:
-        tip = _end(robot, movable if joints is None else joints)
+        tip = _end(robot, moved)
     way = [joint.name for joint in robot.way(tip)]
-    serial = [name for name in way if name in movable and (joints is None or name in joints)]
+    serial = [name for name in way if name in movable and name in moved]
     if not serial:
         raise InputError(
-            f"plant.arm: no joint moves between the base and {tip!r}; movable joints: {', '.join(movable) or 'none'}"
+            f"plant.arm: no joint moves between the base and {tip!r}; "
+            f"movable joints: {', '.join(movable) or 'none'}"
         )
-    if joints is not None and serial != list(joints):
-        wrong = next((i for i, name in enumerate(joints) if name not in way), None)
-        if wrong is not None:
-            why = "the arm must be a serial chain; leave it out (it is fixed at 0)"
+    if joints is not None:
+        _require_order(joints, way, serial, tip)
+    _require_uncoupled(robot, serial)
+    return [known[name] for name in serial], tip
+
+
+def _require_order(joints: Sequence[str], way: list[str], serial: list[str], tip: str) -> None:
+    """Raise InputError unless the user names the moving joints from base to tip.
+
+    Args:
+        joints: names as the user gives them.
+        way: names of all joints from base to tip.
+        serial: those of `joints` on the way, in its order.
+        tip: the link in which the arm ends.
+    """
+    for i, name in enumerate(joints):
+        if name not in way:
             raise InputError(
-                f"plant.arm.joints[{wrong}]: {joints[wrong]!r} is not between the base and the tip {tip!r}: {why}"
+                f"plant.arm.joints[{i}]: {name!r} is not between the base and the tip {tip!r}: "
+                "the arm must be a serial chain; leave it out (it is fixed at 0)"
             )
+    if serial != list(joints):
         raise InputError(
             f"plant.arm.joints: must name each joint once, from base to tip: {', '.join(serial)}"
         )
+
+
+def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
+    """Raise InputError where a moving joint mimics another one or is mimicked."""
     for joint in robot.joints:
         if joint.mimics is not None and (joint.name in serial or joint.mimics in serial):
             raise InputError(
-                f"plant.arm.joints: {joint.name!r} mimics {joint.mimics!r}, and coupled joints are not supported; leave both out (they are fixed at 0)"
+                f"plant.arm.joints: {joint.name!r} mimics {joint.mimics!r}, and coupled joints are "
+                "not supported; leave both out (they are fixed at 0)"
             )
-    return [known[name] for name in serial], tip
 
 
 def _end(robot: Robot, moved: Sequence[str]) -> str:
     """The one link without children to which all of these joints lead."""
     parents = {joint.parent for joint in robot.joints}
-    ends = [
-        link
-        for link in robot.links
-        if link not in parents and set(moved) <= {joint.name for joint in robot.way(link)}
-    ]
+    ends = []
+    for link in robot.links:
+        way = {joint.name for joint in robot.way(link)}
+        if link not in parents and set(moved) <= way:
+            ends.append(link)
     if not ends:
         raise InputError(
-            "plant.arm.tip: the movable joints branch: the arm must be a serial chain; name the link in which it ends (joints elsewhere are fixed at 0)"
+            "plant.arm.tip: the movable joints branch: the arm must be a serial chain; "
+            "name the link in which it ends (joints elsewhere are fixed at 0)"
         )
     if len(ends) > 1:
         raise InputError(f"plant.arm.tip: the arm ends in {', '.join(ends)}: name one of them")
     return ends[0]
 
 
-def _functions(
-    moving: list[Joint], frames: Frames, gravity: Floats
-) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
-    """M(masses, q), h(masses, q, v), points(q) and turn(q), by adam."""
-    N = len(moving)
-    masses, q, v = (ca.SX.sym(name, size) for name, size in (("m", N + 1), ("q", N), ("v", N)))
-    adam = _adam(moving, frames, masses)
-    H = ca.SX(np.eye(4))
+class _Functions(NamedTuple):
+    """M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`.
 
-    def place(frame: str) -> Any:
+    masses: masses of the bodies, then the payload (N + 1) [kg].
+    """
+
+    mass: ca.Function
+    bias: ca.Function
+    points: ca.Function
+    turn: ca.Function
+
+
+def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> _Functions:
+    """The functions of a chain, by adam."""
+    N = len(moving)
+    masses = ca.SX.sym("m", N + 1)
+    q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
+    adam = algorithms(moving, frames, masses)
+    H = ca.SX(np.eye(4))  # pose of the base
+
+    def pose(frame: str) -> Any:
         return adam.forward_kinematics(frame, H, q).array
 
-    def function(name: str, inputs: list[ca.SX], value: Any) -> ca.Function:
-        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
-
-    h = adam.rnea(H, q, ca.SX(6, 1), v, ca.SX(np.r_[gravity, 0, 0, 0])).array
-    points = [
-        ca.SX(1, 3),
-        *(place(f"origin {i}")[:3, 3].T for i in range(N)),
-        place("tip")[:3, 3].T,
-    ]
-    return (
-        function("mass", [masses, q], adam.crba(H, q)[0].array[6:, 6:]),
-        function("bias", [masses, q, v], h[6:]),
-        function("points", [q], ca.vertcat(*points)),
-        function("turn", [q], place("tip")[:3, :3] @ ca.SX(frames.turn)),
+    base_twist, base_gravity = ca.SX(6, 1), ca.SX(np.r_[gravity, 0, 0, 0])
+    h = adam.rnea(H, q, base_twist, v, base_gravity).array  # of the base (6), then of the joints
+    M = adam.crba(H, q)[0].array
+    origins = [pose(f"origin {i}")[:3, 3].T for i in range(N)]
+    tip = pose("tip")
+    points = ca.vertcat(ca.SX(1, 3), *origins, tip[:3, 3].T)
+    return _Functions(
+        _function("mass", [masses, q], M[6:, 6:]),
+        _function("bias", [masses, q, v], h[6:]),
+        _function("points", [q], points),
+        _function("turn", [q], tip[:3, :3] @ ca.SX(frames.turn)),
     )
 
 
-def _adam(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
-    """adam's algorithms for the straightened chain. Raises InputError where adam-robotics is not installed."""
-    try:
-        from adam.casadi.casadi_like import SpatialMath
-        from adam.core import RBDAlgorithms
-        from adam.model import Model, StdJoint, StdLink, Tree
-        from urdf_parser_py import urdf
-    except ModuleNotFoundError:
-        raise InputError(
-            "plant.arm.kind: a URDF needs adam-robotics: pip install 'undeadzone[robots]'"
-        ) from None
-    space, level = SpatialMath(), [0.0, 0.0, 0.0]
-
-    def link(name: str, inertial: Any = None) -> Any:
-        return StdLink(urdf.Link(name, inertial=inertial), space)
-
-    def joint(
-        name: str,
-        kind: str,
-        parent: str,
-        child: str,
-        place: Floats,
-        axis: Sequence[float] = (1.0, 0.0, 0.0),
-        index: int | None = None,
-    ) -> Any:
-        made = StdJoint(
-            urdf.Joint(
-                name, parent, child, kind, list(axis), urdf.Pose(exact(place).tolist(), level)
-            ),
-            space,
-            index,
-        )
-        if kind == "prismatic":  # adam 0.5.0 gives these 12 rows for 6
-            made.motion_subspace = lambda: space.asarray([*axis, 0.0, 0.0, 0.0])
-        return made
-
-    links, marks, joints = [link("base")], [], []
-    before, parent = np.zeros(3), "base"
-    for i, (anchor, body) in enumerate(zip(frames.anchors, frames.bodies, strict=True)):
-        inertia = urdf.Inertia(
-            *(masses[i] / body.mass * entry for entry in body.inertia[np.triu_indices(3)])
-        )
-        links.append(
-            link(
-                f"link {i}",
-                urdf.Inertial(
-                    masses[i], inertia, urdf.Pose(exact(body.centre - anchor).tolist(), level)
-                ),
-            )
-        )
-        joints.append(
-            joint(
-                f"joint {i}",
-                moving[i].kind,
-                parent,
-                f"link {i}",
-                anchor - before,
-                frames.axes[i].tolist(),
-                i,
-            )
-        )
-        marks.append(link(f"origin {i}"))
-        joints.append(
-            joint(f"to origin {i}", "fixed", f"link {i}", f"origin {i}", frames.origins[i] - anchor)
-        )
-        before, parent = anchor, f"link {i}"
-    links.append(link("tip", urdf.Inertial(masses[-1], urdf.Inertia(), urdf.Pose(level, level))))
-    joints.append(joint("to tip", "fixed", parent, "tip", frames.tip - before))
-    tables = ({part.name: part for part in parts} for parts in (links, marks, joints))
-    return RBDAlgorithms(
-        Model(
-            "arm",
-            *tables,
-            Tree.build_tree(links, joints),
-            len(moving),
-            [f"joint {i}" for i in range(len(moving))],
-        ),
-        space,
-    )
+def _function(name: str, inputs: list[ca.SX], value: Any) -> ca.Function:
+    """A dense function whose common subexpressions are computed once."""
+    return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})

@@ -1,0 +1,238 @@
+"""The elements of a URDF file: a <joint>, a <link>, their numbers, each checked.
+
+The functions here raise ValueError, which names the element; `urdf_file.read` adds the key and the
+file.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from undeadzone.support.arrays import Floats, numeric
+
+MOVABLE = "revolute", "continuous", "prismatic"
+TRIANGLE = 1e-9  # of an inertia's largest principal moment: rounding of the file's digits
+
+
+class Joint(NamedTuple):
+    """A <joint> of the file.
+
+    Attributes:
+        name: name of the joint.
+        kind: revolute, continuous, prismatic or fixed.
+        parent, child: the links that it joins.
+        place: place of the child link on the parent (3) [m].
+        turn: rotation matrix of the child link on the parent (3 x 3).
+        axis: axis of motion, a unit vector (3).
+        mimics: name of the joint that it mimics, or None.
+        limits: least and greatest position [rad or m], infinite where the file has none.
+        effort: largest torque [N m] or force [N], infinite where the file has none.
+        velocity: largest speed [rad/s or m/s], infinite where the file has none.
+        friction: viscous [N m s/rad] and Coulomb [N m] coefficients.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    place: Floats
+    turn: Floats
+    axis: Floats
+    mimics: str | None
+    limits: tuple[float, float]
+    effort: float
+    velocity: float
+    friction: tuple[float, float]
+
+
+class Body(NamedTuple):
+    """A rigid body.
+
+    Attributes:
+        mass: mass of the body [kg].
+        centre: centre of mass (3) [m].
+        inertia: inertia about the centre, in the same coordinates (3 x 3) [kg m^2].
+    """
+
+    mass: float
+    centre: Floats
+    inertia: Floats
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Floats:
+    """Rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y, then z."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
+
+
+def joint_of(element: Element) -> Joint:
+    """A <joint>. Raises ValueError."""
+    name, kind = name_of(element), element.get("type", "")
+    where = f"joint {name}"
+    if kind not in (*MOVABLE, "fixed"):
+        raise ValueError(
+            f"{where}: type must be fixed, {', '.join(MOVABLE)}, found {kind!r}; "
+            "the base must be fixed, and each joint turn or slide along one axis"
+        )
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise ValueError(f"{where}: needs <parent link=...> and <child link=...>")
+    axis = _axis(element, kind, where)
+    limits, effort, velocity = _limits(element.find("limit"), kind, where)
+    friction = _friction(element.find("dynamics"), where)
+    _require_limits(kind, limits, effort, velocity, where)
+    if min(friction) < 0:
+        raise ValueError(
+            f"{where}: damping and friction must not be negative, "
+            f"found {friction[0]:g} and {friction[1]:g}"
+        )
+    mimic = element.find("mimic")
+    place, turn = _pose(element, where)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=parent.get("link", ""),
+        child=child.get("link", ""),
+        place=place,
+        turn=turn,
+        axis=axis,
+        mimics=None if mimic is None else mimic.get("joint", ""),
+        limits=limits,
+        effort=effort,
+        velocity=velocity,
+        friction=friction,
+    )
+
+
+def _axis(element: Element, kind: str, where: str) -> Floats:
+    """The unit axis (3) of a <joint>, which a fixed one need not have. Raises ValueError."""
+    axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
+    length = np.linalg.norm(axis)
+    if not length > 0 and kind != "fixed":
+        raise ValueError(f"{where}: its axis is zero")
+    return axis / (length or 1)
+
+
+def _limits(
+    limit: Element | None, kind: str, where: str
+) -> tuple[tuple[float, float], float, float]:
+    """(lower and upper position, effort, velocity) of a <limit>, infinite where it has none."""
+    bounded = None if kind == "continuous" else limit
+    lower = _number(bounded, "lower", -math.inf, where)
+    upper = _number(bounded, "upper", math.inf, where)
+    effort = _number(limit, "effort", math.inf, where)
+    velocity = _number(limit, "velocity", math.inf, where)
+    return (lower, upper), effort, velocity
+
+
+def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
+    """Viscous and Coulomb coefficients of a <dynamics>."""
+    viscous = _number(dynamics, "damping", 0.0, where)
+    coulomb = _number(dynamics, "friction", 0.0, where)
+    return viscous, coulomb
+
+
+def _require_limits(
+    kind: str, limits: tuple[float, float], effort: float, velocity: float, where: str
+) -> None:
+    """Raise ValueError unless a joint that is not fixed can move."""
+    if kind == "fixed":
+        return
+    lower, upper = limits
+    if not lower < upper:
+        raise ValueError(
+            f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; "
+            "remove both where there is no limit"
+        )
+    if not min(effort, velocity) > 0:
+        raise ValueError(
+            f"{where}: limit effort and velocity must be positive, "
+            f"found {effort:g} and {velocity:g}; remove them where there is no limit"
+        )
+
+
+def body_of(element: Element) -> Body:
+    """The body of a <link>, in its coordinates. Raises ValueError."""
+    inertial, where = element.find("inertial"), f"link {name_of(element)}"
+    if inertial is None:
+        return Body(0.0, np.zeros(3), np.zeros((3, 3)))
+    centre, turn = _pose(inertial, where)
+    mass = _number(inertial.find("mass"), "value", 0.0, where)
+    inertia = _inertia(inertial.find("inertia"), where)
+    if mass < 0:
+        raise ValueError(f"{where}: mass must not be negative, found {mass:g}")
+    _require_inertia(inertia, where)
+    return Body(mass, centre, turn @ inertia @ turn.T)
+
+
+def _inertia(element: Element | None, where: str) -> Floats:
+    """The matrix (3 x 3) [kg m^2] of an <inertia>."""
+    xx, xy, xz, yy, yz, zz = (
+        _number(element, f"i{pair}", 0.0, where) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
+    )
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _require_inertia(inertia: Floats, where: str) -> None:
+    """Raise ValueError unless a body can have this inertia."""
+    a, b, c = np.linalg.eigvalsh(inertia)  # the principal moments, the largest last
+    if a < -TRIANGLE * c:
+        raise ValueError(
+            f"{where}: inertia must be positive definite, "
+            f"found the principal moments {a:g}, {b:g}, {c:g}"
+        )
+    if a + b < c * (1 - TRIANGLE):
+        raise ValueError(
+            f"{where}: no body has the principal moments {a:g}, {b:g}, {c:g}: "
+            "the largest must not exceed the sum of the others"
+        )
+
+
+def name_of(element: Element) -> str:
+    """The name of an element. Raises ValueError where it has none."""
+    name = element.get("name", "")
+    if not name:
+        raise ValueError(f"a <{element.tag}> has no name")
+    return name
+
+
+def _pose(element: Element, where: str) -> tuple[Floats, Floats]:
+    """<origin> as place (3) [m] and turn (3 x 3)."""
+    origin = element.find("origin")
+    place = _numbers(origin, "xyz", (0.0, 0.0, 0.0), where)
+    return place, rotation(*_numbers(origin, "rpy", (0.0, 0.0, 0.0), where))
+
+
+def _number(element: Element | None, name: str, otherwise: float, where: str) -> float:
+    """The number of an attribute, or another one where there is none."""
+    return float(_numbers(element, name, (otherwise,), where)[0])
+
+
+def _numbers(
+    element: Element | None, name: str, otherwise: tuple[float, ...], where: str
+) -> Floats:
+    """Numbers of an attribute, as many as it has otherwise. Raises ValueError."""
+    text = None if element is None else element.get(name)
+    if element is None or text is None:
+        return np.array(otherwise)
+    try:
+        numbers = numeric([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.empty(0)
+    if numbers.size != len(otherwise):
+        many = "s" * (len(otherwise) > 1)
+        raise ValueError(
+            f"{where}: <{element.tag} {name}={text!r}>: "
+            f"expected {len(otherwise)} finite number{many}"
+        )
+    return numbers
