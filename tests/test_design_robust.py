@@ -18,7 +18,6 @@ from undeadzone.analysis.certificate.robust import (
     l2_gain,
     project,
     sector,
-    ultimate_bound,
 )
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
