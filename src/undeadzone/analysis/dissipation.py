@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
-# Smallest eigenvalue of P, and smallest multiplier, that the solver may choose in balanced coordinates.
+# Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
 LEAST = 1e-8
 
 

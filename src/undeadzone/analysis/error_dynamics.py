@@ -127,6 +127,12 @@ class Storage(NamedTuple):
         return of_states + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
 
 
+def identity_storage(errors: Dynamics) -> Storage:
+    """V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
+    n, p = errors.L.shape
+    return Storage(np.eye(n), np.ones(p), errors.gamma)
+
+
 def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
     """The error dynamics of a model with n states and p outputs.
 

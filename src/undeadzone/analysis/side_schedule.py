@@ -113,7 +113,7 @@ def _planned_samples(
 
 def _changes(reference: Exosystem, rows: Floats, levels: Floats, ends: Floats) -> Floats:
     """The times [s] at which a side changes or the reference has a corner, none twice."""
-    times = [ends]
+    times: list[Floats] = [ends]
     for row, (right, left) in zip(rows, levels, strict=True):
         times.append(roots(reference, row, right, ends))
         times.append(roots(reference, row, -left, ends))
@@ -205,7 +205,7 @@ def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
     fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
     pieces = np.maximum(1, np.ceil(np.diff(ends) * fastest)).astype(int)
     half = np.repeat(np.diff(ends) / pieces / 2, pieces)
-    middles = []
+    middles: list[Floats] = []
     for a, b, k in zip(ends[:-1], ends[1:], pieces, strict=True):
         middles.append(a + (b - a) * (np.arange(k) + 0.5) / k)
     return np.concatenate(middles), half

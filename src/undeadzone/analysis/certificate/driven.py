@@ -1,4 +1,4 @@
-"""Outside signals drive the error dynamics; here are their inequality and the search for a proof."""
+"""Error dynamics that outside signals drive: their inequality, and the search for its proof."""
 
 from __future__ import annotations
 
@@ -92,12 +92,6 @@ def driven(
     reading = np.hstack([np.zeros((W.size, 0)), *(channel.reading for channel in signals)])
     terms = [(0, 0, z.T @ z), (1, 2, W[:, None] * reading), (2, 2, -np.diag(np.repeat(mu, counts)))]
     return errors.extended(W, state, terms, decay)
-
-
-def identity_storage(errors: Dynamics) -> Storage:
-    """V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
-    n, p = errors.L.shape
-    return Storage(np.eye(n), np.ones(p), errors.gamma)
 
 
 def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> Storage:

@@ -19,13 +19,19 @@ from undeadzone.analysis.certificate.driven import (
     channels,
     deepest,
     driven,
-    identity_storage,
     original_storage,
     output_rows,
     prove,
 )
 from undeadzone.analysis.dissipation import LEAST, Check, Inequality, check
-from undeadzone.analysis.error_dynamics import Dynamics, Storage, adaptation, balance, delta
+from undeadzone.analysis.error_dynamics import (
+    Dynamics,
+    Storage,
+    adaptation,
+    balance,
+    delta,
+    identity_storage,
+)
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats, matrix, vector

@@ -15,13 +15,12 @@ from undeadzone.analysis.certificate.driven import (
     Channel,
     channels,
     driven,
-    identity_storage,
     original_storage,
     output_rows,
     prove,
 )
 from undeadzone.analysis.dissipation import Check, Family, Inequality, Solution, check
-from undeadzone.analysis.error_dynamics import Dynamics, Storage, balance, growth
+from undeadzone.analysis.error_dynamics import Dynamics, Storage, balance, growth, identity_storage
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats, vector
 
