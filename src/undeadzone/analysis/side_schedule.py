@@ -184,7 +184,7 @@ def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floa
     S = reference.S
     slope, curvature = row @ S, np.abs(row @ S @ S)
     middle, half = _pieces(S, ends)
-    times = [np.empty(0)]
+    times: list[Floats] = [np.empty(0)]
     while middle.size:
         w = reference.state(middle)
         f, reach = w @ row - level, _reach(np.abs(S), float(half.max()))
