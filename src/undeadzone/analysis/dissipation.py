@@ -229,11 +229,7 @@ def _affine(points: list[Inequality]) -> Family:
 
 
 def storage(inequality: Inequality) -> Floats | None:
-    """P deep inside the inequality, or as near to it as there is one.
-
-    Returns:
-        P (n x n), to be checked; None if the solver finds nothing at all.
-    """
+    """P (n x n), to be checked, deep inside the inequality or near to it; None if none is found."""
     none = np.zeros(0)
 
     def proved(solution: Solution) -> bool:

@@ -166,12 +166,12 @@ def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Fl
         if short.any():
             return centre[short][np.argsort(depth[short])[:WORST]]
         effect = (np.abs(turns) + doubt)[open_] @ weight
-        low, high = _halved(low, centre, high, effect, box)
+        low, high = halved(low, centre, high, effect, box)
         low, high = np.vstack([later_low, low]), np.vstack([later_high, high])
     return np.full((int(low.size > 0), box.low.size), np.nan)
 
 
-def _halved(
+def halved(
     low: Floats, centre: Floats, high: Floats, effect: Floats, box: Box
 ) -> tuple[Floats, Floats]:
     """(low, high) of both halves of each part, cut across the side of most effect on M.

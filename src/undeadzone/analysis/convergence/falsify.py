@@ -125,7 +125,7 @@ def falsify(
 
 
 def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
-    """Errors of length 1 (groups x size x N); the first of a group is one that a map raises most."""
+    """Errors of length 1 (groups x size x N); a map raises the first of each group most."""
     shape = (GROUPS, size, maps.shape[-1])
     states = rng.normal(size=shape) * 10 ** rng.uniform(-1, 1, shape)
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(maps), size=GROUPS), 0]
@@ -136,8 +136,9 @@ def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
 def _switch(rng: np.random.Generator, maps: Floats, states: Floats) -> tuple[Integers, Floats]:
     """(the modes taken, where they lead): at random, in one group of 20 the worst on offer."""
     groups, size = states.shape[:2]
-    taken: Integers = np.repeat(rng.integers(len(maps), size=groups)[:, None], size, axis=1)
-    following = states @ maps[taken[:, 0]].transpose(0, 2, 1)
+    drawn = np.asarray(rng.integers(len(maps), size=groups))
+    taken = np.repeat(drawn[:, None], size, axis=1)
+    following = states @ maps[drawn].transpose(0, 2, 1)
     offered = rng.choice(len(maps), min(OFFERED, len(maps)), replace=False)
     for g in range(groups // 20):
         tried = states[g] @ maps[offered].transpose(0, 2, 1)

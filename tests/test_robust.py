@@ -1,4 +1,7 @@
-"""Every extension of the certificate holds in simulation, and where a number is claimed to be the least it is nearly reached."""
+"""Every extension of the certificate holds in simulation.
+
+Where a number is claimed to be the least, it is nearly reached.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from undeadzone.analysis.certificate.robust import (
     project,
     sector,
 )
+from undeadzone.analysis.certificate.ultimate import ultimate_bound
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
@@ -56,12 +60,13 @@ def switched(
     d0: Any = 0.0,
     limit: Any = None,
 ) -> Floats:
-    """[x~; d~] (steps + 1 rows) of the error dynamics on given sides (steps x p), w (steps x q) and v (steps x p) held for each step.
+    """[x~; d~] (steps + 1 rows) along sides (steps x p), w (steps x q) and v (steps x p).
 
-    Continuous time is solved exactly over each h; leak: d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
+    They are held for each step. Continuous time is solved exactly over each h; leak:
+    d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
     """
     n, p = given.L.shape
-    found = [start]
+    errors = [start]
     maps: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
     for k in range(steps):
         key = tuple(int(side) for side in sides[k])
@@ -78,43 +83,39 @@ def switched(
             )
             if given.Ts is None:
                 size = len(F)
-                both = expm(
-                    h
-                    * np.block([[F, inputs], [np.zeros((inputs.shape[1], size + inputs.shape[1]))]])
-                )
+                still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
+                both = expm(h * np.block([[F, inputs], [still]]))
                 maps[key] = both[:size, :size], both[:size, size:]
             else:
                 maps[key] = np.eye(len(F)) + given.Ts * F, given.Ts * inputs
         step, drive = maps[key]
-        after = step @ found[-1] + drive @ np.concatenate(
-            [w[k], v[k], np.full(2 * p, d0) if np.ndim(d0) == 0 else d0]
-        )
+        after = step @ errors[-1] + drive @ np.concatenate([w[k], v[k], np.broadcast_to(d0, 2 * p)])
         if limit is not None:
             after[n:] = np.clip(after[n:], -limit, limit)
-        found.append(after)
-    return np.array(found)
+        errors.append(after)
+    return np.array(errors)
 
 
 def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
     """A random sequence of rows, each held for about `hold` steps."""
     choices = np.asarray(choices, float)
-    picks = np.repeat(
-        rng.integers(len(choices), size=steps), rng.integers(1, 2 * hold, size=steps)
-    )[:steps]
-    return choices[picks]
+    picks = rng.integers(len(choices), size=steps)
+    times = rng.integers(1, 2 * hold, size=steps)
+    return choices[np.repeat(picks, times)[:steps]]
 
 
 @pytest.mark.parametrize("Ts", [None, 0.01, 0.2])
 @pytest.mark.parametrize("gains", [(1.0, 1.5), (2.0, 3.0), (-0.5, 0.4)])
 def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float | None) -> None:
-    """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v; the worst w is a slow one on the silent side."""
+    """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v.
+
+    The worst w is a slow one on the silent side.
+    """
     given = paper(Ts, np.array(gains)[:, None], 2.0)
     E = entry(Ts)
-    both, only_w, only_v = (
-        l2_gain(given, E, np.array([0.3])),
-        l2_gain(given, E),
-        l2_gain(given, noise=np.array([0.3])),
-    )
+    both = l2_gain(given, E, np.array([0.3]))
+    only_w = l2_gain(given, E)
+    only_v = l2_gain(given, noise=np.array([0.3]))
     assert both.check.proved
     assert only_w.check.proved
     assert only_v.check.proved
@@ -139,7 +140,7 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
 
 
 def test_the_disturbance_gain_is_reached() -> None:
-    """(1, 1.5): the gain is 1, and a constant force while the sensor is silent comes within 1 % of it."""
+    """(1, 1.5): the gain is 1; a constant force while the sensor is silent comes within 1 %."""
     given = paper()
     found = l2_gain(given, B)
     assert found.disturbance == pytest.approx(1.0, abs=1e-5)
@@ -180,15 +181,11 @@ def test_gains_do_not_depend_on_units() -> None:
         np.array([10.0]),
         None,
     )
-    one, two = (
-        l2_gain(given, B, np.array([0.3])),
-        l2_gain(other, B / x[:, None], np.array([0.3 / y])),
-    )
+    one = l2_gain(given, B, np.array([0.3]))
+    two = l2_gain(other, B / x[:, None], np.array([0.3 / y]))
     assert np.array(two[:2]) * y == pytest.approx(np.array(one[:2]), rel=1e-4)
-    a, b = (
-        ultimate_bound(given, 0.5, B, np.array([0.1])),
-        ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y])),
-    )
+    a = ultimate_bound(given, 0.5, B, np.array([0.1]))
+    b = ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y]))
     assert b.bound * y == pytest.approx(a.bound, rel=1e-3)
 
 
@@ -197,7 +194,7 @@ def test_gains_do_not_depend_on_units() -> None:
 def test_ultimate_bound_holds_with_projection_and_with_leakage(
     sigma: float, Ts: float | None
 ) -> None:
-    """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level, whatever sides, w and v."""
+    """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level."""
     given = paper(Ts, gamma=[[5.0, 2.0]])
     E, noise, widths = entry(Ts), np.array([0.1]), np.array([0.4, 0.7])
     found = ultimate_bound(given, widths, E, noise, sigma)
@@ -221,7 +218,10 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
 
 
 def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
-    """Without disturbance, V ends below its value at x~ = 0, d~ = d - d0, if x~ can follow as fast as the leak."""
+    """Without disturbance, V ends below its value at x~ = 0, d~ = d - d0.
+
+    For that x~ must be able to follow as fast as the leak.
+    """
     given = paper(gamma=1.0)
     found = ultimate_bound(given, np.array([0.5, 0.5]), sigma=0.1)
     level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
@@ -242,7 +242,7 @@ def test_leakage_is_refused_where_it_is_not_covered() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.02])
 def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | None) -> None:
-    """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r at the corners; at 1.5 r of a stiffness it can rise."""
+    """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r, and can rise at 5 r."""
     rng = np.random.default_rng(3)
     linear = random_matrices(rng, 3, 1) if Ts is None else zoh(random_matrices(rng, 3, 1), Ts)
     given = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
@@ -259,14 +259,13 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
 def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
-    """A + E Delta F_A, B + E Delta F_B with |Delta| just below the certified radius: V of (x - x_ref, x~, d~) falls."""
+    """A + E Delta F_A, B + E Delta F_B, |Delta| just below the certified radius.
+
+    V of (x - x_ref, x~, d~) falls.
+    """
     model = PAPER if Ts is None else zoh(PAPER, Ts)
-    K, E, F_A, F_B = (
-        np.array([[1.0, 1.0]]),
-        np.array([[0.0], [1.0]]),
-        np.array([[1.0, 2.0]]),
-        np.array([[1.0]]),
-    )
+    K, E = np.array([[1.0, 1.0]]), np.array([[0.0], [1.0]])
+    F_A, F_B = np.array([[1.0, 2.0]]), np.array([[1.0]])
     nominal = closed_loop(model, [model], L, K, np.array([5.0]), Ts)
     F = np.hstack([F_A - F_B @ K, F_B @ K])
     radius = certified_radius(nominal, np.vstack([E, E]), F)
@@ -282,9 +281,9 @@ def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
 def test_known_nonlinear_plant(Ts: float | None) -> None:
-    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: no linear part alone is stable, yet one V falls; [-0.1, 1] has none.
+    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: one V falls; for [-0.1, 1] there is none.
 
-    Sampled: the plant x+ = x + Ts (...), given as such.
+    No linear part alone is stable.     Sampled: the plant x+ = x + Ts (...), given as such.
     """
     linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
     given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
@@ -292,9 +291,8 @@ def test_known_nonlinear_plant(Ts: float | None) -> None:
     assert found.certified
     ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
     assert not falsify(ends, found.V, 5000).broken
-    assert certify_dynamics(
-        ends
-    ).certified  # Jacobian vertices: the same here, phi being one component
+    # Jacobian vertices: the same here, phi being one component.
+    assert certify_dynamics(ends).certified
     assert not sector(given, -B, C, np.array([-0.1]), np.array([1.0])).certified
     with pytest.raises(InputError, match="low: must not exceed high"):
         sector(given, -B, C, np.array([1.0]), np.array([0.0]))
@@ -309,7 +307,7 @@ def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
 
 
 def test_v_falls_along_a_nonlinear_closed_loop() -> None:
-    """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls from sample to sample."""
+    """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls."""
     plant = {
         "f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"],
         "h": ["x1"],
@@ -340,20 +338,19 @@ def test_v_falls_along_a_nonlinear_closed_loop() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.01])
 def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
-    """Stiffness, damping and gain within 20 %: one V over (x - x_ref, x~, d~), which no sequence of plants and sides makes rise."""
+    """Stiffness, damping and gain within 20 %: one V over (x - x_ref, x~, d~).
+
+    No sequence of plants and sides makes it rise.
+    """
     model = PAPER if Ts is None else zoh(PAPER, Ts)
     K = np.array([[1.0, 1.0]])
 
     def corners(spread: float) -> list[Matrices]:
-        found = [
-            Matrices(
-                np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]),
-                B * (1 + c * spread),
-                C,
-            )
-            for a, b, c in itertools.product((-1, 1), repeat=3)
-        ]
-        return found if Ts is None else [zoh(plant, Ts) for plant in found]
+        plants = []
+        for a, b, c in itertools.product((-1, 1), repeat=3):
+            A = np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]])
+            plants.append(Matrices(A, B * (1 + c * spread), C))
+        return plants if Ts is None else [zoh(plant, Ts) for plant in plants]
 
     found = certify_dynamics(closed_loop(model, corners(0.2), L, K, np.array([5.0]), Ts))
     assert found.certified
@@ -367,7 +364,7 @@ def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
 
 
 def test_v_falls_along_a_mismatched_closed_loop() -> None:
-    """The real loop, its plant a corner of the certified box, released from afar with nothing to follow."""
+    """The real loop, its plant a corner of the certified box, released with nothing to follow."""
     corner = [[0.0, 1.0], [-1.2, -1.6]]
     run = simulate(
         scene(
@@ -397,7 +394,7 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
 
 
 def test_projection_in_the_metric_of_v_never_raises_it() -> None:
-    """For a full Gamma, clipping each width by itself can raise V; the projection in the metric of V cannot."""
+    """For a full Gamma, clipping each width by itself can raise V; projection cannot."""
     linear = random_matrices(np.random.default_rng(0), 3, 1)
     found = certify(linear, passive_gain(linear, None), np.array([[1.0, 0.9], [0.9, 1.0]]))
     assert found.certified
@@ -406,10 +403,8 @@ def test_projection_in_the_metric_of_v_never_raises_it() -> None:
     for _ in range(200):
         d, d_hat = rng.uniform(0, 1, 2), rng.normal(0.5, 1.0, 2)
         nearest = project(d_hat, found.V, limit)
-        before, after, naive = (
-            found.V.value(np.zeros((1, 3)), (d - point)[None])[0]
-            for point in (d_hat, nearest, np.clip(d_hat, 0, limit))
-        )
+        points = d_hat, nearest, np.clip(d_hat, 0, limit)
+        before, after, naive = found.V.value(np.zeros((3, 3)), d - np.array(points))
         assert ((nearest >= 0) & (nearest <= limit)).all()
         assert after <= before * (1 + 1e-9)
         clipped += naive > before * (1 + 1e-9)
@@ -434,7 +429,10 @@ def test_any_silence_threshold_is_certified(threshold: float) -> None:
 
 
 def test_noise_below_the_threshold_obeys_the_noise_gain() -> None:
-    """Bounded noise, |v| <= threshold: no false side, so that int |z~|^2 <= V(0) + b^2 int |v|^2 in the real loop."""
+    """Bounded noise, |v| <= threshold: no false side in the real loop.
+
+    So int |z~|^2 <= V(0) + b^2 int |v|^2.
+    """
     Ts, noise = 0.01, 0.02
     run = simulate(
         scene(
