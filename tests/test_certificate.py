@@ -155,10 +155,10 @@ def positive_definite(M: Any) -> bool:
 
 def proved_exactly(found: Certificate, linear: Matrices) -> bool:
     """V+ - V < 0 or V' < 0 in (x~, e), from the plain (not the delta) form, in rational numbers."""
-    given, Ts = found.dynamics, found.dynamics.Ts
-    A, C, L = exact(linear.A), exact(given.C), exact(given.L)
+    errors, Ts = found.dynamics, found.dynamics.Ts
+    A, C, L = exact(linear.A), exact(errors.C), exact(errors.L)
     P, W = exact(found.P), exact(np.diag(found.W))
-    n, p = given.L.shape
+    n, p = errors.L.shape
     if Ts is None:
         PA, cross = P @ A, C.T @ W - P @ L
         M = np.block([[PA + PA.T, cross], [cross.T, -2 * W]])
@@ -169,7 +169,7 @@ def proved_exactly(found: Certificate, linear: Matrices) -> bool:
         M[:n, :n] -= P / step
         M[:n, n:] += C.T @ W
         M[n:, :n] += W @ C
-        gamma = exact(np.diag(np.diag(given.gamma).reshape(p, 2).max(axis=1)))
+        gamma = exact(np.diag(np.diag(errors.gamma).reshape(p, 2).max(axis=1)))
         M[n:, n:] += W @ (step * gamma - 2 * exact(np.eye(p)))
     return positive_definite(P) and positive_definite(-M)
 
@@ -246,12 +246,11 @@ def test_units_do_not_matter(Ts: float | None) -> None:
 def test_sampled_tends_to_continuous() -> None:
     L, gamma = column(1, 1.5), np.array([10.0])
     limit = certify(PAPER, L, gamma)
-    errors = [
-        abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin)
-        for Ts in (1e-2, 1e-3, 1e-4)
-    ]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[1] / errors[2] == pytest.approx(10, rel=0.05)
+    off = []
+    for Ts in (1e-2, 1e-3, 1e-4):
+        off.append(abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin))
+    assert off[0] > off[1] > off[2]
+    assert off[1] / off[2] == pytest.approx(10, rel=0.05)
 
 
 def test_stiff_plants_are_proved() -> None:
@@ -317,17 +316,17 @@ def test_gains_of_the_wrong_shape_are_refused() -> None:
 
 def test_recheck_trusts_nobody() -> None:
     found = certify(PAPER, column(1, 1.5), np.array([10.0]))
-    P, W, given = found.P, found.W, found.dynamics
+    P, W, errors = found.P, found.W, found.dynamics
     assert found.recheck() == found.check
-    assert recheck(given, P * 3, W * 3).proved
-    assert not recheck(given, -P, W).proved
-    assert not recheck(given, P, -W).proved
-    assert not recheck(given, P * np.nan, W).proved
-    assert not recheck(given, P + np.diag([0, 50.0]), W).proved
-    assert not recheck(given, P, 30 * W).proved
-    assert not recheck(given._replace(L=column(12, 15)), P, W).proved
-    assert not recheck(given._replace(A=(-PAPER.A,)), P, W).proved
-    edge = given._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
+    assert recheck(errors, P * 3, W * 3).proved
+    assert not recheck(errors, -P, W).proved
+    assert not recheck(errors, P, -W).proved
+    assert not recheck(errors, P * np.nan, W).proved
+    assert not recheck(errors, P + np.diag([0, 50.0]), W).proved
+    assert not recheck(errors, P, 30 * W).proved
+    assert not recheck(errors._replace(L=column(12, 15)), P, W).proved
+    assert not recheck(errors._replace(A=(-PAPER.A,)), P, W).proved
+    edge = errors._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
     assert recheck(edge, np.eye(1), np.ones(1)).proved
     assert not recheck(
         edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)
@@ -399,10 +398,10 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
 
     best = size(found.certificate.dynamics.L - L)
     assert found.distance == pytest.approx(best / size(L) if best > 0 else 0.0, rel=1e-3, abs=1e-9)
-    given = dynamics(linear, L, gamma, Ts)
+    errors = dynamics(linear, L, gamma, Ts)
     for _ in range(300):
         other = found.certificate.dynamics.L + rng.normal(size=(3, 1)) * 10 ** rng.uniform(-3, 1)
-        if margin(given._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
+        if margin(errors._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
             assert size(other - L) >= best * (1 - 1e-3)
 
 

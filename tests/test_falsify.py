@@ -107,9 +107,9 @@ def test_divergence_is_found_and_is_real(
     """
     linear = PAPER if Ts is None else zoh(PAPER, Ts)
     gains = column(*L)
-    given = dynamics(linear, gains, np.array([gamma]), Ts)
+    errors = dynamics(linear, gains, np.array([gamma]), Ts)
     assert not certify(linear, gains, np.array([gamma]), Ts).certified
-    cycle = diverge(given)
+    cycle = diverge(errors)
     assert cycle.factor > 1.005
     assert cycle.seconds == pytest.approx(sum(mode.seconds for mode in cycle.modes))
     periods = 10 + int(np.log(1e5) / np.log(cycle.factor))
@@ -128,11 +128,11 @@ def test_the_mode_matrices_are_those_of_the_observer() -> None:
     Nothing of that while silent.
     """
     L, gamma = column(1, 1.5), np.array([[10.0, 4.0]])
-    given = dynamics(PAPER, L, gamma, None)
+    errors = dynamics(PAPER, L, gamma, None)
     x, d = np.array([0.3, -0.7]), np.array([0.2, 0.5])
     for side, theta in ((1, 1.0), (-1, 0.4), (0, 1.0)):
         mode = Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)
-        rate = generator(given, mode) @ np.concatenate([x, d])
+        rate = generator(errors, mode) @ np.concatenate([x, d])
         e = theta * (x[0] - d[0] if side > 0 else x[0] + d[1]) * abs(side)
         assert rate[:2] == pytest.approx(PAPER.A @ x - L[:, 0] * e)
         assert rate[2:] == pytest.approx([10.0 * e * (side > 0), -4.0 * e * (side < 0)])

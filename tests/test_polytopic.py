@@ -210,13 +210,13 @@ def rises(found: Certificate, model: System, within: Box, seed: int, rows: int =
     e = rng.choice([0.0, 0.3, 1.0], (rows, model.p)) * (
         error @ model.linear.C.T - np.einsum("kij,kj->ki", S, d)
     )
-    given, V = found.dynamics, found.V
-    change = np.einsum("kij,ki->kj", S, e) @ given.gamma
+    errors, V = found.dynamics, found.V
+    change = np.einsum("kij,ki->kj", S, e) @ errors.gamma
     value = V.value(error, d)
     if model.Ts is not None:
-        error_next = moved - guessed - model.Ts * e @ given.L.T
+        error_next = moved - guessed - model.Ts * e @ errors.L.T
         return (V.value(error_next, d + model.Ts * change) - value) / model.Ts / value
-    of_states = 2 * np.einsum("ki,ij,kj->k", error, V.P, moved - guessed - e @ given.L.T)
+    of_states = 2 * np.einsum("ki,ij,kj->k", error, V.P, moved - guessed - e @ errors.L.T)
     return (of_states + 2 * np.einsum("ki,ij,kj->k", d, V.R, change)) / value
 
 

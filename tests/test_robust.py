@@ -47,7 +47,7 @@ def entry(Ts: float | None) -> Floats:
 
 
 def switched(
-    given: Dynamics,
+    errors: Dynamics,
     sides: Any,
     steps: int,
     h: float,
@@ -65,35 +65,39 @@ def switched(
     They are held for each step. Continuous time is solved exactly over each h; leak:
     d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
     """
-    n, p = given.L.shape
-    errors = [start]
+    n, p = errors.L.shape
+    path = [start]
     maps: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
     for k in range(steps):
         key = tuple(int(side) for side in sides[k])
         if key not in maps:
             S = pattern(key)
             active = np.diag(np.abs(key).astype(float))
-            F = generator(given, Mode(np.ones(1), S, np.ones(p), h))
-            F[n:, n:] -= leak * given.gamma
+            F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
+            F[n:, n:] -= leak * errors.gamma
             inputs = np.block(
                 [
-                    [E, -given.L @ active * noise, np.zeros((n, 2 * p))],
-                    [np.zeros((2 * p, E.shape[1])), given.gamma @ S.T * noise, leak * given.gamma],
+                    [E, -errors.L @ active * noise, np.zeros((n, 2 * p))],
+                    [
+                        np.zeros((2 * p, E.shape[1])),
+                        errors.gamma @ S.T * noise,
+                        leak * errors.gamma,
+                    ],
                 ]
             )
-            if given.Ts is None:
+            if errors.Ts is None:
                 size = len(F)
                 still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
                 both = expm(h * np.block([[F, inputs], [still]]))
                 maps[key] = both[:size, :size], both[:size, size:]
             else:
-                maps[key] = np.eye(len(F)) + given.Ts * F, given.Ts * inputs
+                maps[key] = np.eye(len(F)) + errors.Ts * F, errors.Ts * inputs
         step, drive = maps[key]
-        after = step @ errors[-1] + drive @ np.concatenate([w[k], v[k], np.broadcast_to(d0, 2 * p)])
+        after = step @ path[-1] + drive @ np.concatenate([w[k], v[k], np.broadcast_to(d0, 2 * p)])
         if limit is not None:
             after[n:] = np.clip(after[n:], -limit, limit)
-        errors.append(after)
-    return np.array(errors)
+        path.append(after)
+    return np.array(path)
 
 
 def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
@@ -111,11 +115,11 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
 
     The worst w is a slow one on the silent side.
     """
-    given = paper(Ts, np.array(gains)[:, None], 2.0)
+    errors = paper(Ts, np.array(gains)[:, None], 2.0)
     E = entry(Ts)
-    both = l2_gain(given, E, np.array([0.3]))
-    only_w = l2_gain(given, E)
-    only_v = l2_gain(given, noise=np.array([0.3]))
+    both = l2_gain(errors, E, np.array([0.3]))
+    only_w = l2_gain(errors, E)
+    only_v = l2_gain(errors, noise=np.array([0.3]))
     assert both.check.proved
     assert only_w.check.proved
     assert only_v.check.proved
@@ -131,7 +135,7 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
         v = rng.normal(size=(steps, 1)) if trial % 2 else held(rng, [[1.0], [-1.0]], steps, 50)
         start = rng.normal(size=4) * (trial % 3)
         for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
-            path = switched(given, sides, steps, h, E, dist, np.array([0.3]), noise, start)
+            path = switched(errors, sides, steps, h, E, dist, np.array([0.3]), noise, start)
             z2 = (path[:-1, 0] ** 2).sum() * h
             supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (
                 found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum()
@@ -141,12 +145,12 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
 
 def test_the_disturbance_gain_is_reached() -> None:
     """(1, 1.5): the gain is 1; a constant force while the sensor is silent comes within 1 %."""
-    given = paper()
-    found = l2_gain(given, B)
+    errors = paper()
+    found = l2_gain(errors, B)
     assert found.disturbance == pytest.approx(1.0, abs=1e-5)
     steps, h = 20_000, 0.02
     path = switched(
-        given,
+        errors,
         np.zeros((steps, 1)),
         steps,
         h,
@@ -174,17 +178,17 @@ def test_gains_of_an_uncertified_observer_are_infinite() -> None:
 
 
 def test_gains_do_not_depend_on_units() -> None:
-    given, x, y = paper(), np.array([1e4, 1e-3]), 100.0
+    errors, x, y = paper(), np.array([1e4, 1e-3]), 100.0
     other = dynamics(
         Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y),
         L * y / x[:, None],
         np.array([10.0]),
         None,
     )
-    one = l2_gain(given, B, np.array([0.3]))
+    one = l2_gain(errors, B, np.array([0.3]))
     two = l2_gain(other, B / x[:, None], np.array([0.3 / y]))
     assert np.array(two[:2]) * y == pytest.approx(np.array(one[:2]), rel=1e-4)
-    a = ultimate_bound(given, 0.5, B, np.array([0.1]))
+    a = ultimate_bound(errors, 0.5, B, np.array([0.1]))
     b = ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y]))
     assert b.bound * y == pytest.approx(a.bound, rel=1e-3)
 
@@ -195,9 +199,9 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
     sigma: float, Ts: float | None
 ) -> None:
     """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level."""
-    given = paper(Ts, gamma=[[5.0, 2.0]])
+    errors = paper(Ts, gamma=[[5.0, 2.0]])
     E, noise, widths = entry(Ts), np.array([0.1]), np.array([0.4, 0.7])
-    found = ultimate_bound(given, widths, E, noise, sigma)
+    found = ultimate_bound(errors, widths, E, noise, sigma)
     assert found.check.proved
     assert 1.0 <= found.bound < 3.0  # the silent plant under a constant force alone ends at 1
     rng = np.random.default_rng(1)
@@ -210,7 +214,18 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
         start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
         d0 = widths * rng.choice([-1, 1], 2)
         path = switched(
-            given, sides, steps, h, E, w, noise, v, start, sigma, d0, widths if sigma == 0 else None
+            errors,
+            sides,
+            steps,
+            h,
+            E,
+            w,
+            noise,
+            v,
+            start,
+            sigma,
+            d0,
+            widths if sigma == 0 else None,
         )
         tail = path[-1500:]
         assert np.abs(tail[:, 0]).max() <= found.bound
@@ -222,8 +237,8 @@ def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
 
     For that x~ must be able to follow as fast as the leak.
     """
-    given = paper(gamma=1.0)
-    found = ultimate_bound(given, np.array([0.5, 0.5]), sigma=0.1)
+    errors = paper(gamma=1.0)
+    found = ultimate_bound(errors, np.array([0.5, 0.5]), sigma=0.1)
     level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
     assert found.check.proved
     assert found.level == pytest.approx(level, rel=0.1)
@@ -245,15 +260,17 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
     """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r, and can rise at 5 r."""
     rng = np.random.default_rng(3)
     linear = random_matrices(rng, 3, 1) if Ts is None else zoh(random_matrices(rng, 3, 1), Ts)
-    given = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
+    errors = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
     E, F = rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
-    radius = certified_radius(given, E, F)
+    radius = certified_radius(errors, E, F)
     assert radius > 0
-    V = l2_gain(given, E, output=F).V
+    V = l2_gain(errors, E, output=F).V
     turns = [np.linalg.qr(rng.normal(size=(2, 2)))[0] for _ in range(12)]
-    inside = given._replace(A=tuple(given.A[0] + 0.999 * radius * E @ Delta @ F for Delta in turns))
+    inside = errors._replace(
+        A=tuple(errors.A[0] + 0.999 * radius * E @ Delta @ F for Delta in turns)
+    )
     assert not falsify(inside, V, 5000, seed=1).broken
-    outside = given._replace(A=tuple(given.A[0] + 5 * radius * E @ Delta @ F for Delta in turns))
+    outside = errors._replace(A=tuple(errors.A[0] + 5 * radius * E @ Delta @ F for Delta in turns))
     assert falsify(outside, V, 5000, seed=1).broken
 
 
@@ -271,10 +288,9 @@ def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
     radius = certified_radius(nominal, np.vstack([E, E]), F)
     assert 0.1 < radius < 1
     step = 1.0 if Ts is None else Ts
-    plants = [
-        Matrices(model.A + step * share * E @ F_A, model.B + step * share * E @ F_B, C)
-        for share in (-0.999 * radius, 0.999 * radius)
-    ]
+    plants = []
+    for size in (-0.999 * step * radius, 0.999 * step * radius):
+        plants.append(Matrices(model.A + size * E @ F_A, model.B + size * E @ F_B, C))
     V = l2_gain(nominal, np.vstack([E, E]), output=F).V
     assert not falsify(closed_loop(model, plants, L, K, np.array([5.0]), Ts), V, 5000).broken
 
@@ -283,27 +299,27 @@ def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
 def test_known_nonlinear_plant(Ts: float | None) -> None:
     """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: one V falls; for [-0.1, 1] there is none.
 
-    No linear part alone is stable.     Sampled: the plant x+ = x + Ts (...), given as such.
+    No linear part alone is stable. Sampled: the plant is x+ = x + Ts (...) itself.
     """
     linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
-    given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
-    found = sector(given, -B, C, np.array([0.2]), np.array([1.0]))
+    errors = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
+    found = sector(errors, -B, C, np.array([0.2]), np.array([1.0]))
     assert found.certified
-    ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
+    ends = errors._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
     assert not falsify(ends, found.V, 5000).broken
     # Jacobian vertices: the same here, phi being one component.
     assert certify_dynamics(ends).certified
-    assert not sector(given, -B, C, np.array([-0.1]), np.array([1.0])).certified
+    assert not sector(errors, -B, C, np.array([-0.1]), np.array([1.0])).certified
     with pytest.raises(InputError, match="low: must not exceed high"):
-        sector(given, -B, C, np.array([1.0]), np.array([0.0]))
+        sector(errors, -B, C, np.array([1.0]), np.array([0.0]))
 
 
 def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
-    given = paper(gamma=1.0)
-    assert certified_radius(given, B, C) == pytest.approx(1.0, abs=1e-4)
-    assert sector(given, B, C, np.array([-3.0]), np.array([0.0])).certified
-    assert sector(given, B, C, np.array([-0.99]), np.array([0.99])).certified
-    assert not sector(given, B, C, np.array([-1.01]), np.array([1.01])).certified
+    errors = paper(gamma=1.0)
+    assert certified_radius(errors, B, C) == pytest.approx(1.0, abs=1e-4)
+    assert sector(errors, B, C, np.array([-3.0]), np.array([0.0])).certified
+    assert sector(errors, B, C, np.array([-0.99]), np.array([0.99])).certified
+    assert not sector(errors, B, C, np.array([-1.01]), np.array([1.01])).certified
 
 
 def test_v_falls_along_a_nonlinear_closed_loop() -> None:
@@ -328,8 +344,8 @@ def test_v_falls_along_a_nonlinear_closed_loop() -> None:
             simulation={"duration": 6.0},
         )
     )
-    given = paper(gamma=5.0)
-    found = sector(given, -B, C, np.array([0.0]), np.array([0.9]))
+    errors = paper(gamma=5.0)
+    found = sector(errors, -B, C, np.array([0.0]), np.array([0.9]))
     assert found.certified
     V = found.V.value(run.x - run.x_hat, np.array([1.0, 1.0]) - run.d_hat)
     assert V[-1] < 0.05 * V[0]
@@ -382,10 +398,9 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
             simulation={"duration": 5.0},
         )
     )
-    plants = [
-        Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C)
-        for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2))
-    ]
+    plants = []
+    for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2)):
+        plants.append(Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C))
     found = certify_dynamics(closed_loop(PAPER, plants, L, np.array([[1.0, 1.0]]), np.array([5.0])))
     assert found.certified
     V = found.V.value(np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat)
