@@ -75,16 +75,10 @@ def switched(
             active = np.diag(np.abs(key).astype(float))
             F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
             F[n:, n:] -= leak * errors.gamma
-            inputs = np.block(
-                [
-                    [E, -errors.L @ active * noise, np.zeros((n, 2 * p))],
-                    [
-                        np.zeros((2 * p, E.shape[1])),
-                        errors.gamma @ S.T * noise,
-                        leak * errors.gamma,
-                    ],
-                ]
-            )
+            to_states = np.hstack([E, -errors.L @ active * noise, np.zeros((n, 2 * p))])
+            of_w = np.zeros((2 * p, E.shape[1]))
+            to_widths = np.hstack([of_w, errors.gamma @ S.T * noise, leak * errors.gamma])
+            inputs = np.vstack([to_states, to_widths])
             if errors.Ts is None:
                 size = len(F)
                 still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
@@ -213,20 +207,8 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
         v = held(rng, [[-1.0], [1.0]], steps, 10)
         start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
         d0 = widths * rng.choice([-1, 1], 2)
-        path = switched(
-            errors,
-            sides,
-            steps,
-            h,
-            E,
-            w,
-            noise,
-            v,
-            start,
-            sigma,
-            d0,
-            widths if sigma == 0 else None,
-        )
+        limit = widths if sigma == 0 else None
+        path = switched(errors, sides, steps, h, E, w, noise, v, start, sigma, d0, limit)
         tail = path[-1500:]
         assert np.abs(tail[:, 0]).max() <= found.bound
         assert found.V.value(tail[:, :2], tail[:, 2:]).max() <= found.level
@@ -266,12 +248,12 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
     assert radius > 0
     V = l2_gain(errors, E, output=F).V
     turns = [np.linalg.qr(rng.normal(size=(2, 2)))[0] for _ in range(12)]
-    inside = errors._replace(
-        A=tuple(errors.A[0] + 0.999 * radius * E @ Delta @ F for Delta in turns)
-    )
-    assert not falsify(inside, V, 5000, seed=1).broken
-    outside = errors._replace(A=tuple(errors.A[0] + 5 * radius * E @ Delta @ F for Delta in turns))
-    assert falsify(outside, V, 5000, seed=1).broken
+
+    def perturbed(size: float) -> Dynamics:
+        return errors._replace(A=tuple(errors.A[0] + size * E @ Delta @ F for Delta in turns))
+
+    assert not falsify(perturbed(0.999 * radius), V, 5000, seed=1).broken
+    assert falsify(perturbed(5 * radius), V, 5000, seed=1).broken
 
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
