@@ -1,4 +1,4 @@
-"""Widths along runs of nonlinear plants: verdicts against theory, the Gramian against runs with other starts and widths."""
+"""Widths along runs of nonlinear plants: verdicts against theory, Gramians against other runs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from scenes import linear, random_plant
-from undeadzone.analysis.identifiability import observability as design
+from undeadzone.analysis.identifiability import linearised_run, square_root
 from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
 from undeadzone.analysis.identifiability.nonlinear import variance, verdicts_along
 from undeadzone.analysis.identifiability.observability import Observability, observability
@@ -187,11 +188,13 @@ def test_the_centre_is_lost_where_nothing_depends_on_a_position_and_only_there(n
 def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others_show(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Other starts and widths, simulated: along the invisible changes readings stay, along any other they differ as the Gramian has it."""
-    monkeypatch.setattr(design, "CAP", 1e9)
-    run = swinging(
-        name, {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}.get(name, 6.0)
-    )  # these leave their neighbours fast
+    """Other starts and widths, simulated: along the invisible changes readings stay.
+
+    Along any other they differ as the Gramian has it.
+    """
+    monkeypatch.setattr(square_root, "CAP", 1e9)
+    leaving_fast = {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}  # their neighbours
+    run = swinging(name, leaving_fast.get(name, 6.0))
     found, n, p = run.observability(), run.model.n, run.model.p
     rms = np.sqrt(variance(run.sensor))
 
@@ -219,10 +222,10 @@ def test_long_steps_tell_nearly_the_same(
 ) -> None:
     run = swinging(name)
     exact = run.observability()
-    work = design._derivatives(
-        run.model, run.model.rate, np.zeros((run.model.m, 0)), ()
-    ).n_instructions() * len(run.x)
-    monkeypatch.setattr(design, "WORK", 1.5 * work / thinner)
+    no_bias = np.zeros((run.model.m, 0))
+    rates = linearised_run._derivatives(run.model, run.model.rate, no_bias, ())
+    work = rates.n_instructions() * len(run.x)
+    monkeypatch.setattr(linearised_run, "WORK", 1.5 * work / thinner)
     found = run.observability()
     assert found.tolerance > exact.tolerance
     for i in range(run.model.p):
@@ -230,7 +233,7 @@ def test_long_steps_tell_nearly_the_same(
 
 
 def test_a_run_in_continuous_time() -> None:
-    """The bent integrator's invisible change is no constant one: an error of the steps would make it visible."""
+    """The bent integrator's invisible change is not constant: an error of steps would show it."""
     run = simulate(
         convert(
             {
@@ -301,7 +304,10 @@ def test_linear_plants_are_judged_as_by_their_matrices(
 
 @pytest.mark.parametrize("a", [1.02, 0.98, 1.0])
 def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
-    """x+ = a x, always on the right: the information on d_r, x(0) unknown, is n - (sum a^k)^2 / sum a^2k, near n - (1 + a)/|1 - a|."""
+    """x+ = a x, always on the right, x(0) unknown.
+
+    The information on d_r is n - (sum a^k)^2 / sum a^2k, near n - (1 + a)/|1 - a|.
+    """
     model = sampled(linear([[0.0]], [[1.0]], [[1.0]]), 1.0)
     model = model._replace(
         params=model.params._replace(A=np.array([[a]])),
@@ -320,10 +326,13 @@ def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
 def test_what_is_known_very_well_need_not_be_known_better(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over 20 s of balancing x(0) shows e^60-fold, and a link behind a spring shows far better over many blocks than over one."""
+    """Over 20 s of balancing x(0) shows e^60-fold.
+
+    A link behind a spring shows far better over many blocks than over one.
+    """
     run = swinging(name, 20.0)
     capped = run.observability()
-    monkeypatch.setattr(design, "CAP", 1e8)
+    monkeypatch.setattr(square_root, "CAP", 1e8)
     found = run.observability()
     for i in range(run.model.p):
         assert capped.hidden.width(i, "centre") == (i == 1)
@@ -342,7 +351,7 @@ def test_a_known_start_tells_the_centre() -> None:
 
 
 def test_what_else_is_unknown_costs_the_centre() -> None:
-    """A constant torque, or the place of a spring's rest, shifts a mass on a spring as its edges do."""
+    """A constant torque, or where a spring rests, shifts a mass on a spring as its edges do."""
     for name, growth in (("duffing", 1.5), ("pendulum", 3.6)):
         run = swinging(name)
         (alone,), (found,) = run.verdicts(), run.verdicts(bias=np.eye(1))
@@ -400,3 +409,36 @@ def test_a_jump_sensor_and_a_run_that_diverges() -> None:
     z = np.vstack([run.z[:2000], np.full((1000, 2), np.nan)])
     short = run._replace(x=run.x[:2000], u=run.u[:2000], z=run.z[:2000])
     assert run._replace(x=x, z=z).verdicts() == short.verdicts()
+
+
+def test_every_reading_weighs_once() -> None:
+    """Readings count at the nearest kept sample, by side, up to half a step after the last."""
+    side = np.array([1, 1, 0, -1, -1, -1, 1, 0, 1, 1])[:, None]
+    weight = square_root.reading_weights(np.array([0, 4, 8]), side, np.array([0.25]))
+    assert weight.shape == (3, 1, 2)
+    assert 0.25 * weight[:, 0] ** 2 == pytest.approx(np.array([[2, 0], [0, 3], [3, 0]]))
+    alone = square_root.reading_weights(np.array([0]), side, np.array([1.0]))
+    assert alone.tolist() == [[[1.0, 0.0]]]
+
+
+def test_the_exponent_of_a_long_step_is_of_fourth_order() -> None:
+    """x' = (A + t B) x, whose rates do not commute, against many short steps."""
+    A, B = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.2, 0.0], [-1.0, 0.5]])
+
+    def over(steps: int) -> Floats:
+        h, total = 1.0 / steps, np.eye(2)
+        for k in range(steps):
+            rates = [(A + t * B)[None] for t in (k * h, (k + 0.5) * h, (k + 1) * h)]
+            total = linearised_run._expm(linearised_run._magnus(*rates, np.array(h)))[0] @ total
+        return total
+
+    exact = over(512)
+    coarse, fine = (float(np.abs(over(steps) - exact).max()) for steps in (4, 8))
+    assert coarse / fine == pytest.approx(16, rel=0.15)
+
+
+def test_exponentials_of_many_matrices() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(20, 4, 4)) * 10 ** rng.uniform(-3, 1, (20, 1, 1))
+    for E, one in zip(linearised_run._expm(X), X, strict=True):
+        assert pytest.approx(expm(one), rel=1e-10, abs=1e-10 * np.abs(expm(one)).max()) == E

@@ -1,4 +1,4 @@
-"""The inequality V' + supply < 0 for V = x'Px: as matrices, searched by Clarabel, proved by eigenvalues alone."""
+"""The inequality V' + supply < 0 for V = x'Px as matrices: Clarabel searches, eigenvalues prove."""
 
 from __future__ import annotations
 
@@ -10,14 +10,22 @@ import numpy as np
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
-LEAST = 1e-8  # smallest eigenvalue of P, and smallest multiplier, that the solver may choose in balanced coordinates
+# Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
+LEAST = 1e-8
 
 
 class Inequality(NamedTuple):
-    """For every vertex A (n x n) and every supply ((n + b) x (n + b)): V' + 2 decay V + supply < 0 in (x, b), x' = A x + B b.
+    """V' + 2 decay V + supply < 0 in (x, b) along x' = A x + B b, for every vertex and supply.
 
-    Sampled, A and B are in delta form, x+ = x + Ts (A x + B b), and V' stands for (V+ - V)/Ts. size: the supplies with
-    every term replaced by its magnitude, for the bound on rounding.
+    Sampled, A and B are in delta form, x+ = x + Ts (A x + B b), and V' stands for (V+ - V)/Ts.
+
+    Attributes:
+        A: the vertices (each n x n) [1/s].
+        B: how b enters x' (n x b).
+        supply: the supplies (each (n + b) x (n + b)).
+        size: the supplies with every term replaced by its magnitude, for the bound on rounding.
+        Ts: sample time [s]; None in continuous time.
+        decay: rate [1/s] at which sqrt(V) must fall.
     """
 
     A: tuple[Floats, ...]
@@ -28,43 +36,56 @@ class Inequality(NamedTuple):
     decay: float = 0.0
 
     def matrices(self, P: Floats) -> list[Floats]:
-        """One matrix per vertex and supply, affine in P; the sampled square term is bordered by -P."""
-        return [
-            _matrix(P, A, self.B, supply, self.Ts, self.decay)
-            for A in self.A
-            for supply in self.supply
-        ]
+        """One matrix per vertex and supply, affine in P; the sampled square term is bordered by -P.
+
+        Args:
+            P: of V = x'Px (n x n).
+        """
+        matrices = []
+        for A in self.A:
+            for supply in self.supply:
+                matrices.append(_matrix(P, A, self.B, supply, self.Ts, self.decay))
+        return matrices
 
     def magnitudes(self, P: Floats) -> list[Floats]:
         """The same sums with every term replaced by its magnitude."""
-        return [
-            np.abs(_matrix(np.abs(P), np.abs(A), np.abs(self.B), size, self.Ts, self.decay))
-            for A in self.A
-            for size in self.size
-        ]
+        P_size, B_size = np.abs(P), np.abs(self.B)
+        magnitudes = []
+        for A in self.A:
+            for size in self.size:
+                sums = _matrix(P_size, np.abs(A), B_size, size, self.Ts, self.decay)
+                magnitudes.append(np.abs(sums))
+        return magnitudes
 
     def transformed(self, T: Floats, inverse: Floats) -> Inequality:
-        """The same inequality in coordinates x = T xi."""
-        n = T.shape[0]
+        """The same inequality in coordinates x = T xi.
 
-        def moved(supply: Floats) -> Floats:
-            supply = supply.copy()
-            supply[:n] = T.T @ supply[:n]
-            supply[:, :n] = supply[:, :n] @ T
-            return supply
-
+        Args:
+            T: the change of coordinates (n x n).
+            inverse: its inverse.
+        """
         return self._replace(
             A=tuple(inverse @ A @ T for A in self.A),
             B=inverse @ self.B,
-            supply=tuple(moved(supply) for supply in self.supply),
+            supply=tuple(_congruent(supply, T) for supply in self.supply),
         )
+
+
+def _congruent(supply: Floats, T: Floats) -> Floats:
+    """A supply in (x, b) as one in (xi, b), x = T xi."""
+    n = T.shape[0]
+    supply = supply.copy()
+    supply[:n] = T.T @ supply[:n]
+    supply[:, :n] = supply[:, :n] @ T
+    return supply
 
 
 def _matrix(
     P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float
 ) -> Floats:
+    """The matrix of V' + 2 decay V + supply at one vertex, with a third block row if sampled."""
     n = A.shape[0]
-    PF = P @ np.hstack([A, B])
+    PF = P @ np.hstack([A, B])  # F = [A, B]
     top = supply.copy()
     top[:n] += PF
     top[:, :n] += PF.T
@@ -76,9 +97,16 @@ def _matrix(
 
 
 def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
-    """(the symmetric matrix with these blocks (row, column, value) and their mirror images added up, the sum of their magnitudes)."""
+    """A symmetric matrix from blocks, and the sum of the blocks' magnitudes.
+
+    Args:
+        sizes: the lengths of the parts of its vector.
+        terms: (row, column, value) of each block; its mirror image is added too, if it is not on
+            the diagonal, and blocks at one place are added up.
+    """
     ends = np.cumsum([0, *sizes])
-    total, size = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], ends[-1]))
+    total = np.zeros((ends[-1], ends[-1]))
+    size = np.zeros((ends[-1], ends[-1]))
     for i, j, value in terms:
         rows, columns = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
         total[rows, columns] += value
@@ -89,37 +117,69 @@ def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[F
     return total, size
 
 
-class Found(NamedTuple):
-    """What the solver found: P (n x n) and the multipliers q."""
+class Solution(NamedTuple):
+    """What the solver found.
+
+    Attributes:
+        P: of V = x'Px (n x n).
+        q: the multipliers, on which the supplies depend.
+    """
 
     P: Floats
     q: Floats
 
 
+Family = Callable[[Floats], Inequality]  # the inequality for multipliers q, affine in them
+Extra = Callable[[Floats, Floats], list[Floats]]  # more (P, q) that must be >= 0, affine in them
+
+
+def no_more(P: Floats, q: Floats) -> list[Floats]:
+    """No further constraint on P and q."""
+    return []
+
+
+def never(solution: Solution) -> bool:
+    """No solution ends the passes early."""
+    return False
+
+
 def optimise(
-    family: Callable[[Floats], Inequality],
+    family: Family,
     cost: Floats,
     start: Floats,
-    extra: Callable[[Floats, Floats], list[Floats]] = lambda P, q: [],
+    extra: Extra = no_more,
     deep: bool = False,
-    done: Callable[[Found], bool] = lambda found: False,
+    done: Callable[[Solution], bool] = never,
     passes: int = 2,
-) -> Found | None:
-    """P, q that minimise cost'q, or lie deepest inside, with family(q) (affine) satisfied and extra(P, q) >= 0; None if there is none.
+) -> Solution | None:
+    """P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
 
-    Each pass works in coordinates where the last P was the identity and the last matrices had a unit diagonal, until
-    `done`; a stiff plant needs that. The first P is of Lyapunov's equation, or else the identity. start: q that sets the
-    scale of the first pass. What comes back is the solver's word.
+    Each pass works in coordinates where the last P was the identity and the last matrices had a
+    unit diagonal; a stiff plant needs that. The first P is of Lyapunov's equation, or else the
+    identity. What comes back is the solver's word, no proof.
+
+    Args:
+        family: q -> the inequality, affine in q.
+        cost: weights of the multipliers.
+        start: q that sets the scale of the first pass.
+        extra: P, q -> what must be positive semidefinite (2-D) or non-negative (1-D).
+        deep: whether to seek the point deepest inside rather than that of least cost.
+        done: whether a solution is good enough, so that no more passes are needed.
+        passes: how many there are at most.
+
+    Returns:
+        The last pass's solution; None if there is none.
     """
     A, Ts = family(start).A[0], family(start).Ts
     for first in (_lyapunov(A, Ts), np.eye(len(A))):
-        best, at = None, Found(first, start)
+        best = None
+        near = Solution(first, start)
         for _ in range(passes):
-            found = _pass(family, cost, extra, deep, at)
-            if found is None:
+            solution = _pass(family, cost, extra, deep, near)
+            if solution is None:
                 break
-            best = at = found
-            if done(found):
+            best = near = solution
+            if done(solution):
                 break
         if best is not None:
             return best
@@ -127,63 +187,56 @@ def optimise(
 
 
 def _pass(
-    family: Callable[[Floats], Inequality],
-    cost: Floats,
-    extra: Callable[[Floats, Floats], list[Floats]],
-    deep: bool,
-    near: Found,
-) -> Found | None:
-    """One solution in coordinates where the P of `near` is the identity and its matrices have a unit diagonal."""
+    family: Family, cost: Floats, extra: Extra, deep: bool, near: Solution
+) -> Solution | None:
+    """One solution, in coordinates where P of `near` is I and its matrices have a unit diagonal."""
     P, q = near
+    n = len(P)
     values, vectors = np.linalg.eigh(P)
     if not values[-1] > 0:
         return None
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     T, inverse = vectors / root, (vectors * root).T
-    at = _affine(
-        [family(unit).transformed(T, inverse) for unit in (np.zeros(cost.size), *np.eye(cost.size))]
-    )
-    scales = [
-        np.maximum(np.abs(np.diag(M)), 1e-300) ** -0.5 for M in at(q).matrices(np.eye(len(P)))
-    ]
-    entries, part = len(P) * (len(P) + 1) // 2, at(q).supply[0].shape[0]
+    units = (np.zeros(cost.size), *np.eye(cost.size))
+    at = _affine([family(unit).transformed(T, inverse) for unit in units])
+    diagonals = [np.abs(np.diag(M)) for M in at(q).matrices(np.eye(n))]
+    scales = [np.maximum(diagonal, 1e-300) ** -0.5 for diagonal in diagonals]
+    entries = n * (n + 1) // 2  # of P; then come the multipliers, and the depth if it is sought
+    part = at(q).supply[0].shape[0]
 
     def blocks(x: Floats) -> list[Floats]:
-        local, q = symmetric(x[:entries], len(P)), x[entries : entries + cost.size]
-        found = []
+        local, q = symmetric(x[:entries], n), x[entries : entries + cost.size]
+        scaled = []
         for M, scale in zip(at(q).matrices(local), scales, strict=True):
             block = -M * np.outer(scale, scale)
             if deep:
                 block[np.arange(part), np.arange(part)] -= x[-1]
-            found.append(block)
-        return [*found, local - LEAST * np.eye(len(P)), *extra(inverse.T @ local @ inverse, q)]
+            scaled.append(block)
+        return [*scaled, local - LEAST * np.eye(n), *extra(inverse.T @ local @ inverse, q)]
 
     x = minimise(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
     if x is None:
         return None
-    P = inverse.T @ symmetric(x[:entries], len(P)) @ inverse
-    return Found((P + P.T) / 2, x[entries : entries + cost.size])
+    P = inverse.T @ symmetric(x[:entries], n) @ inverse
+    return Solution((P + P.T) / 2, x[entries : entries + cost.size])
 
 
-def _affine(points: list[Inequality]) -> Callable[[Floats], Inequality]:
-    """q -> Inequality through its values at q = 0 and at the unit vectors; only the supplies depend on q."""
+def _affine(points: list[Inequality]) -> Family:
+    """q -> Inequality from its values at q = 0 and the unit vectors; only the supplies vary."""
     base = np.stack(points[0].supply)
     slopes = np.stack([np.stack(point.supply) - base for point in points])[1:]
     return lambda q: points[0]._replace(supply=tuple(base + np.tensordot(q, slopes, 1)))
 
 
 def storage(inequality: Inequality) -> Floats | None:
-    """P deep inside the inequality, or as near to it as there is one; None if the solver finds nothing at all."""
+    """P (n x n), to be checked, deep inside the inequality or near to it; None if none is found."""
     none = np.zeros(0)
-    found = optimise(
-        lambda q: inequality,
-        none,
-        none,
-        deep=True,
-        done=lambda found: check(inequality, found.P).proved,
-        passes=4,
-    )
-    return None if found is None else found.P
+
+    def proved(solution: Solution) -> bool:
+        return check(inequality, solution.P).proved
+
+    deepest = optimise(lambda q: inequality, none, none, deep=True, done=proved, passes=4)
+    return None if deepest is None else deepest.P
 
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:
@@ -199,8 +252,11 @@ def _lyapunov(A: Floats, Ts: float | None) -> Floats:
 class Check(NamedTuple):
     """Whether P and the inequality are definite beyond rounding.
 
-    lmi: greatest eigenvalue of the inequality, scaled to a diagonal of -1; P: least eigenvalue of P, scaled to a unit
-    diagonal; rounding: how far both must stay from 0.
+    Attributes:
+        proved: whether both are.
+        lmi: greatest eigenvalue of the inequality, scaled to a diagonal of -1.
+        P: least eigenvalue of P, scaled to a unit diagonal.
+        rounding: how far both must stay from 0.
     """
 
     proved: bool
@@ -210,24 +266,33 @@ class Check(NamedTuple):
 
 
 def check(inequality: Inequality, P: Floats) -> Check:
-    """Whether P proves the inequality: eigenvalues and a bound on the rounding of every entry, no solver."""
+    """Whether P proves the inequality: by eigenvalues and a bound on rounding, without a solver.
+
+    Args:
+        inequality: what is to be proved.
+        P: of V = x'Px (n x n).
+    """
     if not np.isfinite(P).all():
         return Check(False, np.inf, -np.inf, 0.0)
-    pairs = zip(inequality.matrices(P), inequality.magnitudes(P), strict=True)
-    found = [_definite(P, np.abs(P)), *(_definite(-M, size) for M, size in pairs)]
-    proved = all(value > slack for value, slack in found)
-    return Check(
-        proved, -min(value for value, _ in found[1:]), found[0][0], max(slack for _, slack in found)
-    )
+    matrices, magnitudes = inequality.matrices(P), inequality.magnitudes(P)
+    least_of_P, slack_of_P = _definite(P, np.abs(P))
+    of_lmi = [_definite(-M, size) for M, size in zip(matrices, magnitudes, strict=True)]
+    least = min(value for value, _ in of_lmi)
+    rounding = max(slack_of_P, *(slack for _, slack in of_lmi))
+    proved = least_of_P > slack_of_P and all(value > slack for value, slack in of_lmi)
+    return Check(proved, -least, least_of_P, rounding)
 
 
 def _definite(M: Floats, size: Floats) -> tuple[float, float]:
-    """(least eigenvalue of M scaled to a unit diagonal, bound on its rounding); -inf if a diagonal entry is not positive."""
+    """(least eigenvalue of M scaled to a unit diagonal, bound on its rounding).
+
+    The first is -inf if a diagonal entry is not positive. size: the sums of magnitudes behind M.
+    """
     diagonal = np.diag(M)
     if not np.isfinite(M).all() or (diagonal <= 0).any():
         return -np.inf, 0.0
+    n = M.shape[0]
     scale = 1 / np.sqrt(np.outer(diagonal, diagonal))
-    rounding = (
-        4 * (M.shape[0] + 4) * np.finfo(float).eps * (np.linalg.norm(size * scale) + M.shape[0])
-    )
+    unit = 4 * (n + 4) * np.finfo(float).eps
+    rounding = unit * (np.linalg.norm(size * scale) + n)
     return float(np.linalg.eigvalsh((M + M.T) / 2 * scale)[0]), float(rounding)

@@ -1,8 +1,9 @@
-"""The error dynamics as one object: what switches, what adapts, and the scaling in which they are solved.
+"""The error dynamics are one object: what switches, what adapts, and the scaling that solvers use.
 
-Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~), 0 <= theta <= 1, where the
-measured side fixes S: +1 at d_r of an output read on the right, -1 at d_l on the left, e = 0 where it is silent.
-Sampled: the same with (x~+ - x~)/Ts in place of x~', A = (Ad - I)/Ts, L and Gamma per second (delta form).
+Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~),
+0 <= theta <= 1, where the measured side fixes S: +1 at d_r of an output read on the right, -1 at
+d_l on the left, e = 0 where it is silent. Sampled: the same with (x~+ - x~)/Ts in place of x~',
+A = (Ad - I)/Ts, L and Gamma per second (delta form).
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ from undeadzone.support.arrays import Floats, array, matrix, vector
 
 
 class Dynamics(NamedTuple):
-    """A (vertices, each n x n; delta form if Ts), C (p x n), L (n x p), gamma (2p x 2p, [right, left] per output), Ts [s]."""
+    """Error dynamics: n states (those of x~), p outputs.
+
+    Attributes:
+        A: the vertices (each n x n; delta form if sampled) [1/s].
+        C: outputs of x~ (p x n).
+        L: observer gains (n x p) [1/s].
+        gamma: Gamma, adaptation gains (2p x 2p, [right, left] per output) [1/s].
+        Ts: sample time [s]; None in continuous time.
+    """
 
     A: tuple[Floats, ...]
     C: Floats
@@ -29,48 +38,70 @@ class Dynamics(NamedTuple):
 
     @property
     def steps(self) -> list[Floats]:
-        """Ts S Gamma S' (p x p) for the side patterns that are not dominated by another; one zero matrix if continuous."""
+        """Ts S Gamma S' (p x p) for the side patterns that no other one dominates.
+
+        One zero matrix in continuous time.
+        """
         p = self.C.shape[0]
         if self.Ts is None:
             return [np.zeros((p, p))]
         if not (self.gamma - np.diag(np.diag(self.gamma))).any():
             return [self.Ts * np.diag(np.diag(self.gamma).reshape(p, 2).max(axis=1))]
-        patterns = (pattern(sides) for sides in itertools.product((1, -1), repeat=p))
+        patterns = [pattern(sides) for sides in itertools.product((1, -1), repeat=p)]
         return [self.Ts * S @ self.gamma @ S.T for S in patterns]
 
     @property
     def groups(self) -> Floats:
         """Z (p x groups): outputs that Gamma couples must share their weight, W = Z w."""
         p = self.C.shape[0]
-        linked = (np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3)) > 0) | np.eye(
-            p, dtype=bool
-        )
+        coupling = np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3))
+        linked = (coupling > 0) | np.eye(p, dtype=bool)
         reach = np.linalg.matrix_power(linked.astype(int), p) > 0
         return np.unique(reach, axis=0).T.astype(float)
 
     def inequality(self, W: Floats) -> Inequality:
-        """V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in the P that it is given."""
+        """V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in P.
+
+        Args:
+            W: weights of the outputs (p).
+        """
         return self.extended(W, np.zeros((self.L.shape[0], 0)), [])
 
     def extended(
         self, W: Floats, E: Floats, terms: list[tuple[int, int, Floats]], decay: float = 0.0
     ) -> Inequality:
-        """`inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w); see `dissipation.quadratic`."""
+        """`inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w).
+
+        Args:
+            W: weights of the outputs (p).
+            E: how outside signals w enter x~' (n x q).
+            terms: blocks to be added, see `dissipation.quadratic`.
+            decay: rate [1/s] at which sqrt(x~'P x~) must fall besides.
+        """
         n, p = self.L.shape
-        pairs = []
+        supplies, sizes = [], []
         for step in self.steps:
             own = [
                 (0, 1, self.C.T * W),
                 (1, 1, -2 * np.diag(W)),
                 (1, 1, (W[:, None] * step + W * step) / 2),
             ]
-            pairs.append(quadratic([n, p, E.shape[1]], own + terms))
-        supply, size = zip(*pairs, strict=True)
-        return Inequality(self.A, np.hstack([-self.L, E]), supply, size, self.Ts, decay)
+            supply, size = quadratic([n, p, E.shape[1]], own + terms)
+            supplies.append(supply)
+            sizes.append(size)
+        return Inequality(
+            self.A, np.hstack([-self.L, E]), tuple(supplies), tuple(sizes), self.Ts, decay
+        )
 
 
 class Storage(NamedTuple):
-    """V = x~'P x~ + d~'R d~ with P (n x n) and R = W Gamma^-1, W (p) once per edge."""
+    """V = x~'P x~ + d~'R d~ with R = W Gamma^-1.
+
+    Attributes:
+        P: weight of the state errors (n x n).
+        W: weights of the outputs (p), each once per edge.
+        gamma: Gamma (2p x 2p) [1/s].
+    """
 
     P: Floats
     W: Floats
@@ -79,32 +110,48 @@ class Storage(NamedTuple):
     @property
     def R(self) -> Floats:
         """The weight (2p x 2p) of the width errors; 0 where a width is not adapted."""
-        adapted = np.ix_(*2 * (np.diag(self.gamma) > 0,))
+        rows = np.diag(self.gamma) > 0
+        adapted = np.ix_(rows, rows)
         R = np.zeros_like(self.gamma)
         R[adapted] = np.linalg.inv(self.gamma[adapted])
         return np.asarray(np.repeat(self.W, 2)[:, None] * R)
 
     def value(self, x_error: Floats, d_error: Floats) -> Floats:
-        """V along errors x - x^ (N x n) and d - d^ (N x 2p, [right, left] of each output)."""
-        return np.einsum("ki,ij,kj->k", x_error, self.P, x_error) + np.einsum(
-            "ki,ij,kj->k", d_error, self.R, d_error
-        )
+        """V (N) along errors.
+
+        Args:
+            x_error: x - x^ (N x n).
+            d_error: d - d^ (N x 2p, [right, left] of each output).
+        """
+        of_states = np.einsum("ki,ij,kj->k", x_error, self.P, x_error)
+        return of_states + np.einsum("ki,ij,kj->k", d_error, self.R, d_error)
+
+
+def identity_storage(errors: Dynamics) -> Storage:
+    """V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
+    n, p = errors.L.shape
+    return Storage(np.eye(n), np.ones(p), errors.gamma)
 
 
 def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
-    """The error dynamics of a model (n states, p outputs) for gains L (n x p) and gamma (see `adaptation`), both [1/s]."""
+    """The error dynamics of a model with n states and p outputs.
+
+    Args:
+        linear: A, B, C of the model; of one step if sampled.
+        L: observer gains (n x p) [1/s].
+        gamma: adaptation gains in any form of `adaptation` [1/s].
+        Ts: sample time [s]; None in continuous time.
+
+    Raises:
+        InputError, ShapeError: for gains of the wrong kind.
+    """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    return Dynamics(
-        (delta(linear, Ts),),
-        linear.C,
-        matrix("L", L, n, p, "states x outputs"),
-        adaptation(gamma, p),
-        Ts,
-    )
+    L = matrix("L", L, n, p, "states x outputs")
+    return Dynamics((delta(linear, Ts),), linear.C, L, adaptation(gamma, p), Ts)
 
 
 def delta(linear: Matrices, Ts: float | None) -> Floats:
-    """A, or (Ad - I) / Ts for a sampled model: the matrix that tends to A as Ts -> 0."""
+    """A [1/s], or (Ad - I) / Ts of a sampled model: the matrix that tends to A as Ts -> 0."""
     A = linear.A
     return A if Ts is None else (A - np.eye(A.shape[0])) / Ts
 
@@ -112,28 +159,42 @@ def delta(linear: Matrices, Ts: float | None) -> Floats:
 def growth(A: Floats, Ts: float | None) -> float:
     """The largest growth rate [1/s] of x' = A x, or of x+ = x + Ts A x as (|z| - 1) / Ts."""
     poles = np.linalg.eigvals(A)
-    return float(poles.real.max() if Ts is None else (np.abs(1 + Ts * poles).max() - 1) / Ts)
+    if Ts is None:
+        return float(poles.real.max())
+    return float((np.abs(1 + Ts * poles).max() - 1) / Ts)
 
 
 def adaptation(gamma: Floats, p: int) -> Floats:
-    """Gamma (2p x 2p) from one number, one per output (p), one per edge (p x 2), or itself. Raises InputError, ShapeError."""
-    found = array("gamma", gamma)
-    if found.ndim == 2 and found.shape == (2 * p, 2 * p):
-        if not np.allclose(found, found.T) or np.linalg.eigvalsh(found)[0] <= 0:
+    """Gamma (2p x 2p), [right, left] per output, from one of the ways to write it.
+
+    Args:
+        gamma: one number, one per output (p), one per edge (p x 2), or Gamma itself [1/s].
+        p: how many outputs there are.
+
+    Raises:
+        InputError: if it is negative, or a full matrix is not symmetric and positive definite.
+        ShapeError: if it has none of these shapes.
+    """
+    gains = array("gamma", gamma)
+    if gains.ndim == 2 and gains.shape == (2 * p, 2 * p):
+        if not np.allclose(gains, gains.T) or np.linalg.eigvalsh(gains)[0] <= 0:
             raise InputError("gamma: a full matrix must be symmetric and positive definite")
-        return found
-    found = (
-        np.repeat(vector("gamma", found, p, "one per output"), 2)
-        if found.ndim < 2
-        else matrix("gamma", found, p, 2, "[right, left] per output").ravel()
-    )
-    if (found < 0).any():
-        raise InputError(f"gamma: must not be negative, found {found.min():g}")
-    return np.diag(found)
+        return gains
+    if gains.ndim < 2:
+        per_edge = np.repeat(vector("gamma", gains, p, "one per output"), 2)
+    else:
+        per_edge = matrix("gamma", gains, p, 2, "[right, left] per output").ravel()
+    if (per_edge < 0).any():
+        raise InputError(f"gamma: must not be negative, found {per_edge.min():g}")
+    return np.diag(per_edge)
 
 
 def pattern(sides: tuple[int, ...]) -> Floats:
-    """S (p x 2p) of the sides read (+1, 0, -1 per output): C x~ - S d~ is the innovation on them."""
+    """S (p x 2p) of the sides read: C x~ - S d~ is the innovation on them.
+
+    Args:
+        sides: +1 (right), 0 (silent) or -1 (left) of each output.
+    """
     S = np.zeros((len(sides), 2 * len(sides)))
     for i, side in enumerate(sides):
         if side:
@@ -142,21 +203,27 @@ def pattern(sides: tuple[int, ...]) -> Floats:
 
 
 class Scaling(NamedTuple):
-    """Powers of two, so that nothing is rounded: x = state x_scaled, e = output e_scaled, t = time t_scaled."""
+    """Units that are powers of two, so that nothing is rounded.
+
+    Attributes:
+        state: x = state x_scaled (n).
+        output: e = output e_scaled (p).
+        time: t = time t_scaled [s].
+    """
 
     state: Floats
     output: Floats
     time: float
 
-    def dynamics(self, given: Dynamics) -> Dynamics:
-        """The same dynamics in scaled quantities."""
+    def dynamics(self, errors: Dynamics) -> Dynamics:
+        """The same error dynamics in scaled quantities."""
         x, y, t = self
         return Dynamics(
-            tuple(t * A * x / x[:, None] for A in given.A),
-            given.C * x / y[:, None],
-            t * given.L * y / x[:, None],
-            t * given.gamma,
-            None if given.Ts is None else given.Ts / t,
+            tuple(t * A * x / x[:, None] for A in errors.A),
+            errors.C * x / y[:, None],
+            t * errors.L * y / x[:, None],
+            t * errors.gamma,
+            None if errors.Ts is None else errors.Ts / t,
         )
 
     def storage(self, P: Floats) -> Floats:
@@ -168,18 +235,17 @@ class Scaling(NamedTuple):
         return W / self.output**2
 
 
-def balance(given: Dynamics) -> Scaling:
-    """The scaling under which x~ and e, driven by each other through L and C, have matrices of balanced rows and columns.
+def balance(errors: Dynamics) -> Scaling:
+    """The scaling that balances rows and columns of x~ and e, which drive each other by L and C.
 
     Outputs that share a weight keep a common unit.
     """
     from scipy.linalg import matrix_balance
 
-    A = np.mean(given.A, axis=0)
-    n, p = A.shape[0], given.C.shape[0]
+    A = np.mean(errors.A, axis=0)
+    n, p = A.shape[0], errors.C.shape[0]
     time = 2.0 ** -np.round(np.log2(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)))
-    _, (scale, _) = matrix_balance(
-        np.block([[time * A, time * given.L], [given.C, np.eye(p)]]), permute=False, separate=True
-    )
-    leaders = np.argmax(given.groups, axis=0)
-    return Scaling(scale[:n], given.groups @ scale[n:][leaders], float(time))
+    joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
+    _, (scale, _) = matrix_balance(joined, permute=False, separate=True)
+    leaders = np.argmax(errors.groups, axis=0)  # one output of each group
+    return Scaling(scale[:n], errors.groups @ scale[n:][leaders], float(time))

@@ -1,4 +1,7 @@
-"""Which side the sensor shows when: the schedule of sides along a planned reference or a recorded run (docs/rates.md)."""
+"""Schedules say which side the sensor shows when, along a planned reference or a recorded run.
+
+docs/rates.md says what they are for. A reference is the output Q w of an exosystem w' = S w.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,16 @@ MEAN = 4096  # points of the mean over a period: exact for sines below that many
 
 
 class Schedule(NamedTuple):
-    """Constant sides one after another: sides (K x p) of +1, 0, -1, each for spans (K), in seconds or in samples of Ts [s].
+    """Constant sides one after another: K spans of p outputs.
 
-    periodic: the whole repeats; grain: what a span is accurate to (0: exact). low, mean, high (p): of the true output z;
-    levels (p x 2): the side reads right above levels[:, 0] and left below -levels[:, 1].
+    Attributes:
+        sides: +1 (right), 0 (silent), -1 (left) in each span (K x p).
+        spans: how long each lasts (K), in seconds, or in samples if sampled.
+        Ts: sample time [s]; None in continuous time.
+        periodic: whether the whole repeats.
+        grain: what a span is accurate to, in its unit (0: exact).
+        low, mean, high: of the true output z (p each).
+        levels: the side reads right above levels[:, 0] and left below -levels[:, 1] (p x 2).
     """
 
     sides: Floats
@@ -43,91 +52,111 @@ class Schedule(NamedTuple):
         return float(self.spans.sum()) * (1.0 if self.Ts is None else self.Ts)
 
     def visited(self, samples: int = 0) -> np.ndarray:
-        """Whether the [right, left] side of each output (p x 2) lasts, in all, for more than that many samples, if it is sampled."""
-        return np.stack(
-            [self.spans @ (self.sides == side) > samples * self.grain for side in (1.0, -1.0)],
-            axis=1,
-        )
+        """Whether the [right, left] side of each output is visited (p x 2).
+
+        Args:
+            samples: a side counts if it lasts, in all, for more than this many (if sampled).
+        """
+        least = samples * self.grain
+        right = self.spans @ (self.sides == 1.0) > least
+        left = self.spans @ (self.sides == -1.0) > least
+        return np.stack([right, left], axis=1)
 
 
 def planned(
     model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float
 ) -> Schedule:
-    """The schedule of a reference that is followed exactly, over its period, or over `horizon` [s] if it has none.
+    """The schedule of a reference that is followed exactly, over its period if it has one.
 
-    In continuous time the sides change at roots of the exact signal; sampled, the sides are those at the samples. Spans
-    end at corners of the reference too. Raises TrackingError where the reference cannot be followed, InputError for a
-    nonlinear model with untracked outputs.
+    In continuous time the sides change at roots of the exact signal; sampled, the sides are those
+    at the samples. Spans end at corners of the reference too.
+
+    Args:
+        model: the plant's model.
+        reference: of the tracked outputs.
+        tracked: which outputs these are.
+        sensor: the dead zone.
+        horizon: how long the schedule is [s] where the reference has no period.
+
+    Raises:
+        TrackingError: where the reference cannot be followed.
+        InputError: for a nonlinear model with untracked outputs.
     """
     rows = output_map(model, reference, tracked)
     levels = reading_levels(sensor)
     if model.Ts is not None:
-        samples, periodic = _samples(reference.period, model.Ts, horizon)
-        z = reference.state(np.arange(samples) * model.Ts) @ rows.T
-        repeats = np.arange(
-            0 if reference.period is None else samples * model.Ts / reference.period
-        )
-        corners = (
-            reference.corners
-            if reference.period is None
-            else np.add.outer(repeats * reference.period, reference.corners).ravel()
-        )
-        return _from_samples(zone(z, *levels.T), z, levels, model.Ts, model.Ts, periodic, corners)
+        return _planned_samples(rows, reference, levels, model.Ts, horizon)
+    periodic = reference.period is not None
     end = horizon if reference.period is None else reference.period
-    ends = np.unique(
-        np.concatenate(
-            [[0.0], reference.corners[(reference.corners > 0) & (reference.corners < end)], [end]]
-        )
-    )
-    changes = [
-        roots(reference, row, level, ends)
-        for row, pair in zip(rows, levels, strict=True)
-        for level in (pair[0], -pair[1])
-    ]
-    times = np.unique(np.concatenate([ends, *changes]))
-    times = times[np.concatenate([np.diff(times) > ROUNDING * end, [True]])]
+    inner = (reference.corners > 0) & (reference.corners < end)
+    ends = np.unique(np.concatenate([[0.0], reference.corners[inner], [end]]))
+    times = _changes(reference, rows, levels, ends)
     z = reference.state((times[:-1] + times[1:]) / 2) @ rows.T
     low, high = extremes(reference, rows, ends)
     mean = (reference.state((np.arange(MEAN) + 0.5) / MEAN * end) @ rows.T).mean(axis=0)
-    return Schedule(
-        zone(z, *levels.T),
-        np.diff(times),
-        None,
-        reference.period is not None,
-        0.0,
-        low,
-        mean,
-        high,
-        levels,
-    )
+    sides = zone(z, *levels.T)
+    return Schedule(sides, np.diff(times), None, periodic, 0.0, low, mean, high, levels)
+
+
+def _planned_samples(
+    rows: Floats, reference: Exosystem, levels: Floats, Ts: float, horizon: float
+) -> Schedule:
+    """`planned` at samples of Ts [s]; rows (p x k): z = rows w."""
+    samples, periodic = _samples(reference.period, Ts, horizon)
+    z = reference.state(np.arange(samples) * Ts) @ rows.T
+    corners = reference.corners
+    if reference.period is not None:
+        repeats = np.arange(samples * Ts / reference.period)
+        corners = np.add.outer(repeats * reference.period, corners).ravel()
+    return _from_samples(zone(z, *levels.T), z, levels, Ts, Ts, periodic, corners)
+
+
+def _changes(reference: Exosystem, rows: Floats, levels: Floats, ends: Floats) -> Floats:
+    """The times [s] at which a side changes or the reference has a corner, none twice."""
+    times: list[Floats] = [ends]
+    for row, (right, left) in zip(rows, levels, strict=True):
+        times.append(roots(reference, row, right, ends))
+        times.append(roots(reference, row, -left, ends))
+    unique = np.unique(np.concatenate(times))
+    apart = np.concatenate([np.diff(unique) > ROUNDING * ends[-1], [True]])
+    return np.asarray(unique[apart])
 
 
 def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None) -> Schedule:
-    """The schedule of a record of outputs z (N x p), true or estimated, `step` [s] apart.
+    """The schedule of a record of outputs.
 
-    In continuous time (Ts None) a side is taken to change half way between two samples.
+    In continuous time a side is taken to change half way between two samples.
+
+    Args:
+        z: outputs (N x p), true or estimated.
+        sensor: the dead zone.
+        step: time between two rows [s].
+        Ts: sample time [s]; None in continuous time.
     """
     levels = reading_levels(sensor)
     return _from_samples(zone(z, *levels.T), z, levels, step, Ts, False, np.empty(0))
 
 
 def reading_levels(sensor: Zone) -> Floats:
-    """(p x 2): a noise-free sensor reads right above levels[:, 0] and left below -levels[:, 1] of z."""
-    return np.stack(
-        edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold), axis=1
-    )
+    """Levels (p x 2) of z: a noise-free sensor reads right above the first, left below -second."""
+    right, left = edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold)
+    return np.stack((right, left), axis=1)
 
 
 def merged(schedule: Schedule) -> Schedule:
     """The same schedule with neighbours of equal sides put together."""
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
-    return schedule._replace(
-        sides=schedule.sides[first], spans=np.add.reduceat(schedule.spans, np.flatnonzero(first))
-    )
+    spans = np.add.reduceat(schedule.spans, np.flatnonzero(first))
+    return schedule._replace(sides=schedule.sides[first], spans=spans)
 
 
 def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Floats:
-    """(p x k) such that z = output_map w while the reference is followed. Raises TrackingError, InputError."""
+    """(p x k) such that z = output_map w while the reference is followed.
+
+    Raises:
+        TrackingError: where the reference cannot be followed.
+        InputError: for a nonlinear model with untracked outputs.
+    """
     rows = np.zeros((model.p, reference.S.shape[0]))
     if len(tracked) < model.p:
         if model.nonlinear:
@@ -140,35 +169,46 @@ def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Float
 
 
 def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floats:
-    """Every time between ends[0] and ends[-1] at which row w meets the level; w may jump at the ends given.
+    """Every time [s] between ends[0] and ends[-1] at which row w meets the level.
 
-    Intervals are halved until the exact signal and a bound on its second derivative show that one holds no root, or
-    that the signal is monotone on it; then bisection. Only a visit beyond the level by less than 1e-12 of the signal
-    can be missed.
+    Intervals are halved until the exact signal and a bound on its second derivative show that one
+    holds no root, or that the signal is monotone on it; then bisection. Only a visit beyond the
+    level by less than 1e-12 of the signal can be missed.
+
+    Args:
+        reference: the exosystem of w.
+        row: of the signal (k).
+        level: to be met, in the signal's unit.
+        ends: times [s], rising, at which w may jump.
     """
     S = reference.S
     slope, curvature = row @ S, np.abs(row @ S @ S)
-    fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
-    pieces = np.maximum(1, np.ceil(np.diff(ends) * fastest)).astype(int)
-    half = np.repeat(np.diff(ends) / pieces / 2, pieces)
-    middle = np.concatenate(
-        [
-            a + (b - a) * (np.arange(k) + 0.5) / k
-            for a, b, k in zip(ends[:-1], ends[1:], pieces, strict=True)
-        ]
-    )
-    found = []
+    middle, half = _pieces(S, ends)
+    times: list[Floats] = [np.empty(0)]
     while middle.size:
         w = reference.state(middle)
         f, reach = w @ row - level, _reach(np.abs(S), float(half.max()))
-        tangent, bend = np.abs(w @ slope) * half, np.abs(w) @ (curvature @ reach) * half**2
+        # By how much the signal changes on half an interval: by its slope, and by its bend at most.
+        tangent = np.abs(w @ slope) * half
+        bend = np.abs(w) @ (curvature @ reach) * half**2
         rounding = ROUNDING * (np.abs(w) @ np.abs(row) + abs(level))
         open_ = (np.abs(f) <= tangent + bend / 2) & (tangent + bend > rounding)
         monotone = open_ & (tangent > bend)
-        found.append(_bisect(reference, row, level, middle[monotone], half[monotone]))
+        times.append(_bisect(reference, row, level, middle[monotone], half[monotone]))
         middle, half = middle[open_ & ~monotone], half[open_ & ~monotone] / 2
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
-    return np.sort(np.concatenate([np.empty(0), *found]))
+    return np.sort(np.concatenate(times))
+
+
+def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """(middles, half widths) [s] of the first intervals, short against the fastest mode of S."""
+    fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
+    pieces = np.maximum(1, np.ceil(np.diff(ends) * fastest)).astype(int)
+    half = np.repeat(np.diff(ends) / pieces / 2, pieces)
+    middles: list[Floats] = []
+    for a, b, k in zip(ends[:-1], ends[1:], pieces, strict=True):
+        middles.append(a + (b - a) * (np.arange(k) + 0.5) / k)
+    return np.concatenate(middles), half
 
 
 def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, Floats]:
@@ -185,6 +225,7 @@ def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, 
 def _bisect(
     reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats
 ) -> Floats:
+    """The roots on intervals where the signal is monotone; none where it does not cross."""
     a, b = middle - half, middle + half
 
     def above(t: Floats) -> Any:
@@ -208,7 +249,10 @@ def _reach(S: Floats, half: float) -> Floats:
 
 
 def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool]:
-    """How many samples make a period (of several, if it takes these), else the horizon; and which of the two it is."""
+    """(how many samples make a period, True); (those of the horizon, False) if there is none.
+
+    Several periods count as one if it takes these.
+    """
     if period is not None:
         ratio = Fraction(period / Ts).limit_denominator(PERIODS)
         if ratio > 0 and abs(period / Ts - ratio) < 1e-9 * ratio:
@@ -225,26 +269,21 @@ def _from_samples(
     periodic: bool,
     corners: Floats,
 ) -> Schedule:
-    """The schedule of sides at samples; sampled ones start a span at the first sample from each corner on, too."""
+    """The schedule of sides (N x p) at samples, `step` [s] apart.
+
+    Sampled, a span starts at the first sample from each corner on, too.
+    """
     starts = np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)])
     after = np.ceil(corners / step - ROUNDING * len(side)).astype(int)
     starts[after[(after > 0) & (after < len(side))]] = True
     first = np.flatnonzero(starts)
     if Ts is None:
+        grain = step
         changes = np.concatenate([[0.0], (first[1:] - 0.5) * step, [(side.shape[0] - 1) * step]])
         spans = np.diff(changes)
     else:
+        grain = 1.0
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
-    grain = step if Ts is None else 1.0
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
-        return Schedule(
-            side[first],
-            spans,
-            Ts,
-            periodic,
-            grain,
-            z.min(axis=0),
-            z.mean(axis=0),
-            z.max(axis=0),
-            levels,
-        )
+        low, mean, high = z.min(axis=0), z.mean(axis=0), z.max(axis=0)
+        return Schedule(side[first], spans, Ts, periodic, grain, low, mean, high, levels)

@@ -1,4 +1,4 @@
-"""A design as a value: gains, their proof, what they are worth; kept in TOML, proved again on load."""
+"""A design is a value: gains, their proof, what they are worth; kept in TOML, proved on load."""
 
 from __future__ import annotations
 
@@ -20,7 +20,18 @@ Matrix = list[list[float]]
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Certified gains L (n x p), gamma (p) [1/s] and what they are worth: see `task.Scores`."""
+    """Certified gains and what they are worth, see `synthesis.criteria.Scores`.
+
+    Attributes:
+        L: observer gains (n x p) [1/s].
+        gamma: adaptation gains (p) [1/s].
+        rate: at which the error dies along the reference [1/s].
+        disturbance: rms of the errors (C x~, d~) over the reference [unit of z] per unit of white
+            input disturbance, 1 per root second on every input.
+        mismatch: the same per unit of relative error in every entry of A and B that is not
+            kinematic, independent.
+        noise: the same per unit of rms noise on z at every sample.
+    """
 
     L: Matrix
     gamma: list[float]
@@ -31,12 +42,25 @@ class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gains for a model A, B, C (of one step if Ts [s] is set), and the proof P, W that V never rises.
+    """Gains for a model A, B, C, and the proof P, W that V never rises.
 
-    chosen: how (rate, knee, or the weights); K: the state feedback it was planned with; margin, frequency [rad/s]: of the
-    proof; best: L, gamma and what they are worth; present: the scenario's own gains, if they are certified; identifiable:
-    per output; states: which are determined; never: errors that no gains can remove; front: the trade, by falling rate;
-    remarks: what could not be had.
+    Attributes:
+        title: of the scenario.
+        chosen: how the gains were chosen: rate, knee, or the weights.
+        seed: of the search.
+        Ts: sample time [s]; A and B are then of one step. None: continuous time.
+        A, B, C: the model (n x n, n x m, p x n).
+        K: the state feedback that the gains were planned with (m x n).
+        P, W: of the proof: weight of the state errors (n x n), weights of the outputs (p).
+        margin: of the proof.
+        frequency: where that margin is attained [rad/s]; None where there is no single one.
+        never: errors that no gains can remove.
+        states: which states the readings determine (n).
+        remarks: what could not be had.
+        best: the chosen gains and what they are worth.
+        present: the scenario's own gains, if they are certified.
+        identifiable: what the readings tell, per output.
+        front: the trade between rate and errors, by falling rate.
     """
 
     title: str
@@ -78,43 +102,81 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return vector("best.gamma", self.best.gamma, len(self.C))
 
     def require_proof(self, model: Matrices, Ts: float | None, what: str) -> None:
-        """Prove the gains again for a model from P and W, by eigenvalues alone. Raises ProofError."""
+        """Prove the gains again for a model from P and W, by eigenvalues alone.
+
+        Args:
+            model: A, B, C that the gains are to be used with; of one step if sampled.
+            Ts: its sample time [s]; None in continuous time.
+            what: what asks for the proof, named first in the error's message.
+
+        Raises:
+            ProofError: if the proof does not hold, or the model has another size.
+        """
         n, p = len(self.A), len(self.C)
         if model.C.shape != (p, n):
             raise ProofError(
-                f"{what}: the design is for {n} states and {p} outputs, the model has {model.C.shape[1]} and {model.C.shape[0]}"
+                f"{what}: the design is for {n} states and {p} outputs, "
+                f"the model has {model.C.shape[1]} and {model.C.shape[0]}"
             )
-        found = recheck(
-            dynamics(model, self.L, self.gamma, Ts),
-            matrix("P", self.P, n, n),
-            vector("W", self.W, p),
-        )
-        if not found.proved:
+        errors = dynamics(model, self.L, self.gamma, Ts)
+        proof = recheck(errors, matrix("P", self.P, n, n), vector("W", self.W, p))
+        if not proof.proved:
             raise ProofError(
-                f"{what}: its proof does not hold (greatest eigenvalue of the inequality {found.lmi:.3g}, least of P {found.P:.3g}; "
-                "they must be negative and positive): the file was changed, or made for another model or sample time; design again"
+                f"{what}: its proof does not hold (greatest eigenvalue of the inequality "
+                f"{proof.lmi:.3g}, least of P {proof.P:.3g}; they must be negative and positive): "
+                "the file was changed, or made for another model or sample time; design again"
             )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it as TOML, every number exactly. Raises FileError."""
+        """Write it as TOML, every number exactly.
+
+        Args:
+            path: of the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: if it cannot be written.
+        """
         return write_text(toml.dumps(self), Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
-        """Read a design and prove it again. Raises FileError, ShapeError, or ProofError if the proof does not hold for its own model."""
+        """Read a design and prove it again.
+
+        Args:
+            path: of the file.
+
+        Returns:
+            The design, its proof checked for its own model.
+
+        Raises:
+            FileError: if it cannot be read or is no design.
+            ShapeError: if a matrix has the wrong shape.
+            ProofError: if the proof does not hold for its own model.
+        """
         try:
             with open(path, "rb") as file:
-                found = msgspec.convert(tomllib.load(file), cls)
+                design = msgspec.convert(tomllib.load(file), cls)
         except OSError as error:
             raise FileError(f"{path}: cannot read: {reason(error)}") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
             raise FileError(f"{path}: not a design saved by undeadzone ({error})") from None
-        found.require_proof(found.model, found.Ts, str(path))
-        return found
+        design.require_proof(design.model, design.Ts, str(path))
+        return design
 
 
 class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What one output's readings can tell: verdicts, reasons for each 'no', cures, expected standard deviations [z]."""
+    """What one output's readings can tell of its dead zone.
+
+    Attributes:
+        right, left: whether they determine d_r, d_l.
+        width, centre: whether they determine d_r + d_l, d_r - d_l.
+        reasons: why not, for each 'no'.
+        cures: what would turn a 'no' into a 'yes'.
+        std: expected standard deviation of each, by its name [unit of z].
+    """
 
     right: bool
     left: bool

@@ -1,4 +1,7 @@
-"""The edge of what can be certified: the certified gains nearest to given ones, and the fastest common-P decay of any."""
+"""The edge of what can be certified: the certified gains nearest to others, the fastest decay.
+
+The decay is that of x~'P x~ with one P, over all certified gains.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,17 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
+CUTS = 200  # rounds of cutting planes, at most
+SHARES = (1.0, 0.99, 0.9, 0.5, 0.1, 0.0)  # of the nearest L, until one is proved
+
 
 class Nearest(NamedTuple):
-    """The nearest gains' certificate (its dynamics hold L and gamma), and how far they are.
+    """The nearest gains' certificate, and how far they are.
 
-    distance: the norm of the change of W^(1/2) G W^(-1/2) (energy of its impulse response) over that of itself, a number
-    that no change of coordinates alters.
+    Attributes:
+        certificate: its dynamics hold L and gamma.
+        distance: the norm of the change of W^(1/2) G W^(-1/2) (energy of its impulse response) over
+            that of itself, a number that no change of coordinates alters.
     """
 
     certificate: Certificate
@@ -30,46 +38,65 @@ class Nearest(NamedTuple):
 def nearest(
     linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01
 ) -> Nearest:
-    """The gains nearest to L (n x p) whose margin is `least` or more; L itself if it has that.
+    """The gains nearest to L whose margin is `least` or more; L itself if it has that.
 
-    With the weights W that suit L best, the admissible gains are an intersection of half-spaces, one per frequency and
-    direction, so that the nearest is unique; it is found by adding the exact worst frequency again and again. If it
-    cannot be proved in floating point it is drawn towards L = 0. Sampled, Gamma is first scaled down so that no Ts
-    gamma exceeds 1. Raises StructureError for a model that no gain can certify.
+    With the weights W that suit L best, the admissible gains are an intersection of half-spaces,
+    one per frequency and direction, so that the nearest is unique; it is found by adding the exact
+    worst frequency again and again. If it cannot be proved in floating point it is drawn towards
+    L = 0. Sampled, Gamma is first scaled down so that no Ts gamma exceeds 1.
+
+    Args:
+        linear: the model's A, B, C, of one step if sampled.
+        L: observer gains (n x p) [1/s].
+        gamma: adaptation gains, see `error_dynamics.adaptation` [1/s].
+        Ts: sample time [s]; None in continuous time.
+        least: margin that the gains must have.
+
+    Raises:
+        StructureError: for a model that no gain can certify.
+        InputError, ShapeError: for gains of the wrong kind.
     """
-    given = dynamics(linear, L, gamma, Ts)
-    if given.Ts is not None:
-        given = given._replace(
-            gamma=given.gamma / max(1.0, given.Ts * np.linalg.eigvalsh(given.gamma)[-1])
-        )
-    certificate = certify_dynamics(given)
+    errors = dynamics(linear, L, gamma, Ts)
+    if errors.Ts is not None:
+        largest = errors.Ts * np.linalg.eigvalsh(errors.gamma)[-1]
+        errors = errors._replace(gamma=errors.gamma / max(1.0, largest))
+    certificate = certify_dynamics(errors)
     if certificate.margin == -np.inf:
         raise StructureError(f"observer.L: no gains can be certified: {certificate.reason}")
     if certificate.certified and certificate.margin >= least:
         return Nearest(certificate, 0.0)
-    W, found = certificate.W, _project(given, certificate.W, least)
-    for share in (1.0, 0.99, 0.9, 0.5, 0.1, 0.0):
-        certificate = certify_dynamics(given._replace(L=share * found), W)
+    W = certificate.W
+    projected = _project(errors, W, least)
+    for share in SHARES:
+        L = share * projected
+        certificate = certify_dynamics(errors._replace(L=L), W)
         if certificate.certified and certificate.margin >= least:
             break
-    shape = _metric(given, W)
-    change, size = (
-        float(np.linalg.norm(shape.T @ (gains / np.sqrt(W))))
-        for gains in (given.L - share * found, given.L)
-    )
+    shape = _metric(errors, W)
+    change = float(np.linalg.norm(shape.T @ ((errors.L - L) / np.sqrt(W))))
+    size = float(np.linalg.norm(shape.T @ (errors.L / np.sqrt(W))))
     return Nearest(certificate, change / size)
 
 
 def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e-4) -> float:
-    """The largest rate [1/s] at which one x~'P x~ can fall while an output is active, over every certified L (and P, W).
+    """The largest rate [1/s] at which one x~'P x~ can fall while an output is active.
 
-    Bisection on the LMI M(P, Y, W) <= 0, (A - LC)'P + P(A - LC) <= -2 rate P with Y = PL (sampled: e^(-2 rate Ts) P);
-    inf where there is no limit. It is a limit of common-P proofs, not of how fast the error really falls.
+    The largest over every certified L (and P, W): bisection on the LMI M(P, Y, W) <= 0,
+    (A - LC)'P + P(A - LC) <= -2 rate P with Y = PL (sampled: e^(-2 rate Ts) P). It is a limit of
+    common-P proofs, not of how fast the error really falls.
+
+    Args:
+        linear: the model's A, B, C, of one step if sampled.
+        Ts: sample time [s]; None in continuous time.
+        tolerance: of the rate, relative.
+
+    Returns:
+        The rate; inf where there is no limit.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    given = dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
-    scaling = balance(given)
-    scaled = scaling.dynamics(given)
+    errors = dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
+    scaling = balance(errors)
+    scaled = scaling.dynamics(errors)
     size = float(np.linalg.norm(scaled.A[0], 2))
     low, high = 0.0, size
     while _decays(scaled, high):
@@ -78,75 +105,107 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
             return np.inf
     while high - low > tolerance * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if _decays(scaled, middle) else (low, middle)
+        if _decays(scaled, middle):
+            low = middle
+        else:
+            high = middle
     return low / scaling.time
 
 
-def _project(given: Dynamics, W: Floats, least: float) -> Floats:
-    """L nearest to the given one whose margin under W is `least`: least-distance cutting planes."""
-    (A,), C, start, _, Ts = given
+class _Projection(NamedTuple):
+    """What half-spaces of admissible gains are made of, in units where W = 1.
+
+    Attributes:
+        A: delta form if sampled (n x n) [1/s].
+        C: outputs (p x n).
+        target: the gains to be projected (n x p).
+        inward: inverse of the metric, transposed (n x n).
+        least: margin that is asked for.
+        Ts: sample time [s]; None in continuous time.
+    """
+
+    A: Floats
+    C: Floats
+    target: Floats
+    inward: Floats
+    least: float
+    Ts: float | None
+
+
+def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
+    """L nearest to that of `errors` of margin `least` under W: least-distance cutting planes."""
+    (A,), C, start, _, Ts = errors
     root = np.sqrt(W)
-    observed = C * root[:, None]
-    inward = np.linalg.inv(_metric(given, W)).T
-    target = start / root  # L in units where W = 1
-    L, seen, normals, levels = (
-        target,
-        [set[float]() for _ in given.steps],
-        np.zeros((0, target.size)),
-        np.zeros(0),
-    )
-    for _ in range(200):
+    inward = np.linalg.inv(_metric(errors, W)).T
+    problem = _Projection(A, C * root[:, None], start / root, inward, least, Ts)
+    L = problem.target
+    seen = [set[float]() for _ in errors.steps]  # the frequencies of each step's half-spaces
+    normals, levels = np.zeros((0, L.size)), np.zeros(0)
+    for _ in range(CUTS):
         done = True
-        for step, frequencies in zip(given.steps, seen, strict=True):
+        for step, frequencies in zip(errors.steps, seen, strict=True):
             D = np.eye(root.size) - step / 2
-            G = response(A, observed, L, D, Ts)
-            found = worst(G)
-            done &= found.value >= least
-            frequencies.add(found.w)
-            at = np.array([*frequencies])
-            for w, values, directions in zip(at, *np.linalg.eigh(G.at(at)), strict=True):
-                rows = observed @ _resolvent(A, w, Ts)
-                for v in directions.T[values < least]:
-                    slope = np.real((v.conj() @ rows)[:, None] * v)
-                    normals = np.vstack([normals, (inward.T @ slope).ravel()])
-                    levels = np.append(
-                        levels,
-                        least * (1 + 1e-3) - np.real(v.conj() @ D @ v) - (slope * target).sum(),
-                    )
+            lowest = worst(response(A, problem.C, L, D, Ts))
+            done &= lowest.value >= least
+            frequencies.add(lowest.w)
+            for normal, level in _half_spaces(problem, L, D, np.array([*frequencies])):
+                normals = np.vstack([normals, normal])
+                levels = np.append(levels, level)
         if done:
             break
         move, active = _least_distance(normals, levels)
         normals, levels = normals[active], levels[active]
-        L = target + inward @ move.reshape(target.shape)
+        L = problem.target + inward @ move.reshape(L.shape)
     return np.asarray(L * root)
 
 
-def _metric(given: Dynamics, W: Floats) -> Floats:
-    """M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W: M M' is the observability Gramian.
+def _half_spaces(
+    problem: _Projection, L: Floats, D: Floats, frequencies: Floats
+) -> list[tuple[Floats, float]]:
+    """(normal, level) of the half-spaces that L violates at these frequencies [rad/s].
 
-    Directions that are hardly observable are given a least weight, so that M can be inverted.
+    normal @ move >= level holds for admissible gains target + inward move.
+    """
+    G = response(problem.A, problem.C, L, D, problem.Ts)
+    half_spaces = []
+    eigen = np.linalg.eigh(G.at(frequencies))
+    for w, values, directions in zip(frequencies, *eigen, strict=True):
+        rows = problem.C @ _resolvent(problem.A, w, problem.Ts)
+        for v in directions.T[values < problem.least]:
+            slope = np.real((v.conj() @ rows)[:, None] * v)
+            own = np.real(v.conj() @ D @ v)
+            level = problem.least * (1 + 1e-3) - own - (slope * problem.target).sum()
+            half_spaces.append(((problem.inward.T @ slope).ravel(), level))
+    return half_spaces
+
+
+def _metric(errors: Dynamics, W: Floats) -> Floats:
+    """M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W.
+
+    M M' is the observability Gramian. Directions that are hardly observable are given a least
+    weight, so that M can be inverted.
     """
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    (A,), C, Ts = given.A, given.C * np.sqrt(W)[:, None], given.Ts
-    Q = (
-        solve_continuous_lyapunov(A.T, -C.T @ C)
-        if Ts is None
-        else solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
-    )
-    values, vectors = np.linalg.eigh(Q)
+    (A,), C, Ts = errors.A, errors.C * np.sqrt(W)[:, None], errors.Ts
+    if Ts is None:
+        gramian = solve_continuous_lyapunov(A.T, -C.T @ C)
+    else:
+        gramian = solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
+    values, vectors = np.linalg.eigh(gramian)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 
 
 def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
-    """(s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; 0 or its limit at w = inf."""
+    """(s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; its limit at w = inf."""
+    if Ts is None and np.isinf(w):
+        return np.zeros(A.shape, complex)
     if Ts is None:
-        return (
-            np.zeros(A.shape, complex)
-            if np.isinf(w)
-            else np.linalg.inv(1j * w * np.eye(A.shape[0]) - A)
-        )
-    s = -2 / Ts if np.isinf(w) else 1j * w / (1 - 1j * w * Ts / 2)
+        s = 1j * w
+    elif np.isinf(w):
+        s = -2 / Ts
+    else:
+        s = 1j * w / (1 - 1j * w * Ts / 2)
     return np.linalg.inv(s * np.eye(A.shape[0]) - A)
 
 
@@ -160,29 +219,22 @@ def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
     E = np.vstack([(G / size[:, None]).T, levels / scale])
     target = np.append(np.zeros(G.shape[1]), 1.0)
     u, _ = nnls(E, target)
-    r = E @ u - target
+    r = E @ u - target  # the residual
     return -r[:-1] / r[-1] * scale, u > 0
 
 
-def _decays(given: Dynamics, rate: float) -> bool:
-    """Whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at this rate."""
-    (A,), C, _, _, Ts = given
-    n, p = A.shape[0], C.shape[0]
+def _decays(errors: Dynamics, rate: float) -> bool:
+    """Whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at this rate [1/s]."""
+    n, p = errors.L.shape
     entries = n * (n + 1) // 2
+    ends = [entries, entries + n * p]
 
     def blocks(x: Floats) -> list[Floats]:
-        P, Y = symmetric(x[:entries], n), x[entries : entries + n * p].reshape(n, p)
-        W = np.append(x[entries + n * p : -1], p - x[entries + n * p : -1].sum())
-        PF = P @ A
-        cross = C.T * W - Y
-        M = np.block([[PF + PF.T, cross], [cross.T, -2 * np.diag(W)]])
-        active = PF - Y @ C
-        gain = 2 * rate if Ts is None else -np.expm1(-2 * rate * Ts) / Ts
-        N = active + active.T + gain * P
-        if Ts is not None:
-            root = np.sqrt(Ts)
-            M = np.block([[M, root * np.vstack([PF.T, -Y.T])], [root * np.hstack([PF, -Y]), -P]])
-            N = np.block([[N, root * active.T], [root * active, -P]])
+        # x holds P, Y, the weights but the last (their sum is p), and how deep they lie inside.
+        of_P, of_Y, of_W = np.split(x[:-1], ends)
+        P, Y = symmetric(of_P, n), of_Y.reshape(n, p)
+        W = np.append(of_W, p - of_W.sum())
+        M, N = _decay_inequalities(errors, rate, P, Y, W)
         return [
             -x[-1] * np.eye(len(M)) - M,
             -x[-1] * np.eye(len(N)) - N,
@@ -194,3 +246,21 @@ def _decays(given: Dynamics, rate: float) -> bool:
     cost[-1] = -1.0
     x = minimise(cost, blocks)
     return x is not None and bool(x[-1] > 0)
+
+
+def _decay_inequalities(
+    errors: Dynamics, rate: float, P: Floats, Y: Floats, W: Floats
+) -> tuple[Floats, Floats]:
+    """(M of the certificate, N of the decay while active) of `decay_limit`; both must be <= 0."""
+    (A,), C, _, _, Ts = errors
+    PA = P @ A
+    cross = C.T * W - Y
+    M = np.block([[PA + PA.T, cross], [cross.T, -2 * np.diag(W)]])
+    active = PA - Y @ C  # P (A - L C)
+    gain = 2 * rate if Ts is None else -np.expm1(-2 * rate * Ts) / Ts
+    N = active + active.T + gain * P
+    if Ts is not None:
+        root = np.sqrt(Ts)
+        M = np.block([[M, root * np.vstack([PA.T, -Y.T])], [root * np.hstack([PA, -Y]), -P]])
+        N = np.block([[N, root * active.T], [root * active, -P]])
+    return M, N

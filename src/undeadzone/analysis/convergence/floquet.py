@@ -1,4 +1,7 @@
-"""How fast the error dies along a schedule of sides: Floquet multipliers of (x~, d~) (derivation in docs/rates.md)."""
+"""How fast the error dies along a schedule of sides: Floquet multipliers of (x~, d~).
+
+The derivation is in docs/rates.md.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import dynamics, pattern
-from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
@@ -20,12 +23,17 @@ TINY = 1e-300
 class Rates(NamedTuple):
     """The Floquet multipliers of the error over one pass of a schedule, and what they say.
 
-    rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable directions keep on the unit circle
-    are set apart (-inf: the error grows beyond all numbers); time_constant: 1 / rate [s], inf where the error does not
-    die; logs: logarithms of the multipliers, by falling real part; slow (n + 2p, m): what dies last, in (x~, [d~_r, d~_l]
-    per output), largest entry 1; never: the unidentifiable states and widths, whose errors stay; period: T [s]; periodic:
-    whether the schedule repeats by itself; gain: the largest factor by which one pass can multiply an error, in balanced
-    units.
+    Attributes:
+        rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable
+            directions keep on the unit circle are set apart; -inf: the error grows beyond all
+            numbers.
+        time_constant: 1 / rate [s], inf where the error does not die.
+        logs: logarithms of the multipliers, by falling real part.
+        slow: what dies last, in (x~, [d~_r, d~_l] per output), largest entry 1 (n + 2p, m).
+        never: the unidentifiable states and widths, whose errors stay.
+        period: T [s].
+        periodic: whether the schedule repeats by itself.
+        gain: the largest factor by which one pass can multiply an error, in balanced units.
     """
 
     rate: float
@@ -41,100 +49,142 @@ class Rates(NamedTuple):
 def rates(
     linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: bool = False
 ) -> Rates:
-    """The rate of x~ -> 0, d~ -> 0 for gains L (n x p), gamma (see `errordynamics.adaptation`), [1/s] both.
+    """The rate of x~ -> 0, d~ -> 0 along a schedule.
 
-    A schedule that is not periodic is taken as repeated: the rate is then its mean over many such passes. Widths that are
-    not adapted (gamma = 0), or that a jump sensor's readings do not hold, are left out of the error.
+    A schedule that is not periodic is taken as repeated: the rate is then its mean over many such
+    passes. Widths that are not adapted (gamma = 0), or that a jump sensor's readings do not hold,
+    are left out of the error.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        L: observer gains (n x p) [1/s].
+        gamma: adaptation gains, see `error_dynamics.adaptation` [1/s].
+        schedule: of the sides.
+        jump: whether the sensor jumps.
     """
-    given = dynamics(linear, L, gamma, schedule.Ts)
+    errors = dynamics(linear, L, gamma, schedule.Ts)
     n = linear.A.shape[0]
     schedule = merged(schedule)
-    part = np.concatenate([np.ones(n, bool), (np.abs(given.gamma).sum(axis=0) > 0) & (not jump)])
+    adapted = (np.abs(errors.gamma).sum(axis=0) > 0) & (not jump)
+    part = np.concatenate([np.ones(n, bool), adapted])
     hidden = invisible(linear, schedule.visited(), schedule.Ts, jump=jump).within(part)
     units = hidden.scale[part]
-    F, _ = error_matrices(given.A[0], given.C, given.L, given.gamma, schedule.sides)
+    F, _ = error_matrices(errors.A[0], errors.C, errors.L, errors.gamma, schedule.sides)
     with np.errstate(over="ignore", invalid="ignore"):
-        M, size = product(transitions(F[:, part][:, :, part] * units / units[:, None], schedule))
-    T = schedule.duration
+        scaled = F[:, part][:, :, part] * units / units[:, None]
+        M, size = product(transitions(scaled, schedule))
     if not np.isfinite(M).all():
-        return Rates(
-            -np.inf,
-            np.inf,
-            np.array([np.inf]),
-            np.zeros((part.size, 0)),
-            (),
-            T,
-            schedule.periodic,
-            np.inf,
-        )
-    U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [hidden.basis.shape[1]], axis=1)
-
-    multipliers, kept = np.linalg.eig(U.T @ M @ U)
-    stays = np.abs(np.log(np.maximum(np.abs(multipliers), TINY)) + size) < NEUTRAL
-    never = (
-        hidden._replace(basis=hidden.basis @ np.hstack([kept[:, stays].real, kept[:, stays].imag]))
-        if stays.any()
-        else None
-    )
-    dying, vectors = np.linalg.eig(V.T @ M @ V)
-    logs = (
-        np.log(np.maximum(np.abs(mu := np.append(multipliers[~stays], dying)), TINY))
-        + size
-        + 1j * np.angle(mu)
-    )
-    ways = np.hstack([U @ kept[:, ~stays], V @ vectors]) * units[:, None]
+        return _without_bound(part.size, schedule)
+    modes = _modes(M, size, hidden, part)
+    # The modes that die last; a complex pair gives its real and its imaginary part.
+    logs = modes.logs
     slowest = np.flatnonzero(logs.real > logs.real.max(initial=-np.inf) - 1e-7)
+    ways = modes.ways * units[:, None]
     slow = np.zeros((part.size, slowest.size))
     slow[part] = np.where(logs[slowest].imag < 0, ways[:, slowest].imag, ways[:, slowest].real)
+    T = schedule.duration
     rate = -float(logs.real.max()) / T if logs.size else 0.0
     return Rates(
         rate,
         1 / rate if rate > 0 else np.inf,
         logs[np.argsort(-logs.real)],
         slow / slow[np.abs(slow).argmax(axis=0), np.arange(slowest.size)],
-        () if never is None else never.names,
+        modes.never,
         T,
         schedule.periodic,
         float(np.linalg.norm(M, 2) * np.exp(size)),
     )
 
 
+def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
+    """The rates of an error that grows beyond all numbers in one pass."""
+    none = np.zeros((unknowns, 0))
+    T, periodic = schedule.duration, schedule.periodic
+    return Rates(-np.inf, np.inf, np.array([np.inf]), none, (), T, periodic, np.inf)
+
+
+class _Modes(NamedTuple):
+    """Multipliers of one pass but for those that unidentifiable directions keep on the circle.
+
+    Attributes:
+        logs: their logarithms, complex.
+        ways: their eigenvectors, as columns.
+        never: what is kept, in words.
+    """
+
+    logs: np.ndarray
+    ways: np.ndarray
+    never: tuple[str, ...]
+
+
+def _modes(M: Floats, size: Floats, hidden: Invisible, part: np.ndarray) -> _Modes:
+    """The multipliers of the monodromy matrix M e^size.
+
+    hidden: what no reading shows; part: which unknowns M is of.
+    """
+    count = hidden.basis.shape[1]
+    U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [count], axis=1)
+    # M maps what is hidden (U) into itself, so that its multipliers are those of both blocks.
+    multipliers, kept = np.linalg.eig(U.T @ M @ U)
+    stays = np.abs(np.log(np.maximum(np.abs(multipliers), TINY)) + size) < NEUTRAL
+    never: tuple[str, ...] = ()
+    if stays.any():
+        staying = np.hstack([kept[:, stays].real, kept[:, stays].imag])
+        never = hidden._replace(basis=hidden.basis @ staying).names
+    dying, vectors = np.linalg.eig(V.T @ M @ V)
+    mu = np.append(multipliers[~stays], dying)
+    logs = np.log(np.maximum(np.abs(mu), TINY)) + size + 1j * np.angle(mu)
+    return _Modes(logs, np.hstack([U @ kept[:, ~stays], V @ vectors]), never)
+
+
 def error_matrices(
     A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats
 ) -> tuple[Floats, Floats]:
-    """(F, G): (x~, d~)' = F (x~, d~) + G v on each of K sides (K x p), v noise on z; L (..., n, p), gamma (..., 2p, 2p), delta form if A is.
+    """(F, G) of (x~, d~)' = F (x~, d~) + G v on each of K sides, v noise on z.
 
-    x~' = A x~ - L e, d~' = Gamma S'e with e = C x~ - S d~ + v on the active outputs, 0 on the silent ones.
-    F (..., K, n + 2p, n + 2p), G (..., K, n + 2p, p).
+    x~' = A x~ - L e, d~' = Gamma S'e with e = C x~ - S d~ + v on the active outputs, 0 on the
+    silent ones.
+
+    Args:
+        A: the plant's matrix (n x n); delta form if sampled, and then so are F and G [1/s].
+        C: its outputs (p x n).
+        L: observer gains (..., n, p) [1/s].
+        gamma: Gamma (..., 2p, 2p) [1/s].
+        sides: +1, 0, -1 of each output (K x p).
+
+    Returns:
+        F (..., K, n + 2p, n + 2p), G (..., K, n + 2p, p).
     """
     n = A.shape[0]
     S = np.stack([pattern(tuple(row)) for row in sides.astype(int)])
     active = np.abs(sides)
     rows = np.concatenate([C * active[:, :, None], -S], axis=2)
-    G = np.concatenate(
-        [-L[..., None, :, :] * active[:, None, :], gamma[..., None, :, :] @ S.transpose(0, 2, 1)],
-        axis=-2,
-    )
+    to_states = -L[..., None, :, :] * active[:, None, :]
+    to_widths = gamma[..., None, :, :] @ S.transpose(0, 2, 1)
+    G = np.concatenate([to_states, to_widths], axis=-2)
     F = np.asarray(G @ rows)
     F[..., :n, :n] += A
     return F, G
 
 
 def transitions(F: Floats, schedule: Schedule) -> Floats:
-    """The transition matrix over each span: e^{F t}, or (I + Ts F)^k; F (..., K, N, N)."""
+    """The transition matrix over each span: e^{F t}, or (I + Ts F)^k; F (..., K, N, N) [1/s]."""
     if schedule.Ts is None:
         return exponential(F * schedule.spans[:, None, None])
     return power(np.eye(F.shape[-1]) + schedule.Ts * F, schedule.spans.astype(int))
 
 
 def product(factors: Floats) -> tuple[Floats, Floats]:
-    """(M, s): the product ... F_2 F_1 F_0 of factors (..., K, N, N) is M e^s; no underflow, however long."""
+    """(M, s): the product ... F_2 F_1 F_0 of factors is M e^s; no underflow, however long.
+
+    Args:
+        factors: F_0, F_1, ... (..., K, N, N).
+    """
     size = np.zeros(factors.shape[:-3])
     while factors.shape[-3] > 1:
         if factors.shape[-3] % 2:
-            identity = np.broadcast_to(
-                np.eye(factors.shape[-1]), (*size.shape, 1, *factors.shape[-2:])
-            )
+            one = (*size.shape, 1, *factors.shape[-2:])
+            identity = np.broadcast_to(np.eye(factors.shape[-1]), one)
             factors = np.concatenate([factors, identity], axis=-3)
         factors = factors[..., 1::2, :, :] @ factors[..., ::2, :, :]
         norms = np.maximum(np.abs(factors).max(axis=(-2, -1)), TINY)
@@ -144,7 +194,7 @@ def product(factors: Floats) -> tuple[Floats, Floats]:
 
 
 def exponential(X: Floats) -> Floats:
-    """e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series and squaring."""
+    """e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series, squaring."""
     norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
     halvings = np.ceil(np.log2(np.maximum(8 * norm, 1.0))).astype(int)
     X = X / (2.0**halvings)[:, None, None]
@@ -157,12 +207,12 @@ def exponential(X: Floats) -> Floats:
 
 def power(X: Floats, times: Floats) -> Floats:
     """X[..., k, :, :] to the power times[k] >= 0, by squaring."""
-    found = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
+    raised = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
     while True:
         odd = times % 2 == 1
         if odd.any():
-            found = np.where(odd[:, None, None], found @ X, found)
+            raised = np.where(odd[:, None, None], raised @ X, raised)
         times = times // 2
         if not times.any():
-            return np.asarray(found)
+            return np.asarray(raised)
         X = X @ X

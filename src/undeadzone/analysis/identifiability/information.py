@@ -1,4 +1,7 @@
-"""How well noisy readings determine x(0), d and a bias along a schedule: information, backward in time (docs/identifiability.md)."""
+"""How well noisy readings determine x(0), d and a bias along a schedule, backward in time.
+
+docs/identifiability.md derives it. The unknowns are [x(0); d; beta], d = [right, left] per output.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,22 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, invisible
+from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 
 EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
-BLURRED = 1e-4  # the same beside process noise, which makes some direction so vague that rounding would hide it
+BLURRED = 1e-4  # the same beside process noise, whose vague directions rounding would hide
 
 
 class Stretch(NamedTuple):
-    """What a stretch of time does to information: before = H + Phi' (after^-1 + Q)^-1 Phi, all N x N.
+    """What a stretch of time does to information: before = H + Phi' (after^-1 + Q)^-1 Phi.
 
-    Phi: the transition; Q: covariance that process noise adds; H: the observability Gramian of the stretch's readings.
+    Attributes:
+        Phi: the transition (N x N).
+        Q: covariance that process noise adds (N x N).
+        H: the observability Gramian of the stretch's readings (N x N).
     """
 
     Phi: Floats
@@ -28,10 +34,13 @@ class Stretch(NamedTuple):
 
 
 class Deviations(NamedTuple):
-    """Standard deviations that an optimal estimator reaches: inf where a direction is not identifiable.
+    """Standard deviations that an optimal estimator reaches: inf where it cannot know.
 
-    widths: of `right`, `left`, `width`, `centre` of each output; states (n): of x(0); covariance (n + 2p + b square): of
-    [x(0); d; beta], its unidentifiable part left out; information: the inverse, whole.
+    Attributes:
+        widths: of `right`, `left`, `width`, `centre` of each output [unit of z].
+        states: of x(0) (n).
+        covariance: of [x(0); d; beta], its unidentifiable part left out (n + 2p + b square).
+        information: the inverse, whole.
     """
 
     widths: list[dict[str, float]]
@@ -49,34 +58,35 @@ def deviations(
     bias: Floats | None = None,
     process: Floats | None = None,
 ) -> Deviations:
-    """What readings with noise (p, rms of z) every `step` [s] for `duration` [s] tell, whole passes of the schedule at a time.
+    """What noisy readings tell, whole passes of the schedule at a time; no prior is used.
 
-    bias: directions (n x b) of unknown constant inputs; process (n x n): covariance of white process noise, per second, or
-    per step if the schedule is sampled. No prior is used.
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        schedule: of the sides.
+        noise: rms of the noise of z (p).
+        step: time between two readings [s].
+        duration: for how long there are readings [s].
+        bias: directions (n x b) of unknown constant inputs.
+        process: covariance (n x n) of white process noise, per second, or per step if the schedule
+            is sampled.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
-    found = information(
-        linear, schedule, np.maximum(noise, least) ** 2, step, duration, bias, process
-    )
+    variance = np.maximum(noise, least) ** 2
+    fisher = information(linear, schedule, variance, step, duration, bias, process)
     hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
-    scale = hidden.scale
-    seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]
-    covariance = np.outer(scale, scale) * (
-        seen @ _inverse(seen.T @ (found * np.outer(scale, scale)) @ seen) @ seen.T
-    )
-
-    def widths(i: int) -> dict[str, float]:
-        pair = covariance[n + 2 * i : n + 2 * i + 2, n + 2 * i : n + 2 * i + 2]
-        return {
-            name: float(np.sqrt(np.array(g) @ pair @ np.array(g)))
-            if hidden.width(i, name)
-            else np.inf
-            for name, g in DIRECTIONS.items()
-        }
-
-    states = np.array([np.sqrt(covariance[i, i]) if hidden.state(i) else np.inf for i in range(n)])
-    return Deviations([widths(i) for i in range(p)], states, covariance, found)
+    units = np.outer(hidden.scale, hidden.scale)
+    seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
+    covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
+    widths = []
+    for i in range(p):
+        own = slice(n + 2 * i, n + 2 * i + 2)
+        widths.append(hidden.deviations(i, covariance[own, own]))
+    states = np.full(n, np.inf)
+    for i in range(n):
+        if hidden.state(i):
+            states[i] = np.sqrt(covariance[i, i])
+    return Deviations(widths, states, covariance, fisher)
 
 
 def information(
@@ -88,35 +98,33 @@ def information(
     bias: Floats | None = None,
     process: Floats | None = None,
 ) -> Floats:
-    """The information matrix of [x(0); d; beta], per stretch of constant side, put together by doubling.
+    """The information matrix (n + 2p + b square) of [x(0); d; beta].
 
-    Without process noise it is exact: the observability Gramian of the switched system divided by the noise; see `deviations`.
+    Without process noise it is exact: the observability Gramian of the switched system divided by
+    the noise.
+
+    Args:
+        linear, schedule, step, duration, bias, process: see `deviations`.
+        variance: of the noise of z (p).
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
     size = n + 2 * p + B.shape[1]
+    # [x; d; beta]' = F [x; d; beta], with white noise of covariance Q.
     F, Q = np.zeros((size, size)), np.zeros((size, size))
     F[:n, :n], F[:n, n + 2 * p :] = linear.A, B
     if process is not None:
         Q[:n, :n] = process
+    one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model
     once = None
     for sides, span in zip(*merged(schedule)[:2], strict=True):
-        rows = np.hstack(
-            [
-                linear.C * np.abs(sides)[:, None],
-                -pattern(tuple(sides.astype(int))),
-                np.zeros((p, B.shape[1])),
-            ]
-        )
+        of_states = linear.C * np.abs(sides)[:, None]
+        S = pattern(tuple(sides.astype(int)))
+        rows = np.hstack([of_states, -S, np.zeros((p, B.shape[1]))])
         if schedule.Ts is None:
             stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span, step)
         else:
-            stretch = repeat(
-                Stretch(
-                    F + np.diag(np.r_[np.zeros(n), np.ones(size - n)]), Q, rows.T / variance @ rows
-                ),
-                round(span),
-            )
+            stretch = repeat(Stretch(one_step, Q, rows.T / variance @ rows), round(span))
         once = stretch if once is None else then(once, stretch)
     assert once is not None
     return repeat(once, max(1, int(duration / schedule.duration * (1 + 1e-12)))).H
@@ -124,10 +132,8 @@ def information(
 
 def then(first: Stretch, second: Stretch) -> Stretch:
     """One stretch after another."""
-    both = np.linalg.solve(
-        np.eye(first.Q.shape[0]) + first.Q @ second.H, np.hstack([first.Phi, first.Q])
-    )
-    Phi, Q = np.hsplit(both, 2)
+    mixed = np.eye(first.Q.shape[0]) + first.Q @ second.H
+    Phi, Q = np.hsplit(np.linalg.solve(mixed, np.hstack([first.Phi, first.Q])), 2)
     H = first.H + first.Phi.T @ second.H @ Phi
     Q = second.Q + second.Phi @ Q @ second.Phi.T
     return Stretch(second.Phi @ Phi, (Q + Q.T) / 2, (H + H.T) / 2)
@@ -135,30 +141,31 @@ def then(first: Stretch, second: Stretch) -> Stretch:
 
 def repeat(once: Stretch, times: int) -> Stretch:
     """A stretch `times` >= 1 times in a row, by doubling."""
-    found = None
+    whole = None
     while True:
         if times & 1:
-            found = once if found is None else then(found, once)
+            whole = once if whole is None else then(whole, once)
         times >>= 1
         if not times:
-            assert found is not None
-            return found
+            assert whole is not None
+            return whole
         once = then(once, once)
 
 
 def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
-    """The stretch of x' = F x + w, cov w = Q, with information H per second, for `span` [s]: short parts, then doubling.
+    """The stretch of x' = F x + w for `span` [s]: short parts, then doubling.
 
-    Within a part readings come before process noise: with Q, a part holds one reading (every `step` [s]) at most.
+    Within a part readings come before process noise: with Q, a part holds one reading (every `step`
+    [s]) at most. Q: covariance of w; H: information of readings per second.
     """
     from scipy.linalg import expm
 
-    parts = max(1.0, float(np.linalg.norm(F, 1)) * span, span / step if Q.any() else 1.0)
+    readings = span / step if Q.any() else 1.0
+    parts = max(1.0, float(np.linalg.norm(F, 1)) * span, readings)
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
-    return repeat(
-        Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part)), 2**halvings
-    )
+    one = Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part))
+    return repeat(one, 2**halvings)
 
 
 def _gramian(F: Floats, Q: Floats, span: float) -> Floats:
@@ -172,8 +179,8 @@ def _gramian(F: Floats, Q: Floats, span: float) -> Floats:
 
 def _inverse(information: Floats) -> Floats:
     """The inverse of a positive semidefinite matrix, infinite where rounding leaves nothing."""
-    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
-    return np.asarray(
-        (vectors / np.maximum(values, np.finfo(float).tiny)) @ vectors.T / np.outer(unit, unit)
-    )
+    tiny = np.finfo(float).tiny
+    unit = np.sqrt(np.maximum(np.diag(information), tiny))
+    scale = np.outer(unit, unit)
+    values, vectors = np.linalg.eigh(information / scale)
+    return np.asarray((vectors / np.maximum(values, tiny)) @ vectors.T / scale)

@@ -1,6 +1,7 @@
-"""What readings can tell of x, d_r, d_l along a schedule of sides, and what change of the reference would tell more.
+"""What readings tell of x, d_r, d_l along a schedule of sides, and what would tell more.
 
-Proofs in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per output, beta a constant input bias.
+Proofs are in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per
+output, beta a constant input bias.
 """
 
 from __future__ import annotations
@@ -10,22 +11,30 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import delta, pattern
+from undeadzone.analysis.identifiability.edges import MARGIN as MARGIN
+from undeadzone.analysis.identifiability.edges import Cure as Cure
+from undeadzone.analysis.identifiability.edges import reaching, unreached
+from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.scaling import sizes
 from undeadzone.signals.exosystem import Disturbance, Step
 from undeadzone.support.arrays import Floats
 
-TOLERANCE = 1e-11  # of singular values of balanced, normalised matrices; the rounding of a sampled model comes on top
+# Of singular values of balanced, normalised matrices; a sampled model's rounding comes on top.
+TOLERANCE = 1e-11
 PRESENT = 1e-7  # see `Invisible`
-MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
 DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
 
 
 class Invisible(NamedTuple):
-    """Changes of the unknowns that no reading shows: orthonormal columns of `basis` (n + 2p + b, k), times `scale` by rows.
+    """Changes of the unknowns that no reading shows.
 
-    present: least component of a unit vector that counts.
+    Attributes:
+        basis: orthonormal columns (n + 2p + b, k); the changes are these times `scale` by rows.
+        scale: units of the unknowns (n + 2p + b).
+        n: how many states come first.
+        present: least component of a unit vector that counts.
     """
 
     basis: Floats
@@ -38,40 +47,57 @@ class Invisible(NamedTuple):
         return not bool((np.abs(self.basis[i]) > self.present).any())
 
     def width(self, i: int, name: str) -> bool:
-        """Whether `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l of output i is determined nevertheless."""
+        """Whether a width of output i is determined nevertheless.
+
+        Args:
+            i: the output.
+            name: `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l.
+        """
         first = self.n + 2 * i
-        return not bool(
-            (
-                np.abs(np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]) > self.present
-            ).any()
-        )
+        change = np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]
+        return not bool((np.abs(change) > self.present).any())
+
+    def deviations(self, i: int, pair: Floats) -> dict[str, float]:
+        """Standard deviations of right, left, width, centre of output i; inf if not determined.
+
+        Args:
+            i: the output.
+            pair: covariance of [d_r, d_l] (2 x 2).
+        """
+        std = {}
+        for name, direction in DIRECTIONS.items():
+            g = np.array(direction)
+            std[name] = float(np.sqrt(g @ pair @ g)) if self.width(i, name) else np.inf
+        return std
 
     def within(self, part: np.ndarray) -> Invisible:
         """Those that leave every unknown outside `part` (bool) as it is."""
-        return self._replace(basis=self.basis @ _null(self.basis[~part], self.present))
+        return self._replace(basis=self.basis @ kernel(self.basis[~part], self.present))
 
     @property
     def names(self) -> tuple[str, ...]:
         """What is not determined, in words."""
         outputs = range((self.scale.size - self.n) // 2)
-        found = [f"x[{i}]" for i in range(self.n) if not self.state(i)]
+        names = [f"x[{i}]" for i in range(self.n) if not self.state(i)]
         for i in outputs:
             lost = [name for name in DIRECTIONS if not self.width(i, name)]
-            found += [
-                f"{name}[{i}]"
-                for name in (
-                    ["centre"]
-                    if lost and "width" not in lost
-                    else [name for name in lost if name in ("right", "left")]
-                )
-            ]
-        return tuple(found)
+            if lost and "width" not in lost:
+                lost = ["centre"]
+            else:
+                lost = [name for name in lost if name in ("right", "left")]
+            names += [f"{name}[{i}]" for name in lost]
+        return tuple(names)
 
 
 class Verdict(NamedTuple):
-    """Whether readings determine d_r, d_l, d_r + d_l and d_r - d_l of one output; the reason for each 'no' in words.
+    """Whether readings determine the widths of one output.
 
-    std: the deviation that an optimal estimator reaches of each, by name, where noise is taken into account.
+    Attributes:
+        right, left: d_r, d_l.
+        width, centre: d_r + d_l, d_r - d_l.
+        reasons: why not, for each 'no', in words.
+        std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
+            into account.
     """
 
     right: bool
@@ -82,18 +108,6 @@ class Verdict(NamedTuple):
     std: dict[str, float] | None = None
 
 
-class Cure(NamedTuple):
-    """The smallest change of the reference that makes an output reach its edges, in words too.
-
-    The output's deviation from its mean times `factor`, or the output plus `shift`; neither where no reference helps.
-    """
-
-    output: int
-    factor: float | None
-    shift: float | None
-    text: str
-
-
 def invisible(
     linear: Matrices,
     visited: np.ndarray,
@@ -101,91 +115,113 @@ def invisible(
     bias: Floats | None = None,
     jump: bool = False,
 ) -> Invisible:
-    """The changes of [x(0); d; beta] that no reading shows, given which [right, left] sides are visited (p x 2, bool).
+    """The changes of [x(0); d; beta] that no reading shows.
 
-    They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is the subspace that the
-    visited outputs do not observe: when and for how long a side is visited makes no difference. Sampled (Ts), A and
-    bias = B_b (n x b, like B) are those of one step. A jump sensor's readings do not hold d at all.
+    They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is
+    the subspace that the visited outputs do not observe: when and for how long a side is visited
+    makes no difference.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        visited: whether each [right, left] side is visited (p x 2, bool).
+        Ts: sample time [s]; None in continuous time.
+        bias: B_b (n x b), like B the directions of unknown constant inputs; of one step if sampled.
+        jump: whether the sensor jumps; its readings do not hold d at all.
     """
     A, C = delta(linear, Ts), linear.C
     n, p = A.shape[0], C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
+    # Units in which states, then rates, outputs and inputs, are of order 1.
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
     rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
-    rate, output, drive = (
-        max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300),
-        np.linalg.norm(C, axis=1),
-        np.maximum(np.linalg.norm(B, axis=0), 1e-300),
-    )
-    A, C, B, tolerance = A / rate, C / output[:, None], B / drive, TOLERANCE + rounding / rate
-    U = _unobservable(A, C[visited.any(axis=1)], tolerance)
+    rate = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300)
+    output = np.linalg.norm(C, axis=1)
+    drive = np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    A, C, B = A / rate, C / output[:, None], B / drive
+    tolerance = TOLERANCE + rounding / rate
+    U = unobservable(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
     rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ B])]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
         S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[1]))]))
-    return Invisible(
-        _null(np.vstack(rows), tolerance),
-        np.concatenate([state, np.repeat(output, 2), rate / drive]),
-        n,
-    )
+    basis = kernel(np.vstack(rows), tolerance)
+    return Invisible(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
 
 
 def verdicts(
     linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
 ) -> list[Verdict]:
-    """What the readings along a schedule tell of each output's widths; bias: directions (n x b) of unknown constant inputs."""
+    """What the readings along a schedule tell of each output's widths.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        schedule: of the sides.
+        bias: directions (n x b) of unknown constant inputs.
+        jump: whether the sensor jumps.
+    """
     visited = schedule.visited(linear.A.shape[0])
     if jump:
-        return [
-            Verdict(
-                bool(r),
-                bool(l),
-                bool(r and l),
-                bool(r and l),
-                tuple(unreached(schedule, visited, i)),
-            )
-            for i, (r, l) in enumerate(visited)
-        ]
+        return [_jump_verdict(schedule, visited, i) for i in range(visited.shape[0])]
     hidden = invisible(linear, visited, schedule.Ts, bias)
-    reasons = [
-        (*unreached(schedule, visited, i), *_confounded(linear, schedule, bias, i))
-        for i in range(visited.shape[0])
-    ]
-    return [
-        Verdict(**{name: hidden.width(i, name) for name in DIRECTIONS}, reasons=why, std=None)
-        for i, why in enumerate(reasons)
-    ]
+    judged = []
+    for i in range(visited.shape[0]):
+        confounded = _confounded(linear, schedule, bias, i)
+        known = {name: hidden.width(i, name) for name in DIRECTIONS}
+        reasons = (*unreached(schedule, visited, i), *confounded)
+        judged.append(Verdict(**known, reasons=reasons, std=None))
+    return judged
+
+
+def _jump_verdict(schedule: Schedule, visited: np.ndarray, i: int) -> Verdict:
+    """What a jump sensor's readings tell of output i: a width is known where its edge is passed."""
+    right, left = bool(visited[i, 0]), bool(visited[i, 1])
+    both = right and left
+    return Verdict(right, left, both, both, tuple(unreached(schedule, visited, i)))
 
 
 def cures(
     linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
 ) -> list[Cure]:
-    """What would turn the 'no' of `verdicts` into a 'yes'; nothing where there is none."""
+    """What would turn the 'no' of `verdicts` into a 'yes'; nothing where there is none.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        schedule: of the sides.
+        bias: directions (n x b) of unknown constant inputs.
+        jump: whether the sensor jumps.
+    """
     visited = schedule.visited(linear.A.shape[0])
-    help_ = (
-        "no reference can: {}, or add a sensor without a dead zone; or assume the centre, d_r - d_l"
-    )
-    found = []
+    changes = []
     for i in range(visited.shape[0]):
         if not visited[i].all():
-            found.append(_reach(schedule, i))
-        if not jump:
-            found += [
-                Cure(i, None, None, help_.format(remedy))
-                for remedy in _confounded(linear, schedule, bias, i).values()
-            ]
-    return found
+            changes.append(reaching(schedule, i))
+        if jump:
+            continue
+        for remedy in _confounded(linear, schedule, bias, i).values():
+            text = (
+                f"no reference can: {remedy}, or add a sensor without a dead zone; "
+                "or assume the centre, d_r - d_l"
+            )
+            changes.append(Cure(i, None, None, text))
+    return changes
 
 
 def unknown_bias(disturbance: Disturbance | None, B: Floats) -> Floats | None:
-    """The columns of B (n x b) on which a step or the offset of sines disturbs for ever, unknown to the observer; None if there is none."""
-    level = (
-        disturbance.amplitude
-        if isinstance(disturbance, Step)
-        else getattr(disturbance, "offset", 0.0)
-    )
+    """The columns of B on which a disturbance acts for ever, unknown to the observer.
+
+    Args:
+        disturbance: a step, or sines with an offset; others leave no bias.
+        B: inputs (n x m).
+
+    Returns:
+        The columns (n x b); None if there is none.
+    """
+    if isinstance(disturbance, Step):
+        level = disturbance.amplitude
+    else:
+        level = getattr(disturbance, "offset", 0.0)
     biased = np.broadcast_to(np.asarray(level, float).ravel() != 0, B.shape[1:])
     return B[:, biased] if biased.any() else None
 
@@ -193,7 +229,7 @@ def unknown_bias(disturbance: Disturbance | None, B: Floats) -> Floats | None:
 def _confounded(
     linear: Matrices, schedule: Schedule, bias: Floats | None, i: int
 ) -> dict[str, str]:
-    """Why widths of output i stay unknown although their sides are visited, and the remedy: {reason: remedy}."""
+    """Why widths of output i stay unknown although their sides are visited: {reason: remedy}."""
     visited = schedule.visited(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
 
@@ -203,95 +239,13 @@ def _confounded(
 
     if known(bias):
         return {}
+    start = "the centre is not identifiable: "
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
     if known(None):
-        return {
-            f"the centre is not identifiable: constant input bias, {what} and bias cannot be told apart": "calibrate the input"
-        }
-    left = (
-        "only the width d_r + d_l can be known"
-        if len(edges) == 2
-        else f"the {what} cannot be told from a shift of the state"
-    )
-    return {
-        f"the centre is not identifiable: A is singular (an integrator), {left}": "let the plant pass a place where z is known"
-    }
-
-
-def unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
-    """Why each edge of output i that is not visited (p x 2, [right, left]) is not, in words."""
-    reasons = []
-    for name, edge, seen, room, peak, level, word in (
-        (
-            "right",
-            "d_r",
-            visited[i, 0],
-            schedule.levels[i, 0] - schedule.high[i],
-            schedule.high[i],
-            schedule.levels[i, 0],
-            "below",
-        ),
-        (
-            "left",
-            "-d_l",
-            visited[i, 1],
-            schedule.levels[i, 1] + schedule.low[i],
-            schedule.low[i],
-            -schedule.levels[i, 1],
-            "above",
-        ),
-    ):
-        if not seen and room >= 0:
-            reasons.append(
-                f"the {name} edge is never reached: the output stays {word} {edge}, {peak:.4g} against {level:.4g}"
-            )
-        elif not seen:
-            reasons.append(
-                f"the {name} edge is hardly reached: too few samples lie beyond {edge} to tell it from the state"
-            )
-    return reasons
-
-
-def _reach(schedule: Schedule, i: int) -> Cure:
-    right, left = schedule.levels[i] * (1 + MARGIN)
-    low, mean, high = schedule.low[i], schedule.mean[i], schedule.high[i]
-    mean = 0.0 if abs(mean) <= 1e-9 * (high - low) else mean
-    up, down = max(right - high, 0.0), max(low + left, 0.0)
-    if high - low <= 1e-9 * max(abs(high), abs(low), right, left):
-        return Cure(
-            i,
-            None,
-            None,
-            f"let output {i} move: a swing of {max(right - mean, mean + left):.4g} about {mean:.4g} reaches both edges",
-        )
-    factor = max((right - mean) / (high - mean), (mean + left) / (mean - low), 1.0)
-    shift = up - down
-    if high - low >= right + left and abs(shift) < (factor - 1) * max(high - mean, mean - low) * (
-        1 - 1e-9
-    ):
-        return Cure(i, None, shift, f"shift output {i} by {shift:.4g}: it then reaches both edges")
-    return Cure(
-        i,
-        factor,
-        None,
-        f"make the swing of output {i} about its mean, {mean:.4g}, {factor:.4g} times as large: it then reaches both edges",
-    )
-
-
-def _unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:
-    """Orthonormal basis of the largest A-invariant subspace in the kernel of C."""
-    U = _null(C, tolerance)
-    while U.shape[1]:
-        stays = _null(A @ U - U @ (U.T @ A @ U), tolerance)
-        if stays.shape[1] == U.shape[1]:
-            break
-        U = U @ stays
-    return U
-
-
-def _null(M: Floats, tolerance: float) -> Floats:
-    """Orthonormal basis of the kernel of a matrix whose entries are of order 1."""
-    if not M.size:
-        return np.eye(M.shape[1])
-    _, singular, rotation = np.linalg.svd(M)
-    return np.asarray(rotation[int((singular > tolerance).sum()) :].T)
+        reason = f"{start}constant input bias, {what} and bias cannot be told apart"
+        return {reason: "calibrate the input"}
+    rest = f"the {what} cannot be told from a shift of the state"
+    if len(edges) == 2:
+        rest = "only the width d_r + d_l can be known"
+    reason = f"{start}A is singular (an integrator), {rest}"
+    return {reason: "let the plant pass a place where z is known"}

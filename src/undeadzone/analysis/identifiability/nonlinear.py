@@ -1,4 +1,7 @@
-"""Honest verdicts for nonlinear plants: which widths the readings along one run tell, and why not (docs/identifiability.md)."""
+"""Honest verdicts for nonlinear plants: which widths the readings along one run tell, and why not.
+
+docs/identifiability.md says how.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from undeadzone.analysis.identifiability.edges import unreached
 from undeadzone.analysis.identifiability.information import EXACT
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unreached, verdicts
-from undeadzone.analysis.identifiability.observability import (
-    Observability,
-    observability,
-    symmetric,
+from undeadzone.analysis.identifiability.linear import (
+    DIRECTIONS,
+    Invisible,
+    Verdict,
+    verdicts,
 )
+from undeadzone.analysis.identifiability.linearised_run import symmetric
+from undeadzone.analysis.identifiability.observability import Observability, observability
 from undeadzone.analysis.side_schedule import reading_levels, recorded
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, zone
@@ -34,50 +40,65 @@ def verdicts_along(
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
 ) -> list[Verdict]:
-    """What the readings along a run of states x (N x n), inputs u (N x m) and outputs z (N x p), `step` [s] apart, tell of each output's widths.
+    """What the readings along a run tell of each output's widths.
 
-    bias: directions (m x b) of unknown constant inputs; uncertain: names of parameters that are unknown; prior (n): standard deviation
-    of x(0) as far as it is known beforehand, infinite where it is not. A width is not known either where the expected
-    deviation exceeds it. Only the part of a run before it diverges counts.
+    A width is not known either where the expected deviation exceeds it. Only the part of a run
+    before it diverges counts.
+
+    Args:
+        model: the plant (n states, m inputs, p outputs).
+        x: states (N x n).
+        u: inputs (N x m).
+        z: outputs (N x p).
+        sensor: the dead zone.
+        step: time between two rows [s].
+        bias: directions (m x b) of unknown constant inputs.
+        uncertain: names of parameters that are unknown.
+        prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
+            not (n).
     """
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
-    schedule = recorded(z[whole], sensor, step, model.Ts)
+    x, u, z = x[whole], u[whole], z[whole]
+    schedule = recorded(z, sensor, step, model.Ts)
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
-    side = zone(z[whole], *reading_levels(sensor).T)
-    found = observability(
-        model, x[whole], u[whole], side, step, variance(sensor), bias, uncertain, prior
-    )
+    side = zone(z, *reading_levels(sensor).T)
+    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, prior)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
-    given = []
+    judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, swing = found.std(i), float(np.ptp(z[whole, i]))
-        most = {
-            name: float(size) or swing
-            for name, size in (
-                ("right", right),
-                ("left", left),
-                ("width", right + left),
-                ("centre", right + left),
-            )
-        }
-        vague = [
-            f"{name} {std[name]:.3g}" for name in DIRECTIONS if most[name] < std[name] < np.inf
-        ]
-        said = [
-            f"practically not: noise leaves larger deviations than the widths ({right:.3g}, {left:.3g}) to {', '.join(vague)}"
-        ] * bool(vague)
-        why = (
+        std, most = known.std(i), _most(right, left, float(np.ptp(z[:, i])))
+        reasons = (
             *unreached(schedule, visited, i),
-            *_confounded(model, found, visited[i], i, biases, uncertain),
-            *said,
+            *_confounded(model, known, visited[i], i, biases, uncertain),
+            *_vague(std, most, right, left),
         )
-        given.append(
-            Verdict(**{name: std[name] <= most[name] for name in DIRECTIONS}, reasons=why, std=std)
-        )
-    return given
+        enough = {name: std[name] <= most[name] for name in DIRECTIONS}
+        judged.append(Verdict(**enough, reasons=reasons, std=std))
+    return judged
+
+
+def _most(right: float, left: float, swing: float) -> dict[str, float]:
+    """The largest deviation with which a width counts as known: itself, or the swing if it is 0."""
+    both = right + left
+    sizes = {"right": right, "left": left, "width": both, "centre": both}
+    return {name: float(size) or swing for name, size in sizes.items()}
+
+
+def _vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
+    """Why widths are not known although readings tell them: deviations that exceed `most`."""
+    vague = []
+    for name in DIRECTIONS:
+        if most[name] < std[name] < np.inf:
+            vague.append(f"{name} {std[name]:.3g}")
+    if not vague:
+        return []
+    return [
+        "practically not: noise leaves larger deviations than the widths "
+        f"({right:.3g}, {left:.3g}) to {', '.join(vague)}"
+    ]
 
 
 def variance(sensor: Zone) -> Floats:
@@ -88,57 +109,71 @@ def variance(sensor: Zone) -> Floats:
 
 def _confounded(
     model: System,
-    found: Observability,
+    known: Observability,
     visited: np.ndarray,
     i: int,
     biases: int,
     uncertain: Sequence[str],
 ) -> list[str]:
     """Why widths of output i stay unknown although their sides are visited."""
-    hidden, columns = found.hidden, np.arange(found.hidden.scale.size)
+    hidden = known.hidden
     edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
     lost = [name for name in edges if not hidden.width(i, name)]
     if not lost:
         return []
     width = len(edges) == 2 and hidden.width(i, "width")
     what = "centre" if width else " and ".join(f"{name} edge" for name in lost)
-    left = (
-        "only the width d_r + d_l can be known"
-        if width
-        else f"the {what} cannot be told from a shift of the state"
-    )
-    start = f"the {'centre' if width or len(edges) == 1 else 'width'} is not identifiable: "
-    for some, words in (
-        (
-            (columns >= 2 * model.p) & (columns < 2 * model.p + biases),
-            f"constant input bias, {what} and bias cannot be told apart",
-        ),
-        (
-            columns >= 2 * model.p + biases,
-            f"with {', '.join(uncertain)} uncertain the {what} cannot be told from them",
-        ),
-    ):
-        if some.any() and all(hidden.within(~some).width(i, name) for name in edges):
-            return [start + words]
-    own = hidden.within(columns // 2 == i)
-    alone = not own.width(i, lost[0])
+    whole = "centre" if width or len(edges) == 1 else "width"
+    start = f"the {whole} is not identifiable: "
+    number = np.arange(hidden.scale.size)  # of each constant: widths, then biases, then parameters
+    of_bias = (number >= 2 * model.p) & (number < 2 * model.p + biases)
+    if _caused_by(of_bias, hidden, i, edges):
+        return [f"{start}constant input bias, {what} and bias cannot be told apart"]
+    if _caused_by(number >= 2 * model.p + biases, hidden, i, edges):
+        names = ", ".join(uncertain)
+        return [f"{start}with {names} uncertain the {what} cannot be told from them"]
+    rest = f"the {what} cannot be told from a shift of the state"
+    if width:
+        rest = "only the width d_r + d_l can be known"
+    return [start + _state_shift(model, known, i, lost[0], what, rest)]
+
+
+def _caused_by(part: np.ndarray, hidden: Invisible, i: int, edges: list[str]) -> bool:
+    """Whether edges of output i would be known if these unknowns were (part: bool, one each)."""
+    return bool(part.any()) and all(hidden.within(~part).width(i, name) for name in edges)
+
+
+def _state_shift(
+    model: System, known: Observability, i: int, lost: str, what: str, rest: str
+) -> str:
+    """Which shift of the state hides an edge (`lost`) of output i, in words.
+
+    what: what is lost; rest: what can be known nevertheless.
+    """
+    hidden = known.hidden
+    own = hidden.within(np.arange(hidden.scale.size) // 2 == i)
+    alone = not own.width(i, lost)  # whether it can shift while other outputs' widths stay
     basis = own.basis if alone else hidden.basis
-    change = found.follow @ (hidden.scale * (basis @ basis[2 * i + (lost[0] == "left")]))
+    row = 2 * i + (lost == "left")
+    change = known.follow @ (hidden.scale * (basis @ basis[row]))
     change = np.where(np.abs(change) > SHARE * np.abs(change).max(), change, 0.0)
     if not change.any():
-        return [f"{start}the {what}, bias and parameters cannot be told apart"]
+        return f"the {what}, bias and parameters cannot be told apart"
     names = " and ".join(_states(model)[j] for j in np.flatnonzero(change))
     if not alone:
-        return [
-            f"{start}along this run {names} can shift together with edges of several outputs and no reading changes"
-        ]
+        return (
+            f"along this run {names} can shift together with edges of several outputs "
+            "and no reading changes"
+        )
     if symmetric(model, change):
-        return [
-            f"{start}a change of {names} as a whole alters no motion (no gravity, no spring), {left}; {CURES}"
-        ]
-    return [
-        f"{start}along this run {names} can shift with the edges and no reading changes, {left}; another motion may tell, else {CURES}"
-    ]
+        return (
+            f"a change of {names} as a whole alters no motion (no gravity, no spring), "
+            f"{rest}; {CURES}"
+        )
+    return (
+        f"along this run {names} can shift with the edges and no reading changes, {rest}; "
+        f"another motion may tell, else {CURES}"
+    )
 
 
 def _states(model: System) -> list[str]:
@@ -146,4 +181,5 @@ def _states(model: System) -> list[str]:
     joints = () if model.arm is None else model.arm.chain.joints
     if 2 * len(joints) != model.n:
         return [f"x[{j}]" for j in range(model.n)]
-    return [f"the {what} of joint {name}" for what in ("position", "speed") for name in joints]
+    positions = [f"the position of joint {name}" for name in joints]
+    return positions + [f"the speed of joint {name}" for name in joints]

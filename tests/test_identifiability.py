@@ -1,4 +1,4 @@
-"""What can be known: verdicts against brute-force sensitivities, deviations against naive filters, cures that cure."""
+"""What can be known: verdicts against brute force, deviations against filters, cures that cure."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from undeadzone.analysis.identifiability.linear import (
     invisible,
     verdicts,
 )
+from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule, planned
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
@@ -132,7 +133,7 @@ def test_a_jump_sensor_tells_each_edge_that_is_passed() -> None:
 
 
 def test_each_output_is_judged_by_itself() -> None:
-    """An integrator behind one dead zone, a stable part behind another: only the first loses its centre."""
+    """Of an integrator and a stable part, each behind a dead zone, the first loses its centre."""
     found = verdicts(
         Matrices(np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)),
         visiting([True, True], [True, True]),
@@ -155,18 +156,16 @@ def test_verdicts_do_not_depend_on_units(seed: int, n: int, singular: bool) -> N
     A, B, C = random_plant(rng, n).linear
     if singular:
         A = np.where(np.arange(n) == 0, 0.0, A)
-    state, output, time = (
-        10.0 ** rng.uniform(-4, 4, n),
-        10.0 ** rng.uniform(-4, 4),
-        10.0 ** rng.uniform(-4, 4),
-    )
+    state = 10.0 ** rng.uniform(-4, 4, n)
+    output = 10.0 ** rng.uniform(-4, 4)
+    time = 10.0 ** rng.uniform(-4, 4)
     scaled = Matrices(time * A * state / state[:, None], B / state[:, None], output * C * state)
     (found,) = verdicts(scaled, visiting([True], [True]))
     assert (found.width, found.centre) == (True, not singular)
 
 
 def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: float) -> Floats:
-    """d y_k / d [x0; d] by central differences of the simulated plant behind the true sensor (N x p x (n + 2p))."""
+    """d y_k / d [x0; d] (N x p x (n + 2p)) by central differences of the simulated plant."""
     n, p = len(plant.A), len(plant.C)
 
     def readings(unknown: Floats) -> Floats:
@@ -209,7 +208,7 @@ def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: 
 def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
     changes: dict[str, Any],
 ) -> None:
-    """Run the loop, perturb x(0) and the widths under the same input, square the change of the readings."""
+    """Perturb x(0) and the widths under the loop's input, square the change of the readings."""
     p = len(changes.get("plant", {}).get("C", [0]))
     scenario = scene(
         **changes,
@@ -219,26 +218,18 @@ def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
     run, problem = simulate(scenario), resolve_scenario(scenario)
     plant, widths = problem.model.linear, np.tile(WIDTHS, (p, 1))
     rows = np.concatenate(sensitivities(plant, run.x[0], run.u, widths, 1e-5))
-    hidden = invisible(
-        plant, np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1), 2e-2
-    )
+    visited = np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1)
+    hidden = invisible(plant, visited, 2e-2)
     _, singular, rotation = np.linalg.svd(rows)
     kernel = rotation[int((singular > 1e-6 * singular[0]).sum()) :].T
     found = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     assert found.shape == kernel.shape
     assert found @ found.T == pytest.approx(kernel @ kernel.T, abs=1e-5)
-    names = [
-        part
-        for verdict in run.info.identifiable
-        for part in [[verdict[name] for name in DIRECTIONS]]
-    ]
-    assert names == [
-        [
-            not (np.abs(np.array(g) @ kernel[len(plant.A) + 2 * i :][:2]) > 1e-6).any()
-            for g in DIRECTIONS.values()
-        ]
-        for i in range(p)
-    ]
+    assert len(run.info.identifiable) == p
+    for i, verdict in enumerate(run.info.identifiable):
+        own = kernel[len(plant.A) + 2 * i :][:2]
+        for name, g in DIRECTIONS.items():
+            assert verdict[name] == (not (np.abs(np.array(g) @ own) > 1e-6).any())
 
 
 @pytest.mark.parametrize("bias", [False, True])
@@ -296,7 +287,7 @@ def test_continuous_information_is_the_integral_of_squared_sensitivities() -> No
 
 
 def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
-    """A Kalman filter on [x; d] over the same sides, started with a vague prior, ends with the same variance of d."""
+    """A Kalman filter on [x; d] over the same sides, its prior vague, ends with that variance."""
     scenario = scene(
         sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0}
     )
@@ -310,9 +301,8 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
         if side:
             row = np.array([*linear.C[0], -max(side, 0.0), max(-side, 0.0)])
             K = P @ row / (row @ P @ row + 0.05**2)
-            P = (np.eye(4) - np.outer(K, row)) @ P @ (
-                np.eye(4) - np.outer(K, row)
-            ).T + 0.05**2 * np.outer(K, K)
+            rest = np.eye(4) - np.outer(K, row)
+            P = rest @ P @ rest.T + 0.05**2 * np.outer(K, K)
         P = F @ P @ F.T + Q
     for name, g in DIRECTIONS.items():
         assert found.widths[0][name] == pytest.approx(
@@ -350,7 +340,10 @@ def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 1e-2])
 def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noise: float) -> None:
-    """Readings so good that information in double precision would lose the centre; the square root of P by QR does not."""
+    """Readings so good that information in double precision would lose the centre.
+
+    The square root of P by QR does not.
+    """
     linear, schedule = plan(scene())
     process = linear.B @ linear.B.T
     (found,) = deviations(linear, schedule, np.array([noise]), 1e-3, 10.0, process=process).widths
@@ -377,12 +370,10 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
 def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
     linear, schedule = plan(scene())
     one = deviations(linear, schedule, np.array([0.05]), 1e-3, 100.0).widths[0]["width"]
-    assert deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0][
-        "width"
-    ] == pytest.approx(2 * one, rel=1e-9)
-    assert deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0][
-        "width"
-    ] == pytest.approx(one / 2, rel=0.02)
+    noisier = deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0]["width"]
+    longer = deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0]["width"]
+    assert noisier == pytest.approx(2 * one, rel=1e-9)
+    assert longer == pytest.approx(one / 2, rel=0.02)
 
 
 @pytest.mark.parametrize("sampled", [False, True])
@@ -417,7 +408,7 @@ def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offse
 
 
 def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> None:
-    """A sum of sines that dwells near its least value: scaling moves the far end more than a shift."""
+    """A sum of sines that dwells near its least value: scaling moves the far end more."""
     tones = [
         {"amplitude": 2.0, "frequency": 0.5, "phase": np.pi / 2},
         {"amplitude": 0.9, "frequency": 1.0, "phase": np.pi / 2},
@@ -459,3 +450,14 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         ).info.identifiable
         assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std"}
         assert (verdict["width"], verdict["centre"]) == (True, not hides)
+
+
+def test_what_outputs_do_not_observe() -> None:
+    """Of three modes in random coordinates the outputs see the second one only."""
+    T = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    A, C = T @ np.diag([-1.0, -2.0, -3.0]) @ T.T / 3, np.array([[0.0, 1.0, 0.0]]) @ T.T
+    U = unobservable(A, C, 1e-11)
+    expected = T[:, [0, 2]]
+    assert pytest.approx(expected @ expected.T, abs=1e-9) == U @ U.T
+    assert unobservable(A, np.ones((1, 3)) @ T.T, 1e-11).shape == (3, 0)
+    assert kernel(np.zeros((0, 2)), 1e-11).tolist() == [[1.0, 0.0], [0.0, 1.0]]

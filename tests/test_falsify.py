@@ -1,4 +1,4 @@
-"""The falsifier never breaks what is certified, breaks what is not, and what it reports can be replayed."""
+"""The falsifier never breaks what is certified, and breaks what is not; its reports replay."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def column(*L: float) -> Floats:
 
 @pytest.mark.parametrize("block", range(10))
 def test_two_hundred_certified_designs_are_never_broken(block: int) -> None:
-    """n = 1..8, 1-3 outputs, continuous and sampled, Gamma per edge or full: no rise of V above rounding."""
+    """n = 1..8, 1-3 outputs, continuous and sampled, Gamma per edge or full: V never rises."""
     for k in range(20 * block, 20 * block + 20):
         rng = np.random.default_rng([7, k])
         n = 1 + k % 8
@@ -40,28 +40,29 @@ def test_two_hundred_certified_designs_are_never_broken(block: int) -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.01])
 def test_the_papers_gains_are_broken(Ts: float | None) -> None:
-    """(12, 15), gamma = 2 has no V, so that the best one rises: that is not divergence, and none is found."""
+    """(12, 15), gamma = 2 has no V, so that the best one rises.
+
+    That is not divergence, and none is found.
+    """
     found = certify(PAPER if Ts is None else zoh(PAPER, Ts), column(12, 15), np.array([2.0]), Ts)
     attack = falsify(found.dynamics, found.V, 5000)
     assert attack.broken
     assert attack.rise > 1e-4
     assert diverge(found.dynamics).factor <= 1 + 1e-9
     grown = generator(found.dynamics, attack.mode)
-    after = (
-        expm(grown * attack.mode.seconds)
-        if Ts is None
-        else np.linalg.matrix_power(np.eye(4) + Ts * grown, round(attack.mode.seconds / Ts))
-    ) @ attack.start
-    before, later = (
-        found.V.value(errors[None, :2], errors[None, 2:])[0] for errors in (attack.start, after)
-    )
+    if Ts is None:
+        passage = expm(grown * attack.mode.seconds)
+    else:
+        passage = np.linalg.matrix_power(np.eye(4) + Ts * grown, round(attack.mode.seconds / Ts))
+    errors = np.stack([attack.start, passage @ attack.start])
+    before, later = found.V.value(errors[:, :2], errors[:, 2:])
     assert later / before - 1 == pytest.approx(attack.rise, rel=1e-6)
 
 
 def grows(
     cycle: Cycle, linear: Matrices, L: Floats, gamma: float, Ts: float | None, periods: int
 ) -> float:
-    """The growth of the errors over one more period after many, by stepping plant and observer themselves."""
+    """The errors' growth over a period after many, by stepping plant and observer themselves."""
     rng = np.random.default_rng(0)
     n = len(L)
     state = np.concatenate([rng.normal(size=n), np.zeros(n), [0.3, 0.2]])
@@ -71,36 +72,25 @@ def grows(
         x, x_hat, (right_hat, left_hat) = state[:n], state[n : 2 * n], state[2 * n :]
         side = mode.S[0, 0] + mode.S[0, 1]
         y = linear.C[0] @ x - (right if side > 0 else -left)
-        e = (
-            abs(side)
-            * mode.theta[0]
-            * (y - linear.C[0] @ x_hat + (right_hat if side > 0 else -left_hat))
-        )
+        shift = right_hat if side > 0 else -left_hat
+        e = abs(side) * mode.theta[0] * (y - linear.C[0] @ x_hat + shift)
         drift = linear.A if Ts is None else (linear.A - np.eye(n)) / Ts
-        return np.concatenate(
-            [
-                drift @ x,
-                drift @ x_hat + L[:, 0] * e,
-                [-gamma * e * float(side > 0), gamma * e * float(side < 0)],
-            ]
-        )
+        widths = [-gamma * e * float(side > 0), gamma * e * float(side < 0)]
+        return np.concatenate([drift @ x, drift @ x_hat + L[:, 0] * e, widths])
+
+    def step(state: Floats, mode: Mode, h: float) -> Floats:
+        if Ts is None:
+            return rk4(lambda s, _: rate(s, mode), state, h)
+        return state + h * rate(state, mode)
 
     sizes = []
     for _ in range(periods):
         for mode in cycle.modes:
             steps = 40 if Ts is None else round(mode.seconds / Ts)
             for _ in range(steps):
-                h = mode.seconds / steps
-                state = (
-                    rk4(lambda s, _: rate(s, mode), state, h)
-                    if Ts is None
-                    else state + h * rate(state, mode)
-                )
-        sizes.append(
-            np.linalg.norm(state[:n] - state[n : 2 * n])
-            + abs(right - state[-2])
-            + abs(left - state[-1])
-        )
+                state = step(state, mode, mode.seconds / steps)
+        of_states = np.linalg.norm(state[:n] - state[n : 2 * n])
+        sizes.append(of_states + abs(right - state[-2]) + abs(left - state[-1]))
     return float((sizes[-1] / sizes[-11]) ** 0.1)
 
 
@@ -111,12 +101,15 @@ def grows(
 def test_divergence_is_found_and_is_real(
     L: tuple[float, float], gamma: float, Ts: float | None
 ) -> None:
-    """Stable modes, an unstable switching: (0, 200); and the gains (40) as printed. The observer itself diverges along it."""
+    """Stable modes, an unstable switching: (0, 200); and the gains (40) as printed.
+
+    The observer itself diverges along it.
+    """
     linear = PAPER if Ts is None else zoh(PAPER, Ts)
     gains = column(*L)
-    given = dynamics(linear, gains, np.array([gamma]), Ts)
+    errors = dynamics(linear, gains, np.array([gamma]), Ts)
     assert not certify(linear, gains, np.array([gamma]), Ts).certified
-    cycle = diverge(given)
+    cycle = diverge(errors)
     assert cycle.factor > 1.005
     assert cycle.seconds == pytest.approx(sum(mode.seconds for mode in cycle.modes))
     periods = 10 + int(np.log(1e5) / np.log(cycle.factor))
@@ -130,14 +123,16 @@ def test_an_unstable_plant_is_broken_whatever_v() -> None:
 
 
 def test_the_mode_matrices_are_those_of_the_observer() -> None:
-    """One output: x~' = A x~ - theta L (C x~ -+ d~), d~_r' = gamma e or d~_l' = -gamma e, nothing while silent."""
+    """One output: x~' = A x~ - theta L (C x~ -+ d~), d~_r' = gamma e or d~_l' = -gamma e.
+
+    Nothing of that while silent.
+    """
     L, gamma = column(1, 1.5), np.array([[10.0, 4.0]])
-    given = dynamics(PAPER, L, gamma, None)
+    errors = dynamics(PAPER, L, gamma, None)
     x, d = np.array([0.3, -0.7]), np.array([0.2, 0.5])
     for side, theta in ((1, 1.0), (-1, 0.4), (0, 1.0)):
-        rate = generator(
-            given, Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)
-        ) @ np.concatenate([x, d])
+        mode = Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)
+        rate = generator(errors, mode) @ np.concatenate([x, d])
         e = theta * (x[0] - d[0] if side > 0 else x[0] + d[1]) * abs(side)
         assert rate[:2] == pytest.approx(PAPER.A @ x - L[:, 0] * e)
         assert rate[2:] == pytest.approx([10.0 * e * (side > 0), -4.0 * e * (side < 0)])
@@ -169,7 +164,10 @@ def test_no_v_without_a_positive_definite_p() -> None:
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_v_never_rises_in_the_real_loop(seed: int, time: str) -> None:
-    """The graph that is simulated and flashed, with wild references, widths, guesses and the silence innovation."""
+    """The graph that is simulated and flashed, with wild references, widths and guesses.
+
+    The silence innovation is on for every other seed.
+    """
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, 2 + seed % 2).linear
     run = simulate(

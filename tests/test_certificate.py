@@ -1,7 +1,8 @@
-"""The certificate: exact where theory is exact, provable in rational arithmetic, scale-free, honest where there is none."""
+"""The certificate: exact where theory is, provable in rational arithmetic, scale-free, honest."""
 
 from __future__ import annotations
 
+import itertools
 import re
 from fractions import Fraction
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.designs import random_design, random_matrices
+from scipy.linalg import block_diag
 
 from scenes import PAPER_PLANT, random_plant
-from undeadzone.analysis.certificate import positive_real as frequency
+from undeadzone.analysis.certificate import positive_real
 from undeadzone.analysis.certificate.nearest import decay_limit, nearest
 from undeadzone.analysis.certificate.passivity import (
     Certificate,
@@ -21,6 +23,7 @@ from undeadzone.analysis.certificate.passivity import (
     passive_gain,
     recheck,
 )
+from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
@@ -46,14 +49,16 @@ def gridded(linear: Matrices, L: Floats, Ts: float | None) -> float:
     else:
         s = np.expm1(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 20001)])) / Ts
     n = len(L)
-    G = linear.C @ np.linalg.solve(
-        s[:, None, None] * np.eye(n) - delta(linear, Ts), L[None].astype(complex)
-    )
+    pencils = s[:, None, None] * np.eye(n) - delta(linear, Ts)
+    G = linear.C @ np.linalg.solve(pencils, L[None].astype(complex))
     return float(np.linalg.eigvalsh((G + G.conj().transpose(0, 2, 1)) / 2)[:, 0].min())
 
 
 def condition(L: Floats) -> tuple[bool, float]:
-    """For (39): 1 + G is positive real iff b0 > 0 and 2 b1 > (sqrt(b0) - 1)^2; and how far from the edge, relatively."""
+    """Whether 1 + G is positive real for (39), and how far L is from the edge, relatively.
+
+    It is iff b0 > 0 and 2 b1 > (sqrt(b0) - 1)^2.
+    """
     b1, b0 = 2 + L[0, 0], 1 + 2 * L[0, 0] + L[1, 0]
     if b0 <= 0:
         return False, abs(b0)
@@ -76,7 +81,7 @@ def test_certified_exactly_where_theory_says_for_ten_thousand_gains() -> None:
 
 
 def test_the_papers_gains_miss_it_narrowly() -> None:
-    """(12, 15): Re(1 + G) = (u^2 - 13 u + 40)/(1 + u)^2 with u = w^2, least at u = 6.2, which is -1/24."""
+    """(12, 15): Re(1 + G) = (u^2 - 13 u + 40)/(1 + u)^2 with u = w^2, least -1/24 at u = 6.2."""
     found = certify(PAPER, column(12, 15), np.array([2.0]))
     assert not found.certified
     assert found.margin == pytest.approx(-1 / 24, abs=1e-9)
@@ -126,92 +131,55 @@ def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
     grid = 1 + gridded(linear, L, Ts)
     assert least <= grid + 1e-9 * max(1, abs(grid))
     assert grid - least < 1e-3 * max(1, abs(grid))
-    G = frequency.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
+    G = positive_real.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
     at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
-    assert np.linalg.eigvalsh(G.at(np.array([at]))[0])[0] == pytest.approx(
-        least, rel=1e-6, abs=1e-9
-    )
+    there = np.linalg.eigvalsh(G.at(np.array([at]))[0])[0]
+    assert there == pytest.approx(least, rel=1e-6, abs=1e-9)
 
 
-def exact(M: Any) -> list[list[Fraction]]:
-    return [[Fraction(float(entry)) for entry in row] for row in np.atleast_2d(M)]
+def exact(M: Any) -> Any:
+    """A matrix of rational numbers, the same to the last bit."""
+    return np.array([[Fraction(float(x)) for x in row] for row in np.atleast_2d(M)], dtype=object)
 
 
-def product(X: list[list[Fraction]], Y: list[list[Fraction]]) -> list[list[Fraction]]:
-    return [
-        [
-            sum((a * b for a, b in zip(row, col, strict=True)), Fraction(0))
-            for col in zip(*Y, strict=True)
-        ]
-        for row in X
-    ]
-
-
-def positive_definite(M: list[list[Fraction]]) -> bool:
+def positive_definite(M: Any) -> bool:
     """By the pivots of Gaussian elimination, without rounding."""
-    M = [row[:] for row in M]
+    M = M.copy()
     for k in range(len(M)):
-        if M[k][k] <= 0:
+        if M[k, k] <= 0:
             return False
         for i in range(k + 1, len(M)):
-            factor = M[i][k] / M[k][k]
-            M[i] = [a - factor * b for a, b in zip(M[i], M[k], strict=True)]
+            M[i] = M[i] - M[i, k] / M[k, k] * M[k]
     return True
 
 
 def proved_exactly(found: Certificate, linear: Matrices) -> bool:
     """V+ - V < 0 or V' < 0 in (x~, e), from the plain (not the delta) form, in rational numbers."""
-    given, Ts = found.dynamics, found.dynamics.Ts
-    A, C, L, P, W = (
-        exact(linear.A),
-        exact(given.C),
-        exact(given.L),
-        exact(found.P),
-        exact(np.diag(found.W)),
-    )
-    n, p = given.L.shape
-    CW = product([list(col) for col in zip(*C, strict=True)], W)
+    errors, Ts = found.dynamics, found.dynamics.Ts
+    A, C, L = exact(linear.A), exact(errors.C), exact(errors.L)
+    P, W = exact(found.P), exact(np.diag(found.W))
+    n, p = errors.L.shape
     if Ts is None:
-        PA, PL = product(P, A), product(P, L)
-        top = [
-            [PA[i][j] + PA[j][i] for j in range(n)] + [CW[i][j] - PL[i][j] for j in range(p)]
-            for i in range(n)
-        ]
-        bottom = [
-            [top[j][n + i] for j in range(n)] + [-2 * W[i][j] for j in range(p)] for i in range(p)
-        ]
+        PA, cross = P @ A, C.T @ W - P @ L
+        M = np.block([[PA + PA.T, cross], [cross.T, -2 * W]])
     else:
         step = Fraction(Ts)
-        F = [A[i] + [-step * entry for entry in L[i]] for i in range(n)]
-        square = product([list(col) for col in zip(*F, strict=True)], product(P, F))
-        gamma = [
-            step
-            * max(Fraction(given.gamma[2 * i, 2 * i]), Fraction(given.gamma[2 * i + 1, 2 * i + 1]))
-            for i in range(p)
-        ]
-        top = [
-            [
-                (square[i][j] - (P[i][j] if j < n else 0)) / step + (CW[i][j - n] if j >= n else 0)
-                for j in range(n + p)
-            ]
-            for i in range(n)
-        ]
-        bottom = [
-            [top[j][n + i] for j in range(n)]
-            + [
-                square[n + i][n + j] / step + (W[i][i] * (gamma[i] - 2) if i == j else 0)
-                for j in range(p)
-            ]
-            for i in range(p)
-        ]
-    return positive_definite(P) and positive_definite(
-        [[-entry for entry in row] for row in top + bottom]
-    )
+        F = np.hstack([A, -step * L])
+        M = F.T @ P @ F / step
+        M[:n, :n] -= P / step
+        M[:n, n:] += C.T @ W
+        M[n:, :n] += W @ C
+        gamma = exact(np.diag(np.diag(errors.gamma).reshape(p, 2).max(axis=1)))
+        M[n:, n:] += W @ (step * gamma - 2 * exact(np.eye(p)))
+    return positive_definite(P) and positive_definite(-M)
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_proofs_hold_in_rational_arithmetic(seed: int) -> None:
-    """No floating point, no delta form, no solver: the numbers P, W prove V falls for the numbers A, C, L, gamma."""
+    """The numbers P, W prove that V falls for the numbers A, C, L, gamma.
+
+    No floating point, no delta form, no solver.
+    """
     rng = np.random.default_rng(seed)
     n = 1 + seed % 4
     linear, L, gamma, Ts = random_design(rng, n, min(n, 1 + seed % 3))
@@ -250,7 +218,10 @@ def test_decoupled_outputs_have_the_least_of_their_margins() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 1e-3, 0.1])
 def test_units_do_not_matter(Ts: float | None) -> None:
-    """States in other units by 1e-4 to 1e5, outputs by 1e3: same verdict and margin; continuous, time by 1e4 too."""
+    """States in other units by 1e-4 to 1e5, outputs by 1e3: same verdict and margin.
+
+    In continuous time the unit of time may differ by 1e4, too.
+    """
     rng = np.random.default_rng(4)
     linear, L = sampled(random_matrices(rng, 4, 2), Ts), rng.normal(size=(4, 2)) * 0.02
     gamma = np.array([0.5, 0.2])
@@ -275,12 +246,11 @@ def test_units_do_not_matter(Ts: float | None) -> None:
 def test_sampled_tends_to_continuous() -> None:
     L, gamma = column(1, 1.5), np.array([10.0])
     limit = certify(PAPER, L, gamma)
-    errors = [
-        abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin)
-        for Ts in (1e-2, 1e-3, 1e-4)
-    ]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[1] / errors[2] == pytest.approx(10, rel=0.05)
+    off = []
+    for Ts in (1e-2, 1e-3, 1e-4):
+        off.append(abs(certify(zoh(PAPER, Ts), L, gamma, Ts).margin - limit.margin))
+    assert off[0] > off[1] > off[2]
+    assert off[1] / off[2] == pytest.approx(10, rel=0.05)
 
 
 def test_stiff_plants_are_proved() -> None:
@@ -346,17 +316,17 @@ def test_gains_of_the_wrong_shape_are_refused() -> None:
 
 def test_recheck_trusts_nobody() -> None:
     found = certify(PAPER, column(1, 1.5), np.array([10.0]))
-    P, W, given = found.P, found.W, found.dynamics
+    P, W, errors = found.P, found.W, found.dynamics
     assert found.recheck() == found.check
-    assert recheck(given, P * 3, W * 3).proved
-    assert not recheck(given, -P, W).proved
-    assert not recheck(given, P, -W).proved
-    assert not recheck(given, P * np.nan, W).proved
-    assert not recheck(given, P + np.diag([0, 50.0]), W).proved
-    assert not recheck(given, P, 30 * W).proved
-    assert not recheck(given._replace(L=column(12, 15)), P, W).proved
-    assert not recheck(given._replace(A=(-PAPER.A,)), P, W).proved
-    edge = given._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
+    assert recheck(errors, P * 3, W * 3).proved
+    assert not recheck(errors, -P, W).proved
+    assert not recheck(errors, P, -W).proved
+    assert not recheck(errors, P * np.nan, W).proved
+    assert not recheck(errors, P + np.diag([0, 50.0]), W).proved
+    assert not recheck(errors, P, 30 * W).proved
+    assert not recheck(errors._replace(L=column(12, 15)), P, W).proved
+    assert not recheck(errors._replace(A=(-PAPER.A,)), P, W).proved
+    edge = errors._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
     assert recheck(edge, np.eye(1), np.ones(1)).proved
     assert not recheck(
         edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)
@@ -411,7 +381,7 @@ def test_nearest_gains_to_the_papers() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_certified_is_nearer(seed: int) -> None:
-    """Random certified gains, and those on the way to the found ones, are all farther away in the metric of G."""
+    """Random certified gains are all farther away in the metric of G."""
     rng = np.random.default_rng(seed)
     Ts = TIMES[seed % len(TIMES)]
     linear = sampled(random_matrices(rng, 3, 1), Ts)
@@ -420,22 +390,18 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
     assert found.certificate.margin >= 0.01 * (1 - 1e-6)
 
     def size(change: Floats) -> float:
-        """Energy of the impulse response of C (s - A)^-1 change, summed the naive way over eigenvalues."""
+        """Energy of the impulse response of C (s - A)^-1 change, summed over eigenvalues."""
         poles, V = np.linalg.eig(delta(linear, Ts))
         residues = (linear.C @ V).ravel() * np.linalg.solve(V, change).ravel()
-        overlap = (
-            poles[:, None]
-            + poles.conj()
-            + (0 if Ts is None else Ts * poles[:, None] * poles.conj())
-        )
+        overlap = poles[:, None] + poles.conj() + (Ts or 0) * poles[:, None] * poles.conj()
         return float(np.sqrt(np.real(-(residues[:, None] * residues.conj() / overlap).sum())))
 
     best = size(found.certificate.dynamics.L - L)
     assert found.distance == pytest.approx(best / size(L) if best > 0 else 0.0, rel=1e-3, abs=1e-9)
-    given = dynamics(linear, L, gamma, Ts)
+    errors = dynamics(linear, L, gamma, Ts)
     for _ in range(300):
         other = found.certificate.dynamics.L + rng.normal(size=(3, 1)) * 10 ** rng.uniform(-3, 1)
-        if margin(given._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
+        if margin(errors._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
             assert size(other - L) >= best * (1 - 1e-3)
 
 
@@ -463,14 +429,15 @@ def test_a_first_order_plant_has_no_cap() -> None:
 
 
 def test_one_v_for_several_vertices() -> None:
-    """A common P for stiffness and damping within 50 %; none where a vertex is unstable, or where 90 % is asked."""
+    """A common P for stiffness and damping within 50 %.
+
+    None where 95 % is asked, or where a vertex is unstable.
+    """
 
     def vertices(spread: float) -> Dynamics:
-        corners = [
-            np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]])
-            for a in (-1, 1)
-            for b in (-1, 1)
-        ]
+        corners = []
+        for a, b in itertools.product((-1, 1), repeat=2):
+            corners.append(np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]))
         return dynamics(PAPER, column(1, 1.5), np.ones(1), None)._replace(A=tuple(corners))
 
     found = certify_dynamics(vertices(0.5))
@@ -481,3 +448,28 @@ def test_one_v_for_several_vertices() -> None:
         assert margin(found.dynamics._replace(A=(A,)), np.ones(1))[0] >= found.margin - 1e-6
     assert "share no V" in certify_dynamics(vertices(0.95)).reason
     assert "unstable (vertex 0)" in certify_dynamics(vertices(1.05)).reason
+
+
+@pytest.mark.parametrize("Ts", [None, 0.05])
+def test_an_inequality_in_other_coordinates_is_congruent(Ts: float | None) -> None:
+    """x = T xi, P = T^-T P_xi T^-1: the matrices have the same signs, and T'MT is the new M."""
+    rng = np.random.default_rng(0)
+    linear = random_matrices(rng, 3, 2)
+    L = rng.normal(size=(3, 2))
+    plain = dynamics(sampled(linear, Ts), L, np.full(2, 0.5), Ts).inequality(np.ones(2))
+    T, P = rng.normal(size=(3, 3)), np.eye(3)
+    other = plain.transformed(T, np.linalg.inv(T))
+    for M, M_xi in zip(plain.matrices(P), other.matrices(T.T @ P @ T), strict=True):
+        parts = [T, np.eye(2)] if Ts is None else [T, np.eye(2), T]
+        both = block_diag(*parts)
+        assert M_xi == pytest.approx(both.T @ M @ both, abs=1e-9)
+
+
+def test_models_that_are_marginally_stable_are_told_from_those_that_diverge() -> None:
+    undamped = np.array([[0.0, 1.0], [-4.0, 0.0]])
+    chain = np.array([[0.0, 1.0], [0.0, 0.0]])
+    assert not defective(undamped, None)
+    assert not defective(np.zeros((2, 2)), None)
+    assert defective(chain, None)
+    assert defective(np.block([[undamped, np.eye(2)], [np.zeros((2, 2)), undamped]]), None)
+    assert defective(delta(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1), 0.1)

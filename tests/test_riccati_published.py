@@ -32,9 +32,10 @@ def model(A: Floats, B: Floats) -> Matrices:
 )  # of the nearly singular Newton step of the last case
 @pytest.mark.parametrize("k", range(20))
 def test_carex(k: int) -> None:
-    """The 20 cases of the CAREX collection that scipy's tests carry: the residual is small and the loop stable in all of them.
+    """The 20 cases of the CAREX collection in scipy's tests: small residuals, stable loops.
 
-    scipy marks five of them as known failures; one of these because its data are unsigned bytes, which -Q wraps around.
+    scipy marks five of them as known failures; one of these because its data are unsigned bytes,
+    which -Q wraps around.
     """
     A, B, Q, R, _ = Carex.cases[k]
     A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, Q, R))
@@ -59,14 +60,16 @@ def test_darex(k: int) -> None:
     P, K, residual = riccati(model(A, B), Q, R, 1.0)
     assert residual < 1e-11
     direct = A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) + Q
-    assert np.linalg.norm(direct) < 1e-11 * (
-        np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
-    )
+    size = np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
+    assert np.linalg.norm(direct) < 1e-11 * size
     assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
 
 
 def test_care_figures_of_octave() -> None:
-    """The two examples in the tests of the Octave control package, to its four digits (the first is also MATLAB's)."""
+    """The two examples in the tests of the Octave control package, to its four digits.
+
+    The first is also MATLAB's.
+    """
     c = np.array([[1.0, -1.0]])
     A, B = np.array([[-3.0, 2.0], [1.0, 1.0]]), np.array([[0.0], [1.0]])
     P, K, _ = riccati(model(A, B), c.T @ c, np.array([[3.0]]))
@@ -80,7 +83,7 @@ def test_care_figures_of_octave() -> None:
 
 
 def test_place_figures_of_octave() -> None:
-    """Its example for one input; its example for two, where K is not unique but the figure's poles are."""
+    """Its examples for one input and for two; there K is not unique, but the figure's poles are."""
     K = place(
         np.array([[0.0, 1.0], [3.0, 2.0]]),
         np.array([[0.0], [1.0]]),
@@ -93,12 +96,10 @@ def test_place_figures_of_octave() -> None:
     figure = -np.array([[-0.0876, -4.2138, 0.0837, -18.1412], [-0.0233, 18.2483, -0.4259, -4.8120]])
     poles = np.linalg.eigvals(A - B @ figure)
     K = place(A, B, poles, "poles")
-    assert np.sort_complex(np.linalg.eigvals(A - B @ K)) == pytest.approx(
-        np.sort_complex(poles), abs=1e-6
-    )
-    assert np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(
-        axis=0
-    ) == pytest.approx([0, 0], abs=1e-3)
+    placed = np.linalg.eigvals(A - B @ K)
+    assert np.sort_complex(placed) == pytest.approx(np.sort_complex(poles), abs=1e-6)
+    distance = np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(axis=0)
+    assert distance == pytest.approx([0, 0], abs=1e-3)
 
 
 @settings(max_examples=25)
@@ -121,7 +122,10 @@ def test_agrees_with_python_control(seed: int, n: int, m: int) -> None:
 
 @pytest.mark.parametrize("m", [1, 2, 3])
 def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
-    """K of (34) is half the gain that minimises int x'Qx + u'u/(2 alpha), for any number of inputs; A - BK is stable all the same."""
+    """K of (34) is half the gain that minimises int x'Qx + u'u/(2 alpha), for any inputs.
+
+    A - BK is stable all the same.
+    """
     linear = random_plant(np.random.default_rng(m), 4, m).linear
     alpha = 3.0
     P, K, residual = paper_riccati(linear.A, linear.B, alpha, np.eye(4))

@@ -1,4 +1,4 @@
-"""Rates: the schedule of sides found exactly, Floquet multipliers against naive twins and against the real loop's decay."""
+"""Rates: sides found exactly, Floquet multipliers against naive twins and the real loop's decay."""
 
 from __future__ import annotations
 
@@ -88,9 +88,8 @@ def test_rates_of_the_paper_example(L: list[float], gamma: float, rate: float) -
 
 def test_the_fastest_gains_are_delicate() -> None:
     """There three multipliers meet: four digits of the gains are not enough to keep the rate."""
-    assert rates_of(scene(observer=certified([-0.8733, 0.7567], 7.780))).rate == pytest.approx(
-        1.427, abs=1e-3
-    )
+    rounded = rates_of(scene(observer=certified([-0.8733, 0.7567], 7.780)))
+    assert rounded.rate == pytest.approx(1.427, abs=1e-3)
 
 
 @pytest.mark.parametrize("sampled", [False, True])
@@ -106,7 +105,7 @@ def test_the_fastest_gains_are_delicate() -> None:
 def test_the_loop_decays_at_the_rate_predicted(
     sampled: bool, L: list[float], gamma: float, reference: dict[str, Any], duration: float
 ) -> None:
-    """The error of the real closed loop, seen once a period after the transients, falls at -ln rho / T within 2 %."""
+    """The real loop's error, seen once a period, falls at -ln rho / T within 2 % in the end."""
     simulation = {"duration": duration} | (SAMPLED if sampled else {"step": 2e-3})
     scenario = scene(
         observer=certified(L, gamma, widths0=[0.5, 0.7], width_max=3.0),
@@ -116,19 +115,17 @@ def test_the_loop_decays_at_the_rate_predicted(
     )
     predicted = rates_of(scenario)
     run = simulate(scenario, check_step=False)
-    error = np.linalg.norm(np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat]), axis=1)[
-        :: round(predicted.period / run.info.step)
-    ]
+    errors = np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat])
+    error = np.linalg.norm(errors, axis=1)[:: round(predicted.period / run.info.step)]
     t = np.arange(error.size) * predicted.period
     late = (t > 0.4 * duration) & (error > 1e-9)
     assert late.sum() >= 3
-    assert -np.polyfit(t[late], np.log(error[late]), 1)[0] == pytest.approx(
-        predicted.rate, rel=0.02
-    )
+    decay = -np.polyfit(t[late], np.log(error[late]), 1)[0]
+    assert decay == pytest.approx(predicted.rate, rel=0.02)
 
 
 def test_two_outputs_decay_at_the_rate_predicted() -> None:
-    """With a complex slowest pair the decay is read off over whole turns: the distance from the truth in the slow plane."""
+    """With a complex slowest pair the decay is read off in the slow plane, over whole turns."""
     scenario = scene(
         plant=COUPLED,
         sensor={"right": [0.5, 0.2], "left": [0.3, 0.6]},
@@ -147,9 +144,8 @@ def test_two_outputs_decay_at_the_rate_predicted() -> None:
     late = (t > 8.0) & (np.linalg.norm(error, axis=1) > 1e-9)
     plane = np.linalg.lstsq(predicted.slow, error[late].T, rcond=None)[0]
     assert predicted.logs[0].imag == 0.0
-    assert -np.polyfit(t[late], np.log(np.linalg.norm(plane, axis=0)), 1)[0] == pytest.approx(
-        predicted.rate, rel=0.02
-    )
+    decay = -np.polyfit(t[late], np.log(np.linalg.norm(plane, axis=0)), 1)[0]
+    assert decay == pytest.approx(predicted.rate, rel=0.02)
 
 
 def test_what_dies_last_is_the_slow_direction() -> None:
@@ -157,9 +153,8 @@ def test_what_dies_last_is_the_slow_direction() -> None:
     run = simulate(scenario, check_step=False)
     last = np.concatenate([run.x[-1] - run.x_hat[-1], run.info.widths - run.d_hat[-1]])
     slow = rates_of(scenario).slow[:, 0]
-    assert abs(last @ slow) / np.linalg.norm(last) / np.linalg.norm(slow) == pytest.approx(
-        1.0, abs=1e-4
-    )
+    cosine = abs(last @ slow) / np.linalg.norm(last) / np.linalg.norm(slow)
+    assert cosine == pytest.approx(1.0, abs=1e-4)
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.booleans())
@@ -168,12 +163,9 @@ def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
 ) -> None:
     rng = np.random.default_rng(seed)
     A, _, C = random_plant(rng, n, 1, p).linear
-    L, gamma, K, Ts = (
-        rng.normal(size=(n, p)),
-        adaptation(rng.uniform(0.5, 3.0, p), p),
-        int(rng.integers(1, 8)),
-        0.02,
-    )
+    L = rng.normal(size=(n, p))
+    gamma = adaptation(rng.uniform(0.5, 3.0, p), p)
+    K, Ts = int(rng.integers(1, 8)), 0.02
     sides = rng.integers(-1, 2, (K, p)).astype(float)
     spans = rng.integers(1, 30, K).astype(float) if sampled else rng.uniform(0.01, 2.0, K)
     none = np.zeros(p)
@@ -186,16 +178,15 @@ def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
     for side, span in zip(sides.astype(int), spans, strict=True):
         S, on = pattern(tuple(side)), np.diag(np.abs(side))
         f = np.block([[A - L @ on @ C, L @ S], [gamma @ S.T @ C, -gamma @ S.T @ S]])
-        naive = (
-            np.linalg.matrix_power(np.eye(n + 2 * p) + Ts * f, int(span))
-            if sampled
-            else expm(f * span)
-        ) @ naive
+        if sampled:
+            naive = np.linalg.matrix_power(np.eye(n + 2 * p) + Ts * f, int(span)) @ naive
+        else:
+            naive = expm(f * span) @ naive
     assert M * np.exp(size) == pytest.approx(naive, rel=1e-9, abs=1e-9 * np.abs(naive).max())
 
 
 def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None:
-    """The error at the end of a recorded run is the product of transitions times the error at its start."""
+    """The error at the end of a recorded run is the product of transitions times the first."""
     scenario = scene(
         reference={
             "kind": "sines",
@@ -252,9 +243,8 @@ def test_sampled_rates_tend_to_the_continuous_one() -> None:
     """An error of first order: sides change at samples only."""
     exact = rates_of(scene()).rate
     for step in (1e-2, 1e-3, 1e-4):
-        assert rates_of(scene(simulation={"time": "sampled", "step": step})).rate == pytest.approx(
-            exact, abs=0.1 * step
-        )
+        sampled = rates_of(scene(simulation={"time": "sampled", "step": step}))
+        assert sampled.rate == pytest.approx(exact, abs=0.1 * step)
 
 
 @pytest.mark.parametrize(
@@ -286,9 +276,8 @@ def test_errors_that_never_die_are_named_and_set_apart(
 
 
 def test_a_silent_sensor_leaves_the_plants_own_rate() -> None:
-    assert rates_of(
-        scene(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})
-    ).rate == pytest.approx(1.0, rel=1e-6)
+    silent = scene(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})
+    assert rates_of(silent).rate == pytest.approx(1.0, rel=1e-6)
 
 
 def test_errors_that_grow_have_a_negative_rate() -> None:
@@ -326,16 +315,10 @@ def test_no_crossing_of_a_sum_of_sines_is_missed(seed: int, tones: int) -> None:
     """Against all roots of the trigonometric polynomial, from its companion matrix."""
     rng = np.random.default_rng(seed)
     amplitude, phase = rng.normal(size=tones), rng.uniform(0, 6, tones)
-    signal = exosystem(
-        "r",
-        Sines(
-            components=[
-                Tone(amplitude=a, frequency=k + 1.0, phase=f)
-                for k, (a, f) in enumerate(zip(amplitude, phase, strict=True))
-            ]
-        ),
-        1,
-    )
+    components = []
+    for k, (a, f) in enumerate(zip(amplitude, phase, strict=True), 1):
+        components.append(Tone(amplitude=a, frequency=float(k), phase=f))
+    signal = exosystem("r", Sines(components=components), 1)
     level = rng.uniform(-1, 1) * np.abs(amplitude).sum() * 0.7
     found = roots(signal, signal.Q[0], level, np.array([0.0, 1.0]))
     polynomial = np.zeros(2 * tones + 1, complex)  # z^tones (r - level), z = e^{2 pi j t}

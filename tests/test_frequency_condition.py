@@ -1,4 +1,7 @@
-"""The certificate against the frequency condition, closed forms and its own inequality; the gain that is always certified."""
+"""The certificate agrees with the frequency condition and closed forms.
+
+The default gain is always certified.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +24,13 @@ GAMMA = np.array([10.0])
 
 @given(st.floats(-3, 20), st.floats(-3, 20))
 def test_the_papers_plant_is_certified_exactly_where_theory_says(l1: float, l2: float) -> None:
-    """2 b1 > (sqrt(b0) - 1)^2 with b1 = 2 + l1, b0 = 1 + 2 l1 + l2 (docs/certificate.md), b0 > 0."""
+    """2 b1 > (sqrt(b0) - 1)^2 with b1 = 2 + l1, b0 = 1 + 2 l1 + l2 > 0 (docs/certificate.md)."""
     b1, b0 = 2 + l1, 1 + 2 * l1 + l2
     slack = 2 * b1 - (np.sqrt(max(b0, 0.0)) - 1) ** 2
     if min(abs(slack), abs(b0)) < 0.05 * (1 + abs(b1) + abs(b0)):
         return
-    assert certify(PAPER_PLANT.linear, np.array([[l1], [l2]]), GAMMA).certified == (
-        slack > 0 and b0 > 0
-    )
+    expected = slack > 0 and b0 > 0
+    assert certify(PAPER_PLANT.linear, np.array([[l1], [l2]]), GAMMA).certified == expected
 
 
 def test_the_papers_gains_miss_it_narrowly() -> None:
@@ -36,20 +38,16 @@ def test_the_papers_gains_miss_it_narrowly() -> None:
     missed = certify(PAPER_PLANT.linear, np.array([[12.0], [15.0]]), GAMMA)
     assert not missed.certified
     w = np.linspace(0.01, 20, 20001)
-    real = (
-        1
-        + response(PAPER_PLANT.linear._replace(B=np.array([[12.0], [15.0]])), 1j * w)[:, 0, 0].real
-    )
-    assert (real.min(), w[np.argmin(real)]) == (
-        pytest.approx(-0.0417, abs=1e-4),
-        pytest.approx(2.49, abs=0.01),
-    )
+    from_gains = PAPER_PLANT.linear._replace(B=np.array([[12.0], [15.0]]))
+    real = 1 + response(from_gains, 1j * w)[:, 0, 0].real
+    assert real.min() == pytest.approx(-0.0417, abs=1e-4)
+    assert w[np.argmin(real)] == pytest.approx(2.49, abs=0.01)
     assert certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), GAMMA).certified
 
 
 @given(seeds, st.integers(1, 5))
 def test_agrees_with_the_frequency_condition_on_random_designs(seed: int, n: int) -> None:
-    """Certified iff A is stable and Re (1 + G(jw)) > 0; sampled: iff gamma Ts < 2 (1 + min Re G)."""
+    """Certified iff A is stable and Re (1 + G) > 0; sampled: iff gamma Ts < 2 (1 + min Re G)."""
     rng = np.random.default_rng(seed)
     plant, L = random_plant(rng, n).linear, rng.normal(size=(n, 1)) * 2
     s = 1j * np.concatenate([[0.0], np.logspace(-3, 3, 3000)])
@@ -93,7 +91,10 @@ def test_unstable_plants_have_none_whatever_the_gain(Ts: float | None) -> None:
 
 @pytest.mark.parametrize("Ts", [1e-4, 5e-3, 1e-2, 0.1, 1.0])
 def test_the_default_gain_is_certified_at_every_sample_time(Ts: float) -> None:
-    """With every gamma up to 1 / Ts, also for poles far apart, where P^-1 C' of the continuous theory is not."""
+    """With every gamma up to 1 / Ts, also for poles far apart.
+
+    P^-1 C' of the continuous theory is not certified there.
+    """
     stiff = zoh(companion(np.poly([-1.0, -10.0, -1000.0])[:0:-1], [1000.0]), Ts)
     for gamma in (1e-3 / Ts, 1 / Ts):
         assert certify(stiff, passive_gain(stiff, Ts), np.array([gamma]), Ts).certified

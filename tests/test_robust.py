@@ -1,4 +1,7 @@
-"""Every extension of the certificate holds in simulation, and where a number is claimed to be the least it is nearly reached."""
+"""Every extension of the certificate holds in simulation.
+
+Where a number is claimed to be the least, it is nearly reached.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from undeadzone.analysis.certificate.robust import (
     l2_gain,
     project,
     sector,
-    ultimate_bound,
 )
+from undeadzone.analysis.certificate.ultimate import ultimate_bound
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
@@ -44,7 +47,7 @@ def entry(Ts: float | None) -> Floats:
 
 
 def switched(
-    given: Dynamics,
+    errors: Dynamics,
     sides: Any,
     steps: int,
     h: float,
@@ -57,65 +60,60 @@ def switched(
     d0: Any = 0.0,
     limit: Any = None,
 ) -> Floats:
-    """[x~; d~] (steps + 1 rows) of the error dynamics on given sides (steps x p), w (steps x q) and v (steps x p) held for each step.
+    """[x~; d~] (steps + 1 rows) along sides (steps x p), w (steps x q) and v (steps x p).
 
-    Continuous time is solved exactly over each h; leak: d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
+    They are held for each step. Continuous time is solved exactly over each h; leak:
+    d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
     """
-    n, p = given.L.shape
-    found = [start]
+    n, p = errors.L.shape
+    path = [start]
     maps: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
     for k in range(steps):
         key = tuple(int(side) for side in sides[k])
         if key not in maps:
             S = pattern(key)
             active = np.diag(np.abs(key).astype(float))
-            F = generator(given, Mode(np.ones(1), S, np.ones(p), h))
-            F[n:, n:] -= leak * given.gamma
-            inputs = np.block(
-                [
-                    [E, -given.L @ active * noise, np.zeros((n, 2 * p))],
-                    [np.zeros((2 * p, E.shape[1])), given.gamma @ S.T * noise, leak * given.gamma],
-                ]
-            )
-            if given.Ts is None:
+            F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
+            F[n:, n:] -= leak * errors.gamma
+            to_states = np.hstack([E, -errors.L @ active * noise, np.zeros((n, 2 * p))])
+            of_w = np.zeros((2 * p, E.shape[1]))
+            to_widths = np.hstack([of_w, errors.gamma @ S.T * noise, leak * errors.gamma])
+            inputs = np.vstack([to_states, to_widths])
+            if errors.Ts is None:
                 size = len(F)
-                both = expm(
-                    h
-                    * np.block([[F, inputs], [np.zeros((inputs.shape[1], size + inputs.shape[1]))]])
-                )
+                still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
+                both = expm(h * np.block([[F, inputs], [still]]))
                 maps[key] = both[:size, :size], both[:size, size:]
             else:
-                maps[key] = np.eye(len(F)) + given.Ts * F, given.Ts * inputs
+                maps[key] = np.eye(len(F)) + errors.Ts * F, errors.Ts * inputs
         step, drive = maps[key]
-        after = step @ found[-1] + drive @ np.concatenate(
-            [w[k], v[k], np.full(2 * p, d0) if np.ndim(d0) == 0 else d0]
-        )
+        after = step @ path[-1] + drive @ np.concatenate([w[k], v[k], np.broadcast_to(d0, 2 * p)])
         if limit is not None:
             after[n:] = np.clip(after[n:], -limit, limit)
-        found.append(after)
-    return np.array(found)
+        path.append(after)
+    return np.array(path)
 
 
 def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
     """A random sequence of rows, each held for about `hold` steps."""
     choices = np.asarray(choices, float)
-    picks = np.repeat(
-        rng.integers(len(choices), size=steps), rng.integers(1, 2 * hold, size=steps)
-    )[:steps]
-    return choices[picks]
+    picks = rng.integers(len(choices), size=steps)
+    times = rng.integers(1, 2 * hold, size=steps)
+    return choices[np.repeat(picks, times)[:steps]]
 
 
 @pytest.mark.parametrize("Ts", [None, 0.01, 0.2])
 @pytest.mark.parametrize("gains", [(1.0, 1.5), (2.0, 3.0), (-0.5, 0.4)])
 def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float | None) -> None:
-    """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v; the worst w is a slow one on the silent side."""
-    given = paper(Ts, np.array(gains)[:, None], 2.0)
+    """int |z|^2 <= V(0) + a^2 int |w|^2 + b^2 int |v|^2 for random sides, w, v.
+
+    The worst w is a slow one on the silent side.
+    """
+    errors = paper(Ts, np.array(gains)[:, None], 2.0)
     E = entry(Ts)
-    both, only_w, only_v = (
-        l2_gain(given, E, np.array([0.3])),
-        l2_gain(given, E),
-        l2_gain(given, noise=np.array([0.3])),
-    )
+    both = l2_gain(errors, E, np.array([0.3]))
+    only_w = l2_gain(errors, E)
+    only_v = l2_gain(errors, noise=np.array([0.3]))
     assert both.check.proved
     assert only_w.check.proved
     assert only_v.check.proved
@@ -131,7 +129,7 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
         v = rng.normal(size=(steps, 1)) if trial % 2 else held(rng, [[1.0], [-1.0]], steps, 50)
         start = rng.normal(size=4) * (trial % 3)
         for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
-            path = switched(given, sides, steps, h, E, dist, np.array([0.3]), noise, start)
+            path = switched(errors, sides, steps, h, E, dist, np.array([0.3]), noise, start)
             z2 = (path[:-1, 0] ** 2).sum() * h
             supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (
                 found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum()
@@ -140,13 +138,13 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
 
 
 def test_the_disturbance_gain_is_reached() -> None:
-    """(1, 1.5): the gain is 1, and a constant force while the sensor is silent comes within 1 % of it."""
-    given = paper()
-    found = l2_gain(given, B)
+    """(1, 1.5): the gain is 1; a constant force while the sensor is silent comes within 1 %."""
+    errors = paper()
+    found = l2_gain(errors, B)
     assert found.disturbance == pytest.approx(1.0, abs=1e-5)
     steps, h = 20_000, 0.02
     path = switched(
-        given,
+        errors,
         np.zeros((steps, 1)),
         steps,
         h,
@@ -174,22 +172,18 @@ def test_gains_of_an_uncertified_observer_are_infinite() -> None:
 
 
 def test_gains_do_not_depend_on_units() -> None:
-    given, x, y = paper(), np.array([1e4, 1e-3]), 100.0
+    errors, x, y = paper(), np.array([1e4, 1e-3]), 100.0
     other = dynamics(
         Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y),
         L * y / x[:, None],
         np.array([10.0]),
         None,
     )
-    one, two = (
-        l2_gain(given, B, np.array([0.3])),
-        l2_gain(other, B / x[:, None], np.array([0.3 / y])),
-    )
+    one = l2_gain(errors, B, np.array([0.3]))
+    two = l2_gain(other, B / x[:, None], np.array([0.3 / y]))
     assert np.array(two[:2]) * y == pytest.approx(np.array(one[:2]), rel=1e-4)
-    a, b = (
-        ultimate_bound(given, 0.5, B, np.array([0.1])),
-        ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y])),
-    )
+    a = ultimate_bound(errors, 0.5, B, np.array([0.1]))
+    b = ultimate_bound(other, np.full(2, 0.5 / y), B / x[:, None], np.array([0.1 / y]))
     assert b.bound * y == pytest.approx(a.bound, rel=1e-3)
 
 
@@ -198,10 +192,10 @@ def test_gains_do_not_depend_on_units() -> None:
 def test_ultimate_bound_holds_with_projection_and_with_leakage(
     sigma: float, Ts: float | None
 ) -> None:
-    """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level, whatever sides, w and v."""
-    given = paper(Ts, gamma=[[5.0, 2.0]])
+    """|w| <= 1, |v| <= 0.1: the error ends below the bound, and V below its level."""
+    errors = paper(Ts, gamma=[[5.0, 2.0]])
     E, noise, widths = entry(Ts), np.array([0.1]), np.array([0.4, 0.7])
-    found = ultimate_bound(given, widths, E, noise, sigma)
+    found = ultimate_bound(errors, widths, E, noise, sigma)
     assert found.check.proved
     assert 1.0 <= found.bound < 3.0  # the silent plant under a constant force alone ends at 1
     rng = np.random.default_rng(1)
@@ -213,18 +207,20 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
         v = held(rng, [[-1.0], [1.0]], steps, 10)
         start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
         d0 = widths * rng.choice([-1, 1], 2)
-        path = switched(
-            given, sides, steps, h, E, w, noise, v, start, sigma, d0, widths if sigma == 0 else None
-        )
+        limit = widths if sigma == 0 else None
+        path = switched(errors, sides, steps, h, E, w, noise, v, start, sigma, d0, limit)
         tail = path[-1500:]
         assert np.abs(tail[:, 0]).max() <= found.bound
         assert found.V.value(tail[:, :2], tail[:, 2:]).max() <= found.level
 
 
 def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
-    """Without disturbance, V ends below its value at x~ = 0, d~ = d - d0, if x~ can follow as fast as the leak."""
-    given = paper(gamma=1.0)
-    found = ultimate_bound(given, np.array([0.5, 0.5]), sigma=0.1)
+    """Without disturbance, V ends below its value at x~ = 0, d~ = d - d0.
+
+    For that x~ must be able to follow as fast as the leak.
+    """
+    errors = paper(gamma=1.0)
+    found = ultimate_bound(errors, np.array([0.5, 0.5]), sigma=0.1)
     level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
     assert found.check.proved
     assert found.level == pytest.approx(level, rel=0.1)
@@ -243,74 +239,73 @@ def test_leakage_is_refused_where_it_is_not_covered() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.02])
 def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | None) -> None:
-    """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r at the corners; at 1.5 r of a stiffness it can rise."""
+    """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r, and can rise at 5 r."""
     rng = np.random.default_rng(3)
     linear = random_matrices(rng, 3, 1) if Ts is None else zoh(random_matrices(rng, 3, 1), Ts)
-    given = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
+    errors = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
     E, F = rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
-    radius = certified_radius(given, E, F)
+    radius = certified_radius(errors, E, F)
     assert radius > 0
-    V = l2_gain(given, E, output=F).V
+    V = l2_gain(errors, E, output=F).V
     turns = [np.linalg.qr(rng.normal(size=(2, 2)))[0] for _ in range(12)]
-    inside = given._replace(A=tuple(given.A[0] + 0.999 * radius * E @ Delta @ F for Delta in turns))
-    assert not falsify(inside, V, 5000, seed=1).broken
-    outside = given._replace(A=tuple(given.A[0] + 5 * radius * E @ Delta @ F for Delta in turns))
-    assert falsify(outside, V, 5000, seed=1).broken
+
+    def perturbed(size: float) -> Dynamics:
+        return errors._replace(A=tuple(errors.A[0] + size * E @ Delta @ F for Delta in turns))
+
+    assert not falsify(perturbed(0.999 * radius), V, 5000, seed=1).broken
+    assert falsify(perturbed(5 * radius), V, 5000, seed=1).broken
 
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
 def test_norm_bounded_plants_in_the_closed_loop(Ts: float | None) -> None:
-    """A + E Delta F_A, B + E Delta F_B with |Delta| just below the certified radius: V of (x - x_ref, x~, d~) falls."""
+    """A + E Delta F_A, B + E Delta F_B, |Delta| just below the certified radius.
+
+    V of (x - x_ref, x~, d~) falls.
+    """
     model = PAPER if Ts is None else zoh(PAPER, Ts)
-    K, E, F_A, F_B = (
-        np.array([[1.0, 1.0]]),
-        np.array([[0.0], [1.0]]),
-        np.array([[1.0, 2.0]]),
-        np.array([[1.0]]),
-    )
+    K, E = np.array([[1.0, 1.0]]), np.array([[0.0], [1.0]])
+    F_A, F_B = np.array([[1.0, 2.0]]), np.array([[1.0]])
     nominal = closed_loop(model, [model], L, K, np.array([5.0]), Ts)
     F = np.hstack([F_A - F_B @ K, F_B @ K])
     radius = certified_radius(nominal, np.vstack([E, E]), F)
     assert 0.1 < radius < 1
     step = 1.0 if Ts is None else Ts
-    plants = [
-        Matrices(model.A + step * share * E @ F_A, model.B + step * share * E @ F_B, C)
-        for share in (-0.999 * radius, 0.999 * radius)
-    ]
+    plants = []
+    for size in (-0.999 * step * radius, 0.999 * step * radius):
+        plants.append(Matrices(model.A + size * E @ F_A, model.B + size * E @ F_B, C))
     V = l2_gain(nominal, np.vstack([E, E]), output=F).V
     assert not falsify(closed_loop(model, plants, L, K, np.array([5.0]), Ts), V, 5000).broken
 
 
 @pytest.mark.parametrize("Ts", [None, 0.05])
 def test_known_nonlinear_plant(Ts: float | None) -> None:
-    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: no linear part alone is stable, yet one V falls; [-0.1, 1] has none.
+    """x'' = -x' - phi(x), slopes of phi in [0.2, 1]: one V falls; for [-0.1, 1] there is none.
 
-    Sampled: the plant x+ = x + Ts (...), given as such.
+    No linear part alone is stable. Sampled: the plant is x+ = x + Ts (...) itself.
     """
     linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
-    given = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
-    found = sector(given, -B, C, np.array([0.2]), np.array([1.0]))
+    errors = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
+    found = sector(errors, -B, C, np.array([0.2]), np.array([1.0]))
     assert found.certified
-    ends = given._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
+    ends = errors._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
     assert not falsify(ends, found.V, 5000).broken
-    assert certify_dynamics(
-        ends
-    ).certified  # Jacobian vertices: the same here, phi being one component
-    assert not sector(given, -B, C, np.array([-0.1]), np.array([1.0])).certified
+    # Jacobian vertices: the same here, phi being one component.
+    assert certify_dynamics(ends).certified
+    assert not sector(errors, -B, C, np.array([-0.1]), np.array([1.0])).certified
     with pytest.raises(InputError, match="low: must not exceed high"):
-        sector(given, -B, C, np.array([1.0]), np.array([0.0]))
+        sector(errors, -B, C, np.array([1.0]), np.array([0.0]))
 
 
 def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
-    given = paper(gamma=1.0)
-    assert certified_radius(given, B, C) == pytest.approx(1.0, abs=1e-4)
-    assert sector(given, B, C, np.array([-3.0]), np.array([0.0])).certified
-    assert sector(given, B, C, np.array([-0.99]), np.array([0.99])).certified
-    assert not sector(given, B, C, np.array([-1.01]), np.array([1.01])).certified
+    errors = paper(gamma=1.0)
+    assert certified_radius(errors, B, C) == pytest.approx(1.0, abs=1e-4)
+    assert sector(errors, B, C, np.array([-3.0]), np.array([0.0])).certified
+    assert sector(errors, B, C, np.array([-0.99]), np.array([0.99])).certified
+    assert not sector(errors, B, C, np.array([-1.01]), np.array([1.01])).certified
 
 
 def test_v_falls_along_a_nonlinear_closed_loop() -> None:
-    """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls from sample to sample."""
+    """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls."""
     plant = {
         "f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"],
         "h": ["x1"],
@@ -331,8 +326,8 @@ def test_v_falls_along_a_nonlinear_closed_loop() -> None:
             simulation={"duration": 6.0},
         )
     )
-    given = paper(gamma=5.0)
-    found = sector(given, -B, C, np.array([0.0]), np.array([0.9]))
+    errors = paper(gamma=5.0)
+    found = sector(errors, -B, C, np.array([0.0]), np.array([0.9]))
     assert found.certified
     V = found.V.value(run.x - run.x_hat, np.array([1.0, 1.0]) - run.d_hat)
     assert V[-1] < 0.05 * V[0]
@@ -341,20 +336,19 @@ def test_v_falls_along_a_nonlinear_closed_loop() -> None:
 
 @pytest.mark.parametrize("Ts", [None, 0.01])
 def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
-    """Stiffness, damping and gain within 20 %: one V over (x - x_ref, x~, d~), which no sequence of plants and sides makes rise."""
+    """Stiffness, damping and gain within 20 %: one V over (x - x_ref, x~, d~).
+
+    No sequence of plants and sides makes it rise.
+    """
     model = PAPER if Ts is None else zoh(PAPER, Ts)
     K = np.array([[1.0, 1.0]])
 
     def corners(spread: float) -> list[Matrices]:
-        found = [
-            Matrices(
-                np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]),
-                B * (1 + c * spread),
-                C,
-            )
-            for a, b, c in itertools.product((-1, 1), repeat=3)
-        ]
-        return found if Ts is None else [zoh(plant, Ts) for plant in found]
+        plants = []
+        for a, b, c in itertools.product((-1, 1), repeat=3):
+            A = np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]])
+            plants.append(Matrices(A, B * (1 + c * spread), C))
+        return plants if Ts is None else [zoh(plant, Ts) for plant in plants]
 
     found = certify_dynamics(closed_loop(model, corners(0.2), L, K, np.array([5.0]), Ts))
     assert found.certified
@@ -368,7 +362,7 @@ def test_uncertain_plant_in_the_closed_loop(Ts: float | None) -> None:
 
 
 def test_v_falls_along_a_mismatched_closed_loop() -> None:
-    """The real loop, its plant a corner of the certified box, released from afar with nothing to follow."""
+    """The real loop, its plant a corner of the certified box, released with nothing to follow."""
     corner = [[0.0, 1.0], [-1.2, -1.6]]
     run = simulate(
         scene(
@@ -386,10 +380,9 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
             simulation={"duration": 5.0},
         )
     )
-    plants = [
-        Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C)
-        for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2))
-    ]
+    plants = []
+    for a, b, c in itertools.product((-0.2, 0.2), (-0.4, 0.4), (-0.2, 0.2)):
+        plants.append(Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C))
     found = certify_dynamics(closed_loop(PAPER, plants, L, np.array([[1.0, 1.0]]), np.array([5.0])))
     assert found.certified
     V = found.V.value(np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat)
@@ -398,7 +391,7 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
 
 
 def test_projection_in_the_metric_of_v_never_raises_it() -> None:
-    """For a full Gamma, clipping each width by itself can raise V; the projection in the metric of V cannot."""
+    """For a full Gamma, clipping each width by itself can raise V; projection cannot."""
     linear = random_matrices(np.random.default_rng(0), 3, 1)
     found = certify(linear, passive_gain(linear, None), np.array([[1.0, 0.9], [0.9, 1.0]]))
     assert found.certified
@@ -407,10 +400,8 @@ def test_projection_in_the_metric_of_v_never_raises_it() -> None:
     for _ in range(200):
         d, d_hat = rng.uniform(0, 1, 2), rng.normal(0.5, 1.0, 2)
         nearest = project(d_hat, found.V, limit)
-        before, after, naive = (
-            found.V.value(np.zeros((1, 3)), (d - point)[None])[0]
-            for point in (d_hat, nearest, np.clip(d_hat, 0, limit))
-        )
+        points = d_hat, nearest, np.clip(d_hat, 0, limit)
+        before, after, naive = found.V.value(np.zeros((3, 3)), d - np.array(points))
         assert ((nearest >= 0) & (nearest <= limit)).all()
         assert after <= before * (1 + 1e-9)
         clipped += naive > before * (1 + 1e-9)
@@ -435,7 +426,10 @@ def test_any_silence_threshold_is_certified(threshold: float) -> None:
 
 
 def test_noise_below_the_threshold_obeys_the_noise_gain() -> None:
-    """Bounded noise, |v| <= threshold: no false side, so that int |z~|^2 <= V(0) + b^2 int |v|^2 in the real loop."""
+    """Bounded noise, |v| <= threshold: no false side in the real loop.
+
+    So int |z~|^2 <= V(0) + b^2 int |v|^2.
+    """
     Ts, noise = 0.01, 0.02
     run = simulate(
         scene(

@@ -1,0 +1,142 @@
+"""Error dynamics that outside signals drive: their inequality, and the search for its proof."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.analysis.dissipation import (
+    Check,
+    Extra,
+    Family,
+    Inequality,
+    Solution,
+    check,
+    no_more,
+    optimise,
+)
+from undeadzone.analysis.error_dynamics import Dynamics, Scaling, Storage
+from undeadzone.support.arrays import Floats, matrix, vector
+
+FLOOR = 1e-6  # smallest squared gain and weight that is minimised to, in scaled quantities
+CEILING = 1e6  # the largest
+SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)  # of the way inside that a proof may go
+UNPROVED = Check(False, np.inf, -np.inf, 0.0)
+
+
+class Channel(NamedTuple):
+    """An outside signal w of k entries.
+
+    Attributes:
+        state: how it enters x~' = ... + state w (n x k).
+        reading: how it enters e = ... + reading w (p x k).
+    """
+
+    state: Floats
+    reading: Floats
+
+
+def channels(
+    errors: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats | None
+) -> list[Channel]:
+    """Disturbance and noise, as far as there are any, in scaled quantities.
+
+    Args:
+        errors: the error dynamics, not scaled.
+        scaling: their scaling.
+        E: how disturbances enter x~' (n x q).
+        noise: size of the noise on each active reading (p).
+    """
+    n, p = errors.L.shape
+    signals = []
+    if E is not None:
+        E = matrix("E", E, n, None, "one row per state")
+        to_state = scaling.time * E / scaling.state[:, None]
+        signals.append(Channel(to_state, np.zeros((p, E.shape[1]))))
+    if noise is not None:
+        to_reading = np.diag(vector("noise", noise, p, "one per output") / scaling.output)
+        signals.append(Channel(np.zeros((n, p)), to_reading))
+    return signals
+
+
+def output_rows(errors: Dynamics, scaling: Scaling, output: Floats | None) -> Floats:
+    """The rows of z = output x~ (C by default) for scaled states."""
+    n = errors.L.shape[0]
+    z = errors.C if output is None else matrix("output", output, None, n, "one column per state")
+    return z * scaling.state
+
+
+def driven(
+    errors: Dynamics,
+    weights: Floats,
+    mu: Floats,
+    signals: list[Channel],
+    z: Floats,
+    decay: float = 0.0,
+) -> Inequality:
+    """V' + 2 decay x~'P x~ + |z x~|^2 - sum of mu |w|^2 over the channels < 0 in (x~, e, w).
+
+    Args:
+        errors: the error dynamics.
+        weights: one per group of outputs, see `Dynamics.groups`.
+        mu: multipliers, one per channel.
+        signals: the channels of w.
+        z: rows of the output that counts (rows x n).
+        decay: rate [1/s].
+    """
+    W = errors.groups @ weights
+    counts = [channel.state.shape[1] for channel in signals]
+    none = np.zeros((errors.L.shape[0], 0))
+    state = np.hstack([none, *(channel.state for channel in signals)])
+    reading = np.hstack([np.zeros((W.size, 0)), *(channel.reading for channel in signals)])
+    terms = [(0, 0, z.T @ z), (1, 2, W[:, None] * reading), (2, 2, -np.diag(np.repeat(mu, counts)))]
+    return errors.extended(W, state, terms, decay)
+
+
+def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> Storage:
+    """V in original quantities from a solution in scaled ones, q = [weight per group, ...]."""
+    weights = errors.groups @ solution.q[: errors.groups.shape[1]]
+    return Storage(scaling.storage(solution.P), scaling.weights(weights), errors.gamma)
+
+
+def deepest(family: Family, start: Floats, extra: Extra) -> Solution | None:
+    """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
+
+    def proved(solution: Solution) -> bool:
+        return check(family(solution.q), solution.P).proved
+
+    return optimise(family, np.zeros(start.size), start, extra, deep=True, done=proved, passes=4)
+
+
+def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | None:
+    """P, q >= 0 of least cost'q, drawn so little towards the deep inside that the LMI checks.
+
+    Args:
+        family: q -> the inequality, affine in q.
+        cost: weights of the multipliers.
+        confine: P, q -> what must be positive semidefinite besides.
+
+    Returns:
+        The solution, checked; None if there is none.
+    """
+
+    def bounds(P: Floats, q: Floats) -> list[Floats]:
+        return [q - FLOOR, CEILING - q, *confine(P, q)]
+
+    def bounds_and_cost(P: Floats, q: Floats) -> list[Floats]:
+        return [*bounds(P, q), np.array([limit - cost @ q])]
+
+    best = optimise(family, cost, np.ones(cost.size), bounds)
+    if best is None:
+        return None
+    limit = 2 * float(cost @ best.q)
+    inside = deepest(family, best.q, bounds_and_cost)
+    if inside is None:
+        return None
+    for share in SHARES:
+        P = share * inside.P + (1 - share) * best.P
+        q = share * inside.q + (1 - share) * best.q
+        if (q > 0).all() and check(family(q), P).proved:
+            return Solution(P, q)
+    return None

@@ -1,0 +1,155 @@
+"""A plant is linearised along one run: transitions and outputs of [x; beta; theta] at its samples.
+
+beta is a constant input bias, theta uncertain parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.engine.interpret import mapped
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Floats, Integers
+
+TOLERANCE = 1e-9, 1e-4  # share of information that counts as none, with exact steps and others
+WORK = 5e7  # products and sums spent on exact derivatives; more, and samples are thinned
+
+
+class LinearisedRun(NamedTuple):
+    """A run linearised at K of its samples; s = n + b + t.
+
+    Attributes:
+        steps: transition from each kept sample to the next (K x s x s).
+        outputs: of [x; beta; theta] (K x p x s).
+        kept: the samples (K).
+        tolerance: share of a direction's information, all else known, that the steps' errors may
+            feign.
+    """
+
+    steps: Floats
+    outputs: Floats
+    kept: Integers
+    tolerance: float
+
+
+def linearised(
+    model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
+) -> LinearisedRun:
+    """The plant's linearisation along a run.
+
+    A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and
+    for large sampled plants, steps span 2 samples, or as many as the work allows, by a fourth-order
+    Magnus expansion (Iserles, Norsett 1999); over a step of a sampled plant with the mean of its
+    inputs.
+
+    Args:
+        model: the plant (n states, m inputs, p outputs).
+        x: states (N x n).
+        u: inputs (N x m).
+        step: time between two samples [s].
+        bias: directions (m x b) of unknown constant inputs.
+        uncertain: names of unknown parameters (t).
+    """
+    motion = model.move if model.rate is None else model.rate
+    rates = _derivatives(model, motion, bias, uncertain)
+    work = rates.n_instructions() * len(x)
+    if model.Ts is not None and (model.rate is None or 8 * work <= WORK):
+        exact = _derivatives(model, model.move, bias, uncertain)
+        steps, outputs = _along(exact, model, x, u, uncertain)
+        return _run(steps, outputs, np.arange(len(x)), TOLERANCE[0])
+    stride = 2 * max(1, int(np.ceil(1.5 * work / WORK)))
+    first = np.arange(0, len(x), stride)
+    last = np.minimum(first + stride, len(x) - 1)
+    # Rates at the start, the middle and the end of each step.
+    places = first, (first + last) // 2, last
+    inputs = [u[at] for at in places]
+    if model.Ts is not None:
+        inputs = [np.add.reduceat(u, first) / np.diff(first, append=len(x))[:, None]] * 3
+    of_rates, of_outputs = [], []
+    for at, w in zip(places, inputs, strict=True):
+        A, C = _along(rates, model, x[at], w, uncertain)
+        of_rates.append(np.pad(A, [(0, 0), (0, A.shape[2] - A.shape[1]), (0, 0)]))
+        of_outputs.append(C)
+    h = step * (last - first)[:, None, None]
+    A0, A1, A2 = of_rates
+    steps = _expm(_magnus(A0, A1, A2, h))
+    return _run(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
+
+
+def _magnus(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
+    """The exponent of a step of length h [s] with rates A0, A1, A2 at start, middle and end."""
+    return h / 6 * (A0 + 4 * A1 + A2) - h**2 / 12 * (A0 @ A2 - A2 @ A0)
+
+
+def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
+    """([x; u], theta) -> derivatives of move and of the output by [x; beta; theta], by columns."""
+    x = ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
+    theta = ca.SX.sym("theta", len(uncertain))
+    params = model.params
+    if model.nonlinear:
+        params = ca.SX(params)
+        for k, name in enumerate(uncertain):
+            params[model.names.index(name)] = theta[k]
+    moved, output = move(params, x, u), ca.SX(model.output(params, x))
+    by = ca.vertcat(x, theta)
+    A, C = ca.jacobian(moved, by), ca.jacobian(output, by)
+    n, b = model.n, bias.shape[1]
+    A = ca.horzcat(A[:, :n], ca.jacobian(moved, u) @ bias, A[:, n:])
+    C = ca.horzcat(C[:, :n], ca.SX(model.p, b), C[:, n:])
+    both = ca.densify(ca.vec(ca.vertcat(A, C)))
+    return ca.Function("derivatives", [ca.vertcat(x, u), theta], [both], {"cse": True})
+
+
+def _along(
+    function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]
+) -> tuple[Floats, Floats]:
+    """The derivatives of move and of the output at each x and u (rows), from `_derivatives`."""
+    theta = np.array([model.params[model.names.index(name)] for name in uncertain])
+    values = mapped(function, len(x))(np.hstack([x, u]), theta)
+    both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
+    return both[:, : model.n], both[:, model.n :]
+
+
+def _run(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> LinearisedRun:
+    """The run, up to where a derivative is not finite; the constants stay as they are."""
+    good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
+    end = good.size if good.all() else int(good.argmin())
+    n, s = steps.shape[1:]
+    constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
+    whole = np.concatenate([steps[:end], constants], axis=1)
+    return LinearisedRun(whole, outputs[:end], kept[:end], tolerance)
+
+
+def _expm(X: Floats) -> Floats:
+    """e^X of each of many matrices, by scaling, Taylor's series and squaring."""
+    norm = float(np.abs(X).sum(axis=1).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm else 0
+    X, one = X / 2.0**halvings, np.eye(X.shape[-1])
+    E = one + X / 13
+    for order in range(12, 0, -1):
+        E = one + X @ E / order
+    for _ in range(halvings):
+        E = E @ E
+    return E
+
+
+def symmetric(model: System, change: Floats) -> bool:
+    """Whether the motion is the same from everywhere along a constant change of the state.
+
+    Args:
+        model: the plant.
+        change: of the state (n).
+    """
+    sampled_only = model.Ts is not None and model.rate is None
+    still = np.eye(model.n) if sampled_only else 0.0
+    motion = model.move if model.rate is None else model.rate
+    function = _derivatives(model, motion, np.zeros((model.m, 0)), ())
+    points = np.random.default_rng(0).normal(size=(8, model.n + model.m))
+    x, u = np.split(points, [model.n], axis=1)
+    A = _along(function, model, x, u, ())[0] - still
+    return bool((np.abs(A @ change) <= 1e-9 * np.abs(A).max() * np.abs(change).max()).all())
