@@ -1,10 +1,12 @@
-"""Writes docs/scenario.md from the structs that read a scenario, so that the page cannot fall behind them.
+"""Writes docs/scenario.md from the structs that read a scenario, so that it cannot fall behind.
 
 Run: python docs/reference.py
 """
 
 from __future__ import annotations
 
+import inspect
+import re
 import typing
 from pathlib import Path
 
@@ -14,40 +16,69 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Array
 
 PAGE = Path(__file__).with_name("scenario.md")
+ENTRY = re.compile(r"    (\w[\w, ]*): (.*)")
 HEAD = """# The scenario file
 
-`undeadzone init` writes a commented one to start from. This page lists every key; it is written by
-`python docs/reference.py` from the structs that read the file. Numbers are SI, times in seconds. An *array* is a number
-or (nested) lists of numbers. Where a table has variants, the key in bold chooses one.
+Which keys may stand in a scenario, what each means, and what happens without it. `undeadzone init`
+writes a commented file to start from. `python docs/reference.py` writes this page from the structs
+that read the file. Numbers are SI, times in seconds; *n* is the number of states, *m* of inputs,
+*p* of outputs. An *array* is a number or (nested) lists of numbers. Where a table has variants, the
+key in bold chooses one.
 """
 
 
 def page() -> str:
     """The whole page."""
     top = msgspec.structs.fields(Scenario)
+    meanings = meaning(Scenario)
     simple = [field for field in top if not structs(field.type)]
-    parts = [HEAD, "## Top level\n", rows(simple)]
+    parts = [HEAD, "## Top level\n", rows(simple, meanings)]
+    described: dict[tuple[type, ...], str] = {}
     for field in top:
-        for struct in structs(field.type):
-            parts += [
-                f"## [{field.name}]{chooser(struct)}\n",
-                f"{prose(struct)}\n",
-                rows(msgspec.structs.fields(struct)),
-            ]
-            for inner in msgspec.structs.fields(struct):
-                for nested in structs(inner.type):
-                    parts += [
-                        f"`{field.name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n",
-                        rows(msgspec.structs.fields(nested)),
-                    ]
+        kinds = tuple(structs(field.type))
+        if not kinds:
+            continue
+        if kinds in described:
+            parts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n"]
+            parts += [f"Its keys are those of [[{described[kinds]}]](#{described[kinds]}).\n"]
+            continue
+        described[kinds] = field.name
+        if len(kinds) > 1:
+            parts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n", variants(kinds)]
+        for struct in kinds:
+            parts += table(field.name, struct, alone=len(kinds) == 1)
     return "\n".join(parts)
+
+
+def variants(kinds: tuple[type[msgspec.Struct], ...]) -> str:
+    """One line that names the variants of a table."""
+    names = [f"`{struct.__struct_config__.tag}`" for struct in kinds]
+    return f"Its variants: {', '.join(names)}.\n"
+
+
+def table(name: str, struct: type[msgspec.Struct], alone: bool) -> list[str]:
+    """The section of one table, or of one variant of it, and the tables inside it."""
+    level = "##" if alone else "###"
+    fields = msgspec.structs.fields(struct)
+    parts = [f"{level} [{name}]{chooser(struct)}\n", f"{prose(struct)}\n"]
+    if fields:
+        parts.append(rows(fields, meaning(struct)))
+    for inner in fields:
+        for nested in structs(inner.type):
+            parts.append(f"`{name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n")
+            if msgspec.structs.fields(nested):
+                parts.append(rows(msgspec.structs.fields(nested), meaning(nested)))
+    return parts
 
 
 def structs(annotation: typing.Any) -> list[type[msgspec.Struct]]:
     """The structs that an annotation allows."""
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
-    return [found for part in typing.get_args(annotation) for found in structs(part)]
+    found = []
+    for part in typing.get_args(annotation):
+        found += structs(part)
+    return found
 
 
 def chooser(struct: type[msgspec.Struct]) -> str:
@@ -57,23 +88,56 @@ def chooser(struct: type[msgspec.Struct]) -> str:
 
 
 def prose(struct: type[msgspec.Struct]) -> str:
-    """The struct's docstring on one line."""
-    return " ".join((struct.__doc__ or "").split())
+    """A struct's docstring ahead of its `Attributes:`, on one line."""
+    text, _, _ = inspect.getdoc(struct).partition("\nAttributes:")
+    return " ".join(text.split())
 
 
-def rows(fields: typing.Iterable[msgspec.structs.FieldInfo]) -> str:
-    """A table of keys, types and defaults."""
-    lines = ["| key | type | default |", "|---|---|---|"]
+def meaning(struct: type[msgspec.Struct]) -> dict[str, str]:
+    """What the docstring says of each field, inherited fields too."""
+    entries: dict[str, str] = {}
+    for kind in reversed(struct.__mro__):
+        if kind.__dict__.get("__doc__"):
+            entries |= attributes(inspect.cleandoc(kind.__dict__["__doc__"]))
+    return entries
+
+
+def attributes(docstring: str) -> dict[str, str]:
+    """The entries of a section `Attributes:`, `name: text` or `name, name: text`.
+
+    Lines that are indented deeper continue an entry.
+    """
+    _, _, section = docstring.partition("\nAttributes:\n")
+    entries: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        if line and not line.startswith(" "):
+            break
+        start = ENTRY.match(line)
+        if start:
+            names = [name.strip() for name in start[1].split(",")]
+            entries |= dict.fromkeys(names, start[2])
+        elif line.strip():
+            for name in names:
+                entries[name] += " " + line.strip()
+    return entries
+
+
+def rows(fields: typing.Iterable[msgspec.structs.FieldInfo], meanings: dict[str, str]) -> str:
+    """A table of keys, meanings, types and defaults."""
+    lines = ["| key | meaning | type | default |", "|---|---|---|---|"]
     for field in fields:
-        default = (
-            "required"
-            if field.required
-            else "none"
-            if field.default is None
-            else repr(default_of(field))
-        )
-        lines.append(f"| {field.name} | {kind(field.type)} | {default} |")
+        cells = (field.encode_name, meanings.get(field.name, ""), kind(field.type), default(field))
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def default(field: msgspec.structs.FieldInfo) -> str:
+    """A field's default in words."""
+    if field.required:
+        return "required"
+    value = default_of(field)
+    return "none" if value is None else repr(value)
 
 
 def default_of(field: msgspec.structs.FieldInfo) -> typing.Any:
