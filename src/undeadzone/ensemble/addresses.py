@@ -151,20 +151,20 @@ def _observer_copies(problem: Problem, address: str, slots: dict[str, int]) -> l
 
 def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
     """The amplitudes of reference and disturbance that have one size, which is not 0."""
-    found: dict[str, Quantity] = {}
+    amplitudes: dict[str, Quantity] = {}
     reference = sizes(problem.scenario.reference, len(problem.tracked))
     one_size = reference.size and reference.all() and np.ptp(reference) == 0
     if "reference.scale" in by_address and one_size:
         slots = by_address["reference.scale"].slots
-        found["reference.amplitude"] = Quantity(reference[0], slots, 1 / reference[0])
+        amplitudes["reference.amplitude"] = Quantity(reference[0], slots, 1 / reference[0])
     signal = problem.scenario.disturbance
     name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
     least = LEAST.get(name, -np.inf)
     for i, size in enumerate(sizes(signal, problem.plant.m)):
         if size:
             slots = by_address[f"disturbance.scale[{i}]"].slots
-            found[f"{name}[{i}]"] = Quantity(size, slots, 1 / size, least)
-    return found
+            amplitudes[f"{name}[{i}]"] = Quantity(size, slots, 1 / size, least)
+    return amplitudes
 
 
 def sizes(signal: Signal | Random | None, channels: int) -> Floats:

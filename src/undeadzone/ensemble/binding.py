@@ -200,12 +200,12 @@ def _sampled(problem: Problem, loop: Loop) -> list[Sampled]:
     """The linear plants that the loop holds in sampled form."""
     names = tree.names(loop.params)
     systems = {"plant.A[0,0]": problem.plant, "observer.model.A[0,0]": problem.model}
-    found = []
+    linear = []
     for first, system in systems.items():
         if first in names and system.flow is not None and system.Ts is not None:
             AB = np.hstack([system.flow.A, system.flow.B])
-            found.append(Sampled(names.index(first), AB, system.Ts))
-    return found
+            linear.append(Sampled(names.index(first), AB, system.Ts))
+    return linear
 
 
 def initial_copies(problem: Problem, loop: Loop) -> list[tuple[int, int]]:

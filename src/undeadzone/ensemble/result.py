@@ -6,98 +6,25 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from undeadzone.ensemble import saved
 from undeadzone.ensemble.bands import Bands, true_width
-from undeadzone.ensemble.blocks import table_file
-from undeadzone.errors import FileError, InputError
-from undeadzone.scenario.schema import Units
+from undeadzone.ensemble.influence import JUDGED as JUDGED
+from undeadzone.ensemble.influence import Sensitivity, sensitivities
+from undeadzone.ensemble.info import Info, unit_of_column
+from undeadzone.errors import InputError
 from undeadzone.simulation.run import LAST
-from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
-from undeadzone.statistics.sensitivity import Correlation, given, saltelli
+from undeadzone.statistics.intervals import LEVEL, describe, proportion
 from undeadzone.support.arrays import Floats, finite
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
-JUDGED: Final = 2**16  # runs from which sensitivities are found
 SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
-_IN_OUTPUT_UNIT: Final = (
-    "rms_",
-    "peak_",
-    "d_",
-    "sensor.right",
-    "sensor.left",
-    "sensor.noise",
-    "reference.amplitude",
-)
-
-
-class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What an ensemble knows besides its columns.
-
-    Attributes:
-        title: of the scenario
-        method: of the observer
-        time: "continuous" or "sampled"
-        step: time step [s]
-        duration: of a run [s]
-        seed: of the values and of the noise
-        sampling: how the values were drawn
-        runs: number of runs
-        tolerance: of |z - r| for settling, as a share of the largest |r|
-        tracked: the outputs that follow a reference
-        widths: the nominal right and left width of each output in turn (2p)
-        scenario: the scenario as TOML; with a run's number it replays the run
-        version: of undeadzone
-        recorded: number of the first runs, those behind the bands
-        numbers: a digest of what all runs share
-        units: of output and input
-    """
-
-    title: str
-    method: str
-    time: str
-    step: float
-    duration: float
-    seed: int
-    sampling: str
-    runs: int
-    tolerance: float
-    tracked: list[int]
-    widths: list[float]
-    scenario: str
-    version: str
-    recorded: int = 0
-    numbers: str = ""
-    units: Units = Units()
-
-
-class Sensitivity(NamedTuple):
-    """What a metric owes to one varied entry.
-
-    Attributes:
-        spearman: rank correlation
-        partial: partial rank correlation, the other entries being held
-        first_order: first-order Sobol index, from the design if it is Saltelli's, else from the
-            runs as they are
-        floor: first_order that chance alone reaches once in twenty; None under Saltelli's design
-        total_order: total Sobol index; None but under Saltelli's design
-    """
-
-    spearman: Correlation
-    partial: Correlation
-    first_order: Interval
-    floor: float | None
-    total_order: Interval | None
-
-    @property
-    def influence(self) -> float:
-        """The share of the variance (of that of the ranks if larger) that comes from the entry."""
-        return max(self.spearman.value**2, (self.total_order or self.first_order).value)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -218,14 +145,7 @@ class Ensemble:
         Returns:
             The unit; 1 also where it is not known.
         """
-        units = self.info.units
-        if name.endswith("(relative)"):
-            return "1"
-        stem = name.partition("[")[0]
-        known = {"settling_time": "s", "rms_input": units.input, "rms_tip": "m"}
-        if stem in known:
-            return known[stem]
-        return units.output if stem.startswith(_IN_OUTPUT_UNIT) else "1"
+        return unit_of_column(name, self.info.units)
 
     def worst(self, metric: str = MAIN, count: int = SHOWN) -> list[int]:
         """The numbers of the worst runs, worst first.
@@ -283,17 +203,7 @@ class Ensemble:
         if not self.varied:
             return {}
         values = np.where(self.diverged, np.nan, self.column(metric))
-        kept = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
-        entries = np.column_stack([column[kept] for column in self.varied.values()])
-        found = [Sensitivity(*each, None) for each in given(entries, values[kept])]
-        if self.info.sampling == "saltelli":
-            blocks = values.reshape(len(self.varied) + 2, -1)[:, :JUDGED]
-            found = [
-                one._replace(first_order=index.first, floor=None, total_order=index.total)
-                for one, index in zip(found, saltelli(blocks), strict=False)
-            ]
-        pairs = zip(self.varied, found, strict=False)
-        return dict(sorted(pairs, key=lambda pair: -pair[1].influence))
+        return sensitivities(self.varied, values, self.independent, self.info.sampling)
 
     def row(self, run: int) -> dict[str, Any]:
         """One run as a table.
@@ -354,12 +264,8 @@ class Ensemble:
             FileError: where it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
-        header = msgspec.json.encode({"info": self.info, "varied": list(self.varied)}).decode()
-        columns = {**self.varied, **self.metrics}
-        attached = {}
-        if self.bands is not None:
-            attached = {"t": self.bands.t, **self.bands.quantiles}
-        return table_file.save(table_file.Table(header, columns, attached), Path(path))
+        contents = saved.Contents(self.varied, self.metrics, self.info, self.bands)
+        return saved.write(contents, Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ensemble:
@@ -375,38 +281,7 @@ class Ensemble:
             FileError: where it cannot be read or is no ensemble
             InputError: where pyarrow is missing
         """
-        table = table_file.load(Path(path))
-        try:
-            header = msgspec.json.decode(table.header, type=_Header)
-            varied = {name: table.columns[name] for name in header.varied}
-        except (KeyError, msgspec.DecodeError) as error:
-            raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
-        metrics = {name: column for name, column in table.columns.items() if name not in varied}
-        return cls(varied, metrics, header.info, _attached_bands(table.attached))
-
-
-class _Header(msgspec.Struct, frozen=True):
-    """What a file says of its columns.
-
-    Attributes:
-        info: of the ensemble
-        varied: the columns that are varied entries
-    """
-
-    info: Info
-    varied: list[str]
-
-
-def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:
-    """The bands among the other arrays of a file, if it has some."""
-    if "t" not in attached:
-        return None
-    t = attached["t"]
-    quantiles = {}
-    for name, values in attached.items():
-        if name != "t":
-            quantiles[name] = values.reshape(t.size, -1)
-    return Bands(t, quantiles)
+        return cls(*saved.read(Path(path)))
 
 
 def _share(runs: npt.NDArray[np.bool_]) -> dict[str, Any]:

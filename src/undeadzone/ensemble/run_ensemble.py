@@ -14,8 +14,9 @@ import undeadzone
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.blocks import run_blocks, table_file
 from undeadzone.ensemble.blocks.journal import Store
+from undeadzone.ensemble.info import Info
 from undeadzone.ensemble.replay import recorded_bands, replay
-from undeadzone.ensemble.result import Ensemble, Info
+from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import FileError
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.reader import anchored, parse

@@ -161,17 +161,17 @@ def _header(layout: Layout) -> bytes:
     return line.ljust(pages * PAGE, b"\0")
 
 
-def _check(path: Path, found: bytes, header: bytes, resume: bool) -> None:
+def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
     """Raise FileError or InputError for a file that cannot be continued.
 
     Args:
         path: of the file
-        found: how it begins
-        header: how a file of this job begins
+        beginning: of its bytes
+        header: as a file of this job begins
         resume: whether it is to be continued
     """
     try:
-        there = json.loads(found.partition(b"\n")[0])
+        there = json.loads(beginning.partition(b"\n")[0])
         here = json.loads(header.partition(b"\n")[0])
         there["ensemble"]
         differing = [key for key in here | there if there.get(key) != here.get(key)]
