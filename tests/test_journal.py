@@ -1,4 +1,4 @@
-"""The store of an ensemble keeps what was put and trusts nothing torn, lost or of other problems."""
+"""The store of an ensemble keeps what was put and trusts nothing torn, lost or of another job."""
 
 from __future__ import annotations
 

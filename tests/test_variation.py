@@ -1,4 +1,4 @@
-"""What varies: an address is the number that it names, a distribution SciPy's; mistakes are named."""
+"""What varies: an address is the number it names, a distribution SciPy's; mistakes are named."""
 
 from __future__ import annotations
 
