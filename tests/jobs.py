@@ -1,4 +1,7 @@
-"""A small job for the tests of journal and cluster. Run as a program it computes one: python -m tests.jobs PATH RUNS SECONDS."""
+"""A small job for the tests of journal and cluster.
+
+Run as a program it computes one: python -m tests.jobs PATH RUNS SECONDS.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ensemble.blocks import run_blocks as execute
+from undeadzone.ensemble.blocks import run_blocks
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.support.arrays import Floats
 
 
 class Sines(NamedTuple):
-    """Rows of sines, and of what float64 has besides numbers; each block takes `seconds` and leaves a file in `trace`.
+    """Rows of sines, and of what float64 has besides numbers.
 
-    The block `deadly` kills its process, once; the block `wrong` raises.
+    Attributes:
+        layout: of the rows
+        seconds: that each block takes [s]
+        trace: a folder in which each block leaves a file
+        deadly: the block that kills its process, once
+        wrong: the block that raises
     """
 
     layout: Layout
@@ -49,12 +57,8 @@ class Sines(NamedTuple):
 
 
 def layout(runs: int, block: int = 10, columns: int = 3, **problem: str | int) -> Layout:
-    return Layout(
-        runs,
-        tuple(f"column {i}" for i in range(columns)),
-        block,
-        {"scenario": "a = 1\nb = 2\n", "seed": 0} | problem,
-    )
+    names = tuple(f"column {i}" for i in range(columns))
+    return Layout(runs, names, block, {"scenario": "a = 1\nb = 2\n", "seed": 0} | problem)
 
 
 def sines(
@@ -69,9 +73,12 @@ def sines(
 
 
 def main(path: str, runs: str, seconds: str, block: str = "10") -> None:
-    """Compute or continue a job; print the runs done at each block, and at the end the largest resident size [kB]."""
+    """Compute or continue a job.
+
+    It prints the runs done at each block, and at the end the largest resident size [kB].
+    """
     make = functools.partial(sines, int(runs), float(seconds), block=int(block))
-    execute.run(make, Path(path), resume=True, progress=say).close()
+    run_blocks.run(make, Path(path), resume=True, progress=say).close()
     say(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 

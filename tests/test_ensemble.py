@@ -1,4 +1,8 @@
-"""Ensembles whole: a run's metrics are those of its signals, its bits depend on nothing but (scenario, seed, run), and nothing done is lost."""
+"""Ensembles as a whole.
+
+A run's metrics are those of its signals, its bits depend on nothing but (scenario, seed, run), and
+nothing done is lost.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.run import LAST, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.toml import dumps
@@ -102,9 +106,8 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def vary(scenario: Scenario, entries: dict[str, Any], runs: int = RUNS, **changes: Any) -> Scenario:
-    return msgspec.structs.replace(
-        scenario, ensemble=msgspec.convert({"runs": runs, "entries": entries} | changes, Vary)
-    )
+    ensemble = msgspec.convert({"runs": runs, "entries": entries} | changes, Vary)
+    return msgspec.structs.replace(scenario, ensemble=ensemble)
 
 
 def named(name: str, runs: int = RUNS) -> Scenario:
@@ -112,30 +115,30 @@ def named(name: str, runs: int = RUNS) -> Scenario:
     return vary(small(time, **changes), entries, runs)
 
 
-def table(fleet: Batch, rows: Floats | None = None) -> dict[str, Floats]:
-    return dict(
-        zip(fleet.layout.columns, (fleet.block(0) if rows is None else rows).T, strict=True)
-    )
+def table(batch: Batch, rows: Floats | None = None) -> dict[str, Floats]:
+    """Rows of a batch as columns by name; default: those of its first block."""
+    if rows is None:
+        rows = batch.block(0)
+    return dict(zip(batch.layout.columns, rows.T, strict=True))
 
 
-def finals(fleet: Batch, steps: int) -> Floats:
+def finals(batch: Batch, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
-    given = fleet.binding.lanes(fleet.binding.draw(0, fleet.layout.runs, fleet.layout.runs))
-    start, supply = fleet.started(given.states), fleet.own.supply(np.arange(fleet.layout.runs))
-    return lanes.run(
-        fleet.kernel, start, fleet.exogenous[:steps], fleet.params, supply, given.params
-    )[1]
+    runs = batch.layout.runs
+    own = batch.binding.lanes(batch.binding.draw(0, runs, runs))
+    start, supply = batch.started(own.states), batch.own.supply(np.arange(runs))
+    exogenous = batch.exogenous[:steps]
+    return lanes.run(batch.kernel, start, exogenous, batch.params, supply, own.params)[1]
 
 
-def metrics(run: Run, fleet: Batch, tolerance: float) -> dict[str, float]:
+def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:
     """What the recorded signals of a run say."""
-    worst = np.abs(run.z[:, fleet.problem.tracked] - run.r).max(axis=1)
+    worst = np.abs(run.z[:, batch.problem.tracked] - run.r).max(axis=1)
     late = np.flatnonzero(worst > tolerance)
-    widths = {
-        f"d_{edge}[{i}]": float(run.d_hat[-1, 2 * i + k])
-        for i in range(run.z.shape[1])
-        for k, edge in enumerate(("right", "left"))
-    }
+    widths = {}
+    for i in range(run.z.shape[1]):
+        widths[f"d_right[{i}]"] = float(run.d_hat[-1, 2 * i])
+        widths[f"d_left[{i}]"] = float(run.d_hat[-1, 2 * i + 1])
     return {
         "rms_tracking": run.rms_tracking,
         "rms_estimation": run.rms_estimation,
@@ -153,41 +156,32 @@ def metrics(run: Run, fleet: Batch, tolerance: float) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_replayed_run_is_the_run_of_the_ensemble(name: str) -> None:
-    fleet = prepare(named(name))
-    rows, last = table(fleet), finals(fleet, len(fleet.exogenous) - 1)
-    largest = np.abs(fleet.problem.reference.value(fleet.exogenous[:, -2])).max()
+    batch = prepare(named(name))
+    rows, last = table(batch), finals(batch, len(batch.exogenous) - 1)
+    largest = np.abs(batch.problem.reference.value(batch.exogenous[:, -2])).max()
     for k in (0, 7, 149):
-        run = replay(fleet, k)
+        run = replay(batch, k)
         assert identical(run.x[-1], last[k, : run.x.shape[1]])
         scale = rows.get("reference.amplitude", np.full(RUNS, 2.0))[k] / 2.0
-        for metric, value in metrics(run, fleet, 0.02 * largest * scale).items():
-            # In continuous time the loop reads r 1e-9 of a step late; widths are states, equal to the bit.
-            assert (
-                rows[metric][k] == value
-                if metric.startswith("d_")
-                else rows[metric][k] == pytest.approx(value, rel=1e-13, abs=1e-9)
-            ), metric
+        for metric, value in metrics(run, batch, 0.02 * largest * scale).items():
+            if metric.startswith("d_"):  # widths are states, equal to the bit
+                assert rows[metric][k] == value, metric
+            else:  # in continuous time the loop reads r 1e-9 of a step late
+                assert rows[metric][k] == pytest.approx(value, rel=1e-13, abs=1e-9), metric
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
-    fleet = prepare(named(name))
-    last = finals(fleet, len(fleet.exogenous))
+    batch = prepare(named(name))
+    last = finals(batch, len(batch.exogenous))
+    problem = batch.problem
+    if NOISE.keys() & problem.scenario.ensemble.entries.keys():
+        ones = {"noise": np.ones(2), "noise_before": np.ones(2)}  # scaled in the loop
+        problem = problem._replace(sensor=msgspec.structs.replace(problem.sensor, **ones))
     for k in (0, 7, 149):
-        state, params = fleet.binding.packed(fleet.binding.draw(k, 1, RUNS)[0])
-        noisy = fleet.problem._replace(
-            sensor=msgspec.structs.replace(
-                fleet.problem.sensor, noise=np.ones(2), noise_before=np.ones(2)
-            )
-        )
-        exogenous = inputs.exogenous(
-            noisy
-            if NOISE.keys() & fleet.problem.scenario.ensemble.entries.keys()
-            else fleet.problem,
-            run=k,
-            seed=fleet.binding.seed,
-        )
-        expected = interpret.run(fleet.loop.step, state, exogenous, params)[1]
+        state, params = batch.binding.packed(batch.binding.draw(k, 1, RUNS)[0])
+        inputs = exogenous(problem, run=k, seed=batch.binding.seed)
+        expected = interpret.run(batch.loop.step, state, inputs, params)[1]
         assert distance(last[k, : state.size, None], expected[:, None]) < 1e-12
 
 
@@ -195,26 +189,22 @@ def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
     "observer", [name for name, (times, _) in OBSERVERS.items() if "sampled" in times]
 )
 def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
-    fleet = prepare(
-        vary(small("sampled", observer={"method": observer} | OBSERVERS[observer][1]), WIDTHS, 40)
-    )
-    rows, last = table(fleet), finals(fleet, len(fleet.exogenous) - 1)
-    run = replay(fleet, 39)
+    options = {"method": observer} | OBSERVERS[observer][1]
+    batch = prepare(vary(small("sampled", observer=options), WIDTHS, 40))
+    rows, last = table(batch), finals(batch, len(batch.exogenous) - 1)
+    run = replay(batch, 39)
     assert identical(run.x[-1], last[39, :1])
-    found = metrics(run, fleet, 0.04)
-    assert found == pytest.approx({name: rows[name][39] for name in found}, rel=1e-12, abs=1e-15)
+    of_signals = metrics(run, batch, 0.04)
+    of_row = {name: rows[name][39] for name in of_signals}
+    assert of_signals == pytest.approx(of_row, rel=1e-12, abs=1e-15)
     assert np.ptp(rows["silent_fraction"]) > 0
     assert not rows["diverged"].any()
 
 
 def test_an_observer_in_python_is_refused() -> None:
+    scenario = small("sampled", observer={"method": "particle_filter", "right": [0.1, 1.0]})
     with pytest.raises(InputError, match=r"observer\.method: this one computes in Python"):
-        prepare(
-            vary(
-                small("sampled", observer={"method": "particle_filter", "right": [0.1, 1.0]}),
-                WIDTHS,
-            )
-        )
+        prepare(vary(scenario, WIDTHS))
 
 
 # --- Bits
@@ -224,21 +214,19 @@ def test_an_observer_in_python_is_refused() -> None:
 def test_neither_blocks_nor_threads_nor_the_number_of_runs_change_a_bit(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fleet = prepare(named(name))
-    rows = fleet.block(0)
-    assert identical(fleet.block(0, threads=1), rows)
+    batch = prepare(named(name))
+    rows = batch.block(0)
+    assert identical(batch.block(0, threads=1), rows)
     monkeypatch.setattr(lanes, "BUFFER", 1)
-    assert identical(fleet.block(0, threads=3), rows)
+    assert identical(batch.block(0, threads=3), rows)
     few = np.array([149, 3, 77])
-    assert identical(
-        fleet.rows(few, np.vstack([fleet.binding.draw(k, 1, RUNS) for k in few])), rows[few]
-    )
+    values = np.vstack([batch.binding.draw(k, 1, RUNS) for k in few])
+    assert identical(batch.rows(few, values), rows[few])
     many = prepare(named(name, 4000))
     assert many.layout.blocks == 2
     assert identical(many.block(0)[:RUNS], rows)
-    across = many._replace(layout=many.layout._replace(block=100)).block(
-        20
-    )  # runs 2000 to 2099, of two blocks of 2048
+    finer = many._replace(layout=many.layout._replace(block=100))
+    across = finer.block(20)  # runs 2000 to 2099, of two blocks of 2048
     assert identical(across, np.vstack([many.block(0)[2000:], many.block(1)[:52]]))
 
 
@@ -257,22 +245,19 @@ def test_a_file_holds_the_same_bytes_whatever_computed_it(tmp_path: Path) -> Non
             assert identical(result.column(name), other.column(name)), name
         assert result.bands is not None
         assert other.bands is not None
-        assert all(
-            identical(quantiles, other.bands.quantiles[name])
-            for name, quantiles in result.bands.quantiles.items()
-        )
+        for name, quantiles in result.bands.quantiles.items():
+            assert identical(quantiles, other.bands.quantiles[name]), name
     assert result.info == in_memory.info == parquet.info
 
 
 def test_bands_are_those_of_the_first_runs() -> None:
-    fleet = prepare(named("sampled", 300))
-    found = recorded_bands(fleet, 5)
-    runs = [replay(fleet, k) for k in range(5)]
+    batch = prepare(named("sampled", 300))
+    bands = recorded_bands(batch, 5)
+    runs = [replay(batch, k) for k in range(5)]
     error = np.sort([np.abs(run.z[:, 0] - run.r[:, 0]) for run in runs], axis=0)
-    np.testing.assert_allclose(
-        found.quantiles["tracking[0]"], error[[0, 0, 2, 4, 4]].T, rtol=1e-13, atol=1e-15
-    )
-    assert found.t.tolist() == runs[0].t.tolist()
+    expected = error[[0, 0, 2, 4, 4]].T
+    np.testing.assert_allclose(bands.quantiles["tracking[0]"], expected, rtol=1e-13, atol=1e-15)
+    assert bands.t.tolist() == runs[0].t.tolist()
 
 
 def test_a_replay_tells_whether_it_meets_the_ensemble(tmp_path: Path) -> None:
@@ -292,13 +277,13 @@ def test_a_replay_tells_whether_it_meets_the_ensemble(tmp_path: Path) -> None:
 
 def test_runs_that_diverge_are_counted_and_left_out() -> None:
     unstable = {"plant.A[0,0]": {"uniform": [-3.0, 60.0]}}
-    result = run_ensemble(
-        vary(small("sampled", controller={"method": "state_feedback", "K": [[0.0]]}), unstable)
-    )
+    open_loop = small("sampled", controller={"method": "state_feedback", "K": [[0.0]]})
+    result = run_ensemble(vary(open_loop, unstable))
     lost = result.diverged
     assert 0.3 < lost.mean() < 0.9
     assert result.varied["plant.A[0,0]"][lost].min() > result.varied["plant.A[0,0]"][~lost].max()
-    assert np.isfinite(list(result.summary()["metrics"]["rms_tracking"]["mean"].values())).all()
+    mean = result.summary()["metrics"]["rms_tracking"]["mean"]
+    assert np.isfinite(list(mean.values())).all()
     assert all(result.diverged[run] for run in result.worst())
     run = replay_run(result, result.worst()[0])
     assert run.diverged_at is not None
@@ -308,14 +293,9 @@ def test_without_entries_runs_differ_by_their_noise_alone() -> None:
     result = run_ensemble(vary(small("sampled"), {}, 20))
     assert result.varied == {}
     assert np.unique(result.metrics["rms_estimation"]).size == 20
-    assert (
-        np.ptp(
-            run_ensemble(
-                vary(small("sampled", sensor={"noise": 0.0, "noise_before": 0.0}), {}, 20)
-            ).metrics["rms_tracking"]
-        )
-        == 0
-    )
+    quiet = small("sampled", sensor={"noise": 0.0, "noise_before": 0.0})
+    alike = run_ensemble(vary(quiet, {}, 20))
+    assert np.ptp(alike.metrics["rms_tracking"]) == 0
 
 
 def test_noise_that_is_nominally_absent_may_vary() -> None:
@@ -334,9 +314,8 @@ def test_settling_is_within_a_share_of_the_largest_reference() -> None:
         sensor={"right": 0.1, "left": 0.1, "noise": 0.0, "noise_before": 0.0},
         simulation={"duration": 6.0, "step": 1e-2},
     )
-    wide, narrow = (
-        run_ensemble(vary(scenario, {}, 1, tolerance=tolerance)) for tolerance in (0.1, 1e-9)
-    )
+    wide = run_ensemble(vary(scenario, {}, 1, tolerance=0.1))
+    narrow = run_ensemble(vary(scenario, {}, 1, tolerance=1e-9))
     assert wide.settled.all()
     assert 0 < wide.metrics["settling_time"][0] < 6.0 - LAST
     assert not narrow.settled.any()
@@ -369,13 +348,14 @@ def undeadzone(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
 def with_little_room(room: int, *arguments: str | int | Path) -> Done:
     """The command in a process whose files can have `room` bytes."""
-    code = f"import resource\nfrom undeadzone.cli import main\nresource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\nmain()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
+    code = (
+        "import resource\n"
+        "from undeadzone.cli import main\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        "main()"
     )
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     return Done(done.returncode, done.stdout, done.stderr)
 
 
@@ -413,33 +393,22 @@ def test_the_command_prints_what_it_found_and_how_to_see_a_run(
 
 
 def test_json_is_one_object_with_everything(undeadzone: Call, study: Path, tmp_path: Path) -> None:
-    done = undeadzone(
-        "ensemble",
-        study,
-        "--runs",
-        60,
-        "--json",
-        "--no-figures",
-        "--parquet",
-        "--out",
-        tmp_path / "out",
-    )
+    out = tmp_path / "out"
+    words = ("--runs", 60, "--json", "--no-figures", "--parquet", "--out", out)
+    done = undeadzone("ensemble", study, *words)
     assert (done.code, done.err) == (0, "")
     found = json.loads(done.out)
-    result = Ensemble.load(tmp_path / "out" / "runs.parquet")
-    assert found["files"] == [str(tmp_path / "out" / "runs.parquet")]
+    result = Ensemble.load(out / "runs.parquet")
+    assert found["files"] == [str(out / "runs.parquet")]
     assert found["runs"] == 60 == result.info.runs
-    assert (
-        found["metrics"]["rms_tracking"]["median"]["value"]
-        == np.sort(result.metrics["rms_tracking"])[29]
-    )
+    median = np.sort(result.metrics["rms_tracking"])[29]
+    assert found["metrics"]["rms_tracking"]["median"]["value"] == median
     assert [row["run"] for row in found["worst"]] == result.worst()
 
 
 def test_some_diverged_is_exit_code_1(undeadzone: Call, study: Path, tmp_path: Path) -> None:
-    study.write_text(
-        dumps(vary(small("sampled"), {"plant.A[0,0]": {"uniform": [-3.0, 300.0]}}, 100))
-    )
+    unstable = {"plant.A[0,0]": {"uniform": [-3.0, 300.0]}}
+    study.write_text(dumps(vary(small("sampled"), unstable, 100)))
     done = undeadzone("ensemble", study, "--no-figures", "--out", tmp_path / "out")
     assert done.code == 1, done.err
     assert "left out of what follows" in done.out
@@ -460,11 +429,10 @@ def test_a_wrong_table_is_one_clear_line(
 ) -> None:
     text = study.read_text()
     assert old in text
-    study.write_text(
-        text.replace(old, new, 1).replace(
-            "[ensemble.", "[ignored." if new == "[ignored]" else "[ensemble."
-        )
-    )
+    text = text.replace(old, new, 1)
+    if new == "[ignored]":
+        text = text.replace("[ensemble.", "[ignored.")
+    study.write_text(text)
     refused(undeadzone("ensemble", study, "--out", tmp_path / "out"), *words)
     assert not (tmp_path / "out" / "runs.npz.partial").exists()
 
@@ -523,20 +491,25 @@ def test_a_full_disk_is_noticed_and_loses_nothing(
 
 # --- Interrupted
 
-INTERRUPTIBLE = (
-    "import sys\nfrom undeadzone.scenario.reader import read\nfrom undeadzone.ensemble.run_ensemble import run_ensemble\n"
-    "try:\n    run_ensemble(read(sys.argv[1]), sys.argv[2], resume=True, progress=lambda done: print(done, flush=True))\n"
-    "except KeyboardInterrupt as error:\n    print(error)"
-)
+INTERRUPTIBLE = """
+import sys
+from undeadzone.ensemble.run_ensemble import run_ensemble
+from undeadzone.scenario.reader import read
+
+def say(done):
+    print(done, flush=True)
+
+try:
+    run_ensemble(read(sys.argv[1]), sys.argv[2], resume=True, progress=say)
+except KeyboardInterrupt as error:
+    print(error)
+"""
 
 
 def interrupted(study: Path, path: Path, blocks: int, how: signal.Signals) -> str:
     """What an ensemble that gets a signal after so many reports of progress says."""
-    with subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)],
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as running:
+    command = [sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
         for _ in range(blocks):
             running.stdout.readline()

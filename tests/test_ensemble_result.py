@@ -1,4 +1,4 @@
-"""The result of an ensemble: what enters its statistics and what does not, files that come back bit for bit, figures and page."""
+"""The result of an ensemble: what enters its statistics, files bit for bit, figures and page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from undeadzone.ensemble.bands import LEVELS, bands, true_width
-from undeadzone.ensemble.result import Ensemble, Info
+from undeadzone.ensemble.info import Info
+from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.ensemble_page import figures, write_ensemble
 from undeadzone.scenario.schema import Units
@@ -32,7 +33,10 @@ def ensemble(
     diverge: float = 0.02,
     recorded: int = 50,
 ) -> Ensemble:
-    """An ensemble with the shape of a real one: rms grows with the right width, with the mass and with the noise, in this order."""
+    """An ensemble with the shape of a real one.
+
+    Its rms grows with the right width, with the mass and with the noise, in this order.
+    """
     random = np.random.default_rng(runs)
     drawn = {
         "sensor.right[0]": random.uniform(0.3, 2.0, runs),
@@ -52,11 +56,8 @@ def ensemble(
         "d_left[0]": 0.7 + 0.01 * random.standard_normal(runs),
         "diverged": lost.astype(float),
     }
-    metrics |= {
-        name: np.where(lost, np.nan, column)
-        for name, column in metrics.items()
-        if name != "diverged"
-    }
+    for name in metrics.keys() - {"diverged"}:
+        metrics[name] = np.where(lost, np.nan, metrics[name])
     info = Info(
         title=NASTY,
         method="certified",
@@ -74,12 +75,8 @@ def ensemble(
         recorded=recorded,
         units=Units(output="mm", input="N"),
     )
-    return Ensemble(
-        {name: drawn[name] for name in entries},
-        metrics,
-        info,
-        recorded_bands(recorded) if recorded else None,
-    )
+    varied = {name: drawn[name] for name in entries}
+    return Ensemble(varied, metrics, info, recorded_bands(recorded) if recorded else None)
 
 
 def recorded_bands(lanes: int) -> Any:
@@ -98,20 +95,15 @@ def test_runs_that_diverged_are_counted_and_never_averaged() -> None:
     result = ensemble()
     lost = result.diverged
     assert 0 < lost.sum() < 20
-    spoilt = dataclasses.replace(
-        result,
-        metrics={
-            k: np.where(lost, 1e300, v) if k != "diverged" else v for k, v in result.metrics.items()
-        },
-    )
+    spoilt = dict(result.metrics)
+    for name in spoilt.keys() - {"diverged"}:
+        spoilt[name] = np.where(lost, 1e300, spoilt[name])
+    spoilt = dataclasses.replace(result, metrics=spoilt)
     summary = result.summary()
-    assert summary["diverged"] == proportion(int(lost.sum()), 400)._asdict() | {
-        "runs": np.flatnonzero(lost).tolist()
-    }
-    assert (
-        summary["metrics"]["rms_tracking"]["mean"]
-        == describe(result.metrics["rms_tracking"][~lost])["mean"]._asdict()
-    )
+    share = proportion(int(lost.sum()), 400)._asdict()
+    assert summary["diverged"] == share | {"runs": np.flatnonzero(lost).tolist()}
+    expected = describe(result.metrics["rms_tracking"][~lost])
+    assert summary["metrics"]["rms_tracking"]["mean"] == expected["mean"]._asdict()
     for key in ("metrics", "sensitivities", "settled", "typical"):
         assert spoilt.summary()[key] == summary[key]
 
@@ -148,21 +140,21 @@ def test_the_worst_runs_come_first() -> None:
     assert row["metrics"]["rms_tracking"] == 7
     with pytest.raises(InputError, match="expected 0 to 7"):
         result.row(8)
-    with pytest.raises(
-        InputError, match="no_such: is not a column of this ensemble; there are sensor"
-    ):
+    words = "no_such: is not a column of this ensemble; there are sensor"
+    with pytest.raises(InputError, match=words):
         result.worst("no_such")
+    with pytest.raises(InputError, match=r"d_up_error\[0\]: is not a column"):
+        result.column("d_up_error[0]")
 
 
 def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
     result = ensemble(diverge=0.0)
-    np.testing.assert_array_equal(
-        result.column("d_right_error[0]"),
-        result.metrics["d_right[0]"] - result.varied["sensor.right[0]"],
-    )
-    np.testing.assert_array_equal(
-        result.column("d_left_error[0]"), result.metrics["d_left[0]"] - 0.7
-    )
+    right = result.metrics["d_right[0]"] - result.varied["sensor.right[0]"]
+    left = result.metrics["d_left[0]"] - 0.7
+    np.testing.assert_array_equal(result.column("d_right_error[0]"), right)
+    np.testing.assert_array_equal(result.column("d_left_error[0]"), left)
+    largest = np.maximum(np.abs(right), np.abs(left))
+    np.testing.assert_array_equal(result.column("d_error"), largest)
 
 
 @pytest.mark.parametrize(
@@ -194,25 +186,24 @@ def test_the_most_influential_entry_comes_first() -> None:
 
 
 def test_saltellis_blocks_that_repeat_values_enter_the_indices_only() -> None:
-    """Blocks A, B, AB_1, AB_2 of y = 2 x_1 + x_2: variance shares 0.8 and 0.2; rows of AB are not independent of A and B."""
+    """Blocks A, B, AB_1, AB_2 of y = 2 x_1 + x_2, whose variance shares are 0.8 and 0.2.
+
+    Rows of AB are not independent of A and B.
+    """
     n = 512
     A, B = np.random.default_rng(1).random((2, n, 2))
-    X = np.concatenate(
-        [A, B, np.column_stack([B[:, 0], A[:, 1]]), np.column_stack([A[:, 0], B[:, 1]])]
-    )
+    AB_1 = np.column_stack([B[:, 0], A[:, 1]])
+    AB_2 = np.column_stack([A[:, 0], B[:, 1]])
+    X = np.concatenate([A, B, AB_1, AB_2])
     result = ensemble(4 * n, ("sensor.right[0]", "sensor.noise[0]"), "saltelli", diverge=0.0)
-    result = dataclasses.replace(
-        with_metrics(result, rms_tracking=X @ [2.0, 1.0]),
-        varied=dict(zip(result.varied, X.T, strict=True)),
-    )
+    result = with_metrics(result, rms_tracking=X @ [2.0, 1.0])
+    result = dataclasses.replace(result, varied=dict(zip(result.varied, X.T, strict=True)))
     for one, share in zip(result.sensitivities().values(), (0.8, 0.2), strict=True):
         assert one.total_order is not None
         assert one.first_order.low <= share <= one.first_order.high
         assert one.total_order.low <= share <= one.total_order.high
-    assert (
-        result.summary()["metrics"]["rms_tracking"]["mean"]
-        == describe(X[: 2 * n] @ [2.0, 1.0])["mean"]._asdict()
-    )
+    mean = describe(X[: 2 * n] @ [2.0, 1.0])["mean"]
+    assert result.summary()["metrics"]["rms_tracking"]["mean"] == mean._asdict()
     assert result.summary()["diverged"]["high"] == proportion(0, 2 * n).high
 
 
@@ -220,44 +211,33 @@ def test_bands_are_quantiles_of_all_recorded_runs() -> None:
     """Of 100 runs with |z - r| = 1, ..., 100 and one that is lost after the first instant."""
     z = np.arange(1.0, 101.0)[:, None, None] * np.array([1.0, -1.0])[:, None]
     z[0, 1] = np.nan
-    found = bands(
-        np.array([0.0, 1.0]),
-        z,
-        np.zeros((100, 2, 1)),
-        np.ones((100, 2, 2)),
-        np.tile([1.0, 0.7], (100, 1)),
-        [0],
-    )
-    assert list(found.quantiles) == ["tracking[0]", "d_right[0]", "d_left[0]"]
-    np.testing.assert_array_equal(
-        found.quantiles["tracking[0]"], [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]]
-    )
-    np.testing.assert_allclose(found.quantiles["d_left[0]"], np.full((2, len(LEVELS)), 0.3))
+    t, r = np.array([0.0, 1.0]), np.zeros((100, 2, 1))
+    widths = np.tile([1.0, 0.7], (100, 1))
+    quantiles = bands(t, z, r, np.ones((100, 2, 2)), widths, [0]).quantiles
+    assert list(quantiles) == ["tracking[0]", "d_right[0]", "d_left[0]"]
+    expected = [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]]
+    np.testing.assert_array_equal(quantiles["tracking[0]"], expected)
+    np.testing.assert_allclose(quantiles["d_left[0]"], np.full((2, len(LEVELS)), 0.3))
     z[1:3, 1] = np.nan
-    assert (
-        bands(np.zeros(2), z, np.zeros((100, 2, 1)), z, z[:, 0], [0]).quantiles["tracking[0]"][
-            1, -1
-        ]
-        == np.inf
-    )
+    quantiles = bands(t, z, r, z, z[:, 0], [0]).quantiles
+    assert quantiles["tracking[0]"][1, -1] == np.inf
 
 
-def same(one: Ensemble, other: Ensemble) -> bool:
-    columns = [
-        {**result.varied, **result.metrics}
-        | (result.bands.quantiles | {"t": result.bands.t} if result.bands else {})
-        for result in (one, other)
-    ]
-    equal = all(
-        np.array_equal(column, columns[1][name], equal_nan=True)
-        for name, column in columns[0].items()
-    )
-    return (
-        equal
-        and list(columns[0]) == list(columns[1])
-        and list(one.varied) == list(other.varied)
-        and one.info == other.info
-    )
+def everything(result: Ensemble) -> dict[str, Floats]:
+    """Columns and bands by name."""
+    columns = {**result.varied, **result.metrics}
+    if result.bands is not None:
+        columns |= result.bands.quantiles | {"t": result.bands.t}
+    return columns
+
+
+def assert_same(one: Ensemble, other: Ensemble) -> None:
+    ours, theirs = everything(one), everything(other)
+    assert list(ours) == list(theirs)
+    for name, column in ours.items():
+        assert np.array_equal(column, theirs[name], equal_nan=True), name
+    assert list(one.varied) == list(other.varied)
+    assert one.info == other.info
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".parquet"])
@@ -268,7 +248,7 @@ def test_a_saved_ensemble_comes_back_to_the_last_bit(
     result = ensemble(**kind)
     path = result.save(tmp_path / f"runs{suffix}")
     loaded = Ensemble.load(path)
-    assert same(result, loaded)
+    assert_same(result, loaded)
     assert loaded.summary() == result.summary()
     assert loaded.save(tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
     assert sorted(found.name for found in tmp_path.iterdir()) == [f"again{suffix}", f"runs{suffix}"]
@@ -303,9 +283,11 @@ def test_without_pyarrow_the_message_says_what_to_do(
 ) -> None:
     path = ensemble().save(tmp_path / "runs.parquet")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    for act in (lambda: ensemble().save(tmp_path / "other.parquet"), lambda: Ensemble.load(path)):
-        with pytest.raises(InputError, match=r"pip install 'undeadzone\[parquet\]'"):
-            act()
+    words = r"pip install 'undeadzone\[parquet\]'"
+    with pytest.raises(InputError, match=words):
+        ensemble().save(tmp_path / "other.parquet")
+    with pytest.raises(InputError, match=words):
+        Ensemble.load(path)
     assert [found.name for found in tmp_path.iterdir()] == ["runs.parquet"]
 
 
@@ -330,24 +312,16 @@ def test_files_that_are_no_ensemble_are_refused(tmp_path: Path) -> None:
 
 LOST = {name: np.full(100, np.nan) for name in ensemble(100).metrics} | {"diverged": np.ones(100)}
 ALIKE = {name: np.ones(100) for name in ensemble(100).metrics} | {"diverged": np.zeros(100)}
+ALL = {"distributions", "over_time", "tornado", "influence"}
 CASES = {
-    "usual": (ensemble(), {"distributions", "over_time", "tornado", "influence"}),
-    "saltelli": (
-        ensemble(500, sampling="saltelli", diverge=0.0),
-        {"distributions", "over_time", "tornado", "influence"},
-    ),
-    "one entry": (
-        ensemble(entries=ENTRIES[:1]),
-        {"distributions", "over_time", "tornado", "influence"},
-    ),
+    "usual": (ensemble(), ALL),
+    "saltelli": (ensemble(500, sampling="saltelli", diverge=0.0), ALL),
+    "one entry": (ensemble(entries=ENTRIES[:1]), ALL),
     "nothing varies": (ensemble(entries=(), recorded=0), {"distributions"}),
     "one run": (ensemble(1, diverge=0.0), {"distributions", "over_time"}),
     "all lost": (with_metrics(ensemble(100), **LOST), {"over_time"}),
     "all alike": (with_metrics(ensemble(100), **ALIKE), {"distributions", "over_time"}),
-    "never settles": (
-        with_metrics(ensemble(), settling_time=np.full(400, 9.99)),
-        {"distributions", "over_time", "tornado", "influence"},
-    ),
+    "never settles": (with_metrics(ensemble(), settling_time=np.full(400, 9.99)), ALL),
 }
 
 
@@ -372,41 +346,31 @@ def test_figures_show_what_the_summary_says() -> None:
     result = ensemble(2000)
     summary = result.summary()
     drawn = figures(result, summary)
-    marks = {
-        text.get_text()
-        for axes in drawn["distributions"].axes
-        if axes.get_legend()
-        for text in axes.get_legend().get_texts()
-    }
-    found = summary["metrics"]["rms_tracking"]
-    assert {
-        f"{name} {found[key]['value']:.3g}"
-        for name, key in (("median", "median"), ("95 %", "p95"), ("99 %", "p99"))
-    } <= marks
-    assert [text.get_text() for text in drawn["tornado"].axes[0].get_yticklabels()] == list(
-        summary["sensitivities"]
-    )
+    marks: set[str] = set()
+    for axes in drawn["distributions"].axes:
+        if axes.get_legend():
+            marks |= {text.get_text() for text in axes.get_legend().get_texts()}
+    rms = summary["metrics"]["rms_tracking"]
+    for name, key in (("median", "median"), ("95 %", "p95"), ("99 %", "p99")):
+        assert f"{name} {rms[key]['value']:.3g}" in marks
+    labels = [text.get_text() for text in drawn["tornado"].axes[0].get_yticklabels()]
+    assert labels == list(summary["sensitivities"])
     for figure in drawn.values():
-        assert all(
-            axes.get_xlabel() or axes.get_ylabel() or axes.get_title(loc="left")
-            for axes in figure.axes
-        )
+        for axes in figure.axes:
+            assert axes.get_xlabel() or axes.get_ylabel() or axes.get_title(loc="left")
 
 
 def test_units_and_words() -> None:
-    result = dataclasses.replace(
-        ensemble(),
-        info=msgspec.structs.replace(ensemble().info, units=Units(output="mm", input="N")),
-    )
+    info = msgspec.structs.replace(ensemble().info, units=Units(output="mm", input="N"))
+    result = dataclasses.replace(ensemble(), info=info)
     units = {
-        name: result.unit(name)
-        for name in (
-            "rms_tracking",
-            "settling_time",
-            "silent_fraction",
-            "rms_input",
-            "sensor.right[0]",
-            "sensor.right[0] (relative)",
-        )
+        "rms_tracking": "mm",
+        "settling_time": "s",
+        "silent_fraction": "1",
+        "rms_input": "N",
+        "rms_tip": "m",
+        "sensor.right[0]": "mm",
+        "sensor.right[0] (relative)": "1",
+        "plant.x0[0]": "1",
     }
-    assert list(units.values()) == ["mm", "s", "1", "N", "mm", "1"]
+    assert {name: result.unit(name) for name in units} == units

@@ -1,4 +1,4 @@
-"""The store of an ensemble: what was put stays, whatever happens; what is torn, lost or of another problem is never believed."""
+"""The store of an ensemble keeps what was put and trusts nothing torn, lost or of another job."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 from tests.jobs import Sines, layout, sines
 
-from undeadzone.ensemble.blocks import journal
-from undeadzone.ensemble.blocks import run_blocks as execute
+from undeadzone.ensemble.blocks import journal, run_blocks
 from undeadzone.ensemble.blocks.journal import Store
 from undeadzone.errors import FileError, InputError, ShapeError
 
@@ -74,9 +73,11 @@ def test_a_damaged_byte_loses_its_block_and_no_other(tmp_path: Path) -> None:
         damaged = bytearray(whole)
         damaged[store.start + place] ^= 1 << rng.randrange(8)
         store.path.write_bytes(damaged)
-        assert again(store.path) == [
-            place // 8 % 95 // 10 if place < numbers else (place - numbers) // 8
-        ]
+        if place < numbers:
+            run = place // 8 % 95
+            assert again(store.path) == [run // 10]
+        else:
+            assert again(store.path) == [(place - numbers) // 8]
 
 
 def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
@@ -93,17 +94,16 @@ def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kept", [100, 3000, 5000, 6300])
 def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
-    whole = execute.run(functools.partial(sines, 95), tmp_path / "whole.partial")
+    whole = run_blocks.run(functools.partial(sines, 95), tmp_path / "whole.partial")
     store = stored(tmp_path / "runs.partial")
     store.close()
     os.truncate(store.path, kept)
     if kept < 200:  # the header itself is torn
-        with pytest.raises(
-            FileError, match="is not an unfinished ensemble; choose another name or delete it"
-        ):
+        words = "is not an unfinished ensemble; choose another name or delete it"
+        with pytest.raises(FileError, match=words):
             again(store.path)
         return
-    execute.run(functools.partial(sines, 95), store.path, resume=True).close()
+    run_blocks.run(functools.partial(sines, 95), store.path, resume=True).close()
     assert store.path.read_bytes() == whole.path.read_bytes()
 
 
@@ -111,17 +111,16 @@ def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
 def test_a_file_whose_header_was_never_written_is_begun_anew(
     tmp_path: Path, content: bytes
 ) -> None:
-    (tmp_path / "runs.partial").write_bytes(content)
-    assert execute.run(functools.partial(sines, 95), tmp_path / "runs.partial").runs_done == 95
+    path = tmp_path / "runs.partial"
+    path.write_bytes(content)
+    assert run_blocks.run(functools.partial(sines, 95), path).runs_done == 95
 
 
 def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial")
     store.close()
-    with pytest.raises(
-        FileError,
-        match=r"an unfinished ensemble is there; continue it with --resume, or delete it to start anew",
-    ):
+    words = "an unfinished ensemble is there; continue it with --resume, or delete it to start anew"
+    with pytest.raises(FileError, match=words):
         journal.start(store.path, store.layout)
     assert again(store.path) == []
 
@@ -158,10 +157,8 @@ def test_another_problem_is_refused_with_the_difference(
     tmp_path: Path, other: journal.Layout, difference: str
 ) -> None:
     journal.start(tmp_path / "runs.partial", other).close()
-    with pytest.raises(
-        InputError,
-        match=re.escape(f"holds another problem ({difference}); delete it to start anew"),
-    ):
+    words = re.escape(f"holds another problem ({difference}); delete it to start anew")
+    with pytest.raises(InputError, match=words):
         again(tmp_path / "runs.partial")
 
 
@@ -182,10 +179,9 @@ def test_a_long_scenario_in_the_header(tmp_path: Path) -> None:
 
 def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial", blocks=range(2))
+    words = "another process is writing it; wait for it, or choose another name"
     for resume in (False, True):
-        with pytest.raises(
-            FileError, match="another process is writing it; wait for it, or choose another name"
-        ):
+        with pytest.raises(FileError, match=words):
             journal.start(store.path, store.layout, resume)
     store.put(2, sines(95).block(2))
     store.close()
@@ -200,7 +196,7 @@ def test_rows_of_another_shape_are_refused(tmp_path: Path) -> None:
 
 @contextmanager
 def file_size_limit(size: int) -> Iterator[None]:
-    """No file of this process may grow beyond `size`: the nearest thing to a full disk that a test may cause."""
+    """No file of this process may grow beyond `size`: a test's nearest thing to a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -210,11 +206,9 @@ def file_size_limit(size: int) -> Iterator[None]:
 
 
 def test_a_full_disk_is_noticed_at_the_start(tmp_path: Path) -> None:
-    with (
-        file_size_limit(50_000),
-        pytest.raises(FileError, match=r"runs\.partial: cannot write: File too large$"),
-    ):
-        execute.run(functools.partial(sines, 10_000), tmp_path / "runs.partial")
+    words = r"runs\.partial: cannot write: File too large$"
+    with file_size_limit(50_000), pytest.raises(FileError, match=words):
+        run_blocks.run(functools.partial(sines, 10_000), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: "):
         journal.start(tmp_path / "runs.partial", layout(10**17))
@@ -227,12 +221,10 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "runs.partial"
+    words = "cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume"
     try:
-        with pytest.raises(
-            FileError,
-            match=r"cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume",
-        ):
-            execute.run(functools.partial(sines, 95), path, progress=progress)
+        with pytest.raises(FileError, match=words):
+            run_blocks.run(functools.partial(sines, 95), path, progress=progress)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert again(path) == list(range(1, 10))
@@ -240,14 +232,9 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
 
 def test_unwritable_places(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for path in (
-        tmp_path,
-        tmp_path / "file" / "runs.partial",
-        tmp_path / "zero\0byte",
-        tmp_path / ("x" * 300),
-    ):
+    for name in ("", "file/runs.partial", "zero\0byte", "x" * 300):
         with pytest.raises(FileError, match="cannot write"):
-            journal.start(path, layout(95))
+            journal.start(tmp_path / name, layout(95))
 
 
 def test_a_removed_store_is_noticed(tmp_path: Path) -> None:
@@ -269,34 +256,27 @@ class Interrupted(Sines):
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     path, told = tmp_path / "runs.partial", []
-    with pytest.raises(
-        KeyboardInterrupt,
-        match=r"50 of 95 runs are kept in .*runs\.partial; continue with --resume",
-    ):
-        execute.run(lambda: Interrupted(layout(95), wrong=5), path)
-    store = execute.run(functools.partial(sines, 95), path, resume=True, progress=told.append)
+    words = r"50 of 95 runs are kept in .*runs\.partial; continue with --resume"
+    with pytest.raises(KeyboardInterrupt, match=words):
+        run_blocks.run(lambda: Interrupted(layout(95), wrong=5), path)
+    store = run_blocks.run(functools.partial(sines, 95), path, resume=True, progress=told.append)
     assert told == [50, 10, 10, 10, 10, 5]
     assert store.done.all()
 
 
 def test_what_stops_the_use_of_a_store_keeps_it(tmp_path: Path) -> None:
-    store = execute.run(functools.partial(sines, 95), tmp_path / "runs.partial")
-    with (
-        pytest.raises(
-            InputError,
-            match=r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$",
-        ),
-        execute.keeping(store),
-    ):
+    store = run_blocks.run(functools.partial(sines, 95), tmp_path / "runs.partial")
+    words = r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$"
+    with pytest.raises(InputError, match=words), run_blocks.keeping(store):
         raise InputError("no such suffix")
     assert again(store.path) == []
 
 
 def test_what_stops_before_the_first_block_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt, match=r"^$"):
-        execute.run(lambda: Interrupted(layout(95), wrong=0), tmp_path / "runs.partial")
+        run_blocks.run(lambda: Interrupted(layout(95), wrong=0), tmp_path / "runs.partial")
     with pytest.raises(ArithmeticError):
-        execute.run(functools.partial(sines, 95, wrong=0), tmp_path / "runs.partial")
+        run_blocks.run(functools.partial(sines, 95, wrong=0), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -307,7 +287,7 @@ def program(path: Path, *arguments: object) -> subprocess.Popen[str]:
 
 def test_kill_9_at_random_moments_changes_no_bit(tmp_path: Path) -> None:
     runs, seconds = 400, 0.02
-    whole = execute.run(functools.partial(sines, runs), tmp_path / "whole.partial")
+    whole = run_blocks.run(functools.partial(sines, runs), tmp_path / "whole.partial")
     path, rng, found = tmp_path / "runs.partial", random.Random(4), []
     for _ in range(5):
         with program(path, runs, seconds) as running:
@@ -334,14 +314,15 @@ def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     assert sizes[1] < sizes[0] + 10_000  # [kB]
 
 
+IMPORTS = """
+import sys
+sys.modules["fcntl"] = sys.modules["distributed"] = None
+import undeadzone.ensemble.blocks.run_blocks
+print([name for name in ("numba", "scipy", "casadi", "dask") if name in sys.modules])
+"""
+
+
 def test_imports() -> None:
-    code = (
-        "import sys\nsys.modules['fcntl'] = sys.modules['distributed'] = None\nimport undeadzone.ensemble.blocks.run_blocks\n"
-        "print([name for name in ('numba', 'scipy', 'casadi', 'dask') if name in sys.modules])"
-    )
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout
-        == "[]\n"
-    )
+    command = [sys.executable, "-c", IMPORTS]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

@@ -1,7 +1,12 @@
-"""Noise from counters: the generator's published answers, Gaussian to the tails, independent, the same bits from NumPy and from lanes."""
+"""Noise from counters.
+
+It has the generator's published answers, is Gaussian to the tails and independent, and has the same
+bits from NumPy and from lanes.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
 import subprocess
 import sys
@@ -52,12 +57,12 @@ def filled(first: int, count: int, seed: int = 3, runs: list[int] = RUNS) -> Flo
 
 def expected(count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
     """The same by NumPy."""
-    return np.stack(
-        [
-            [noise.gaussian(seed, stream, count, channel + 1, run)[:, channel] for run in runs]
-            for stream, channel in STREAMS
-        ]
-    ).transpose(2, 0, 1)
+    numbers = np.empty((count, len(STREAMS), len(runs)))
+    for i, (stream, channel) in enumerate(STREAMS):
+        for k, run in enumerate(runs):
+            channels = noise.gaussian(seed, stream, count, channel + 1, run)
+            numbers[:, i, k] = channels[:, channel]
+    return numbers
 
 
 # --- The generator and the transform
@@ -77,48 +82,39 @@ def expected(count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
 )
 def test_known_answers(counter: list[int], key: list[int], answer: list[int]) -> None:
     """Of Philox4x32-10, as published with Random123."""
-    assert [
-        int(word) for word in philox(*map(np.uint64, counter), np.uint64(key[0] | key[1] << 32))
-    ] == answer
+    words = philox(*map(np.uint64, counter), np.uint64(key[0] | key[1] << 32))
+    assert [int(word) for word in words] == answer
 
 
 def textbook(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """Box and Muller in float64: u = (a + 1/2) / 2^32; b: sign of the cosine, swap, 30 bits of angle in quarter turns."""
+    """Box and Muller in float64.
+
+    Args:
+        a: the radius is that of u = (a + 1/2) / 2^32
+        b: sign of the cosine, swap, 30 bits of angle in quarter turns
+    """
     u = (a.astype(float) + 0.5) / 2**32
-    radius = np.sqrt(
-        -2 * np.where(u > 0.5, np.log1p(-(0.5 + (0xFFFFFFFF - a.astype(float))) / 2**32), np.log(u))
-    )
+    rest = (0.5 + (0xFFFFFFFF - a.astype(float))) / 2**32  # 1 - u without cancellation
+    radius = np.sqrt(-2 * np.where(u > 0.5, np.log1p(-rest), np.log(u)))
     turn = (b.astype(np.int64) % 2**30 * 4 + 2 + 2**31) % 2**32 - 2**31
     angle = turn * 2.0**-32 * np.pi / 2
-    cosine, sine = radius * np.cos(angle) * np.where(b >> 31, -1, 1), radius * np.sin(angle)
-    return np.where(b >> 30 & 1, sine, cosine), np.where(b >> 30 & 1, cosine, sine)
+    cosine = radius * np.cos(angle) * np.where(b >> 31, -1, 1)
+    sine = radius * np.sin(angle)
+    swap = b >> 30 & 1
+    return np.where(swap, sine, cosine), np.where(swap, cosine, sine)
+
+
+CORNERS = [0, 1, 2, 2**29 - 1, 2**29, 2**30 - 1, 2**30, 2**31 - 1, 2**31]
+CORNERS += [0xBFFFFF80, 0xBFFFFFFF, 0xC0000000, 0xFFFFFFFE, 0xFFFFFFFF]
 
 
 def test_box_muller_of_all_kinds_of_words() -> None:
     rng = np.random.default_rng(0)
-    corners = np.array(
-        [
-            0,
-            1,
-            2,
-            2**29 - 1,
-            2**29,
-            2**30 - 1,
-            2**30,
-            2**31 - 1,
-            2**31,
-            0xBFFFFF80,
-            0xBFFFFFFF,
-            0xC0000000,
-            0xFFFFFFFE,
-            0xFFFFFFFF,
-        ],
-        np.uint32,
-    )
-    shifted = rng.integers(0, 2**32, 200_000, dtype=np.uint32) >> rng.integers(
-        0, 32, 200_000, dtype=np.uint32
-    )
-    a, b = (np.concatenate([part.ravel(), shifted]) for part in np.meshgrid(corners, corners))
+    of_any_size = rng.integers(0, 2**32, 200_000, dtype=np.uint32)
+    of_any_size >>= rng.integers(0, 32, 200_000, dtype=np.uint32)
+    one, other = np.meshgrid(np.array(CORNERS, np.uint32), np.array(CORNERS, np.uint32))
+    a = np.concatenate([one.ravel(), of_any_size])
+    b = np.concatenate([other.ravel(), of_any_size])
     for words in ((a, b), (~a, b), (a, ~b), (b, a)):
         for found, exact in zip(box_muller(*words), textbook(*words), strict=True):
             assert found.dtype == np.float32
@@ -130,7 +126,10 @@ def test_box_muller_of_all_kinds_of_words() -> None:
     ("sigma", "tolerance"), [(4.0, 1e-5), (5.0, 1e-4), (5.5, 1e-3), (6.0, 5e-3)]
 )
 def test_tails_without_sampling(sigma: float, tolerance: float) -> None:
-    """The share of angles beyond sigma at each radius that reaches it, over all words of radius: no number is drawn."""
+    """The share of angles beyond sigma at each radius that reaches it, over all words of radius.
+
+    No number is drawn.
+    """
     words = np.arange(2**32 * np.exp(-(sigma**2) / 2) + 2).astype(np.uint32)
     x, y = (part.astype(float) for part in box_muller(words, np.zeros_like(words)))
     angles = np.arccos(np.minimum(1.0, sigma / np.hypot(x, y))) / np.pi
@@ -145,7 +144,8 @@ def test_every_bit_of_counter_and_seed_changes_every_word(bit: int) -> None:
         rng.integers(0, 2**64, 1000, dtype=np.uint64),
     ]
     before = philox(*words)
-    words[min(bit // 32, 4)] ^= np.uint64(1) << np.uint64(bit % 32 if bit < 128 else bit - 128)
+    changed = min(bit // 32, 4)  # four words of the counter, then the seed
+    words[changed] ^= np.uint64(1) << np.uint64(bit - 32 * changed)
     for a, b in zip(before, philox(*words), strict=True):
         flips = [np.count_nonzero((a ^ b) >> np.uint32(k) & np.uint32(1)) for k in range(32)]
         assert stats.binom.cdf(min(flips), 1000, 0.5) > UNLIKELY / 1000
@@ -158,26 +158,22 @@ def test_every_bit_of_counter_and_seed_changes_every_word(bit: int) -> None:
 @pytest.mark.parametrize("sigma", [0.01, 1.0, 2.0, 3.0, 4.0, 5.0])
 def test_as_many_numbers_beyond_sigma_as_there_should_be(many: Floats, sigma: float) -> None:
     for side in (many, -many):
-        assert (
-            stats.binomtest(np.count_nonzero(side > sigma), many.size, stats.norm.sf(sigma)).pvalue
-            > UNLIKELY
-        )
+        beyond = np.count_nonzero(side > sigma)
+        assert stats.binomtest(beyond, many.size, stats.norm.sf(sigma)).pvalue > UNLIKELY
 
 
 def test_moments(many: Floats) -> None:
     power = np.ones_like(many)
     for mean, variance in ((0, 1), (1, 2), (0, 15), (3, 96), (0, 945), (15, 10170)):
         power *= many
-        assert abs(power.mean() - mean) < stats.norm.isf(UNLIKELY / 2) * np.sqrt(
-            variance / many.size
-        )
+        deviation = np.sqrt(variance / many.size)
+        assert abs(power.mean() - mean) < stats.norm.isf(UNLIKELY / 2) * deviation
 
 
 def test_distribution(many: Floats) -> None:
     assert stats.kstest(many[:1_000_000], stats.norm.cdf).pvalue > UNLIKELY
-    assert (
-        stats.kstest(np.abs(many[np.abs(many) < 1e-3]) * 1e3, stats.uniform.cdf).pvalue > UNLIKELY
-    )
+    smallest = np.abs(many[np.abs(many) < 1e-3])
+    assert stats.kstest(smallest * 1e3, stats.uniform.cdf).pvalue > UNLIKELY
 
 
 # --- Independent
@@ -189,7 +185,7 @@ def cells(x: Floats) -> Floats:
 
 
 def assert_independent(x: Floats, y: Floats) -> None:
-    """Every pair of cells is as frequent as any other, and sizes are uncorrelated also in the tails."""
+    """Every pair of cells is equally frequent, and sizes are uncorrelated also in the tails."""
     counts = np.bincount(16 * cells(x) + cells(y), minlength=256)
     assert stats.chisquare(counts).pvalue > UNLIKELY
     assert abs(np.corrcoef(x, y)[0, 1]) * np.sqrt(x.size) < stats.norm.isf(UNLIKELY / 2)
@@ -227,13 +223,9 @@ def test_channels_are_independent() -> None:
 
 @pytest.mark.parametrize("varied", ["seed", "run"])
 def test_one_step_across_many_seeds_or_runs_is_gaussian(varied: str) -> None:
-    numbers = np.concatenate(
-        [
-            noise.gaussian(**{"seed": 0, "stream": 0, "samples": 8, "channels": 2, varied: k})
-            for k in range(3000)
-        ],
-        axis=1,
-    )
+    place = {"seed": 0, "stream": 0, "samples": 8, "channels": 2}
+    parts = [noise.gaussian(**place | {varied: k}) for k in range(3000)]
+    numbers = np.concatenate(parts, axis=1)
     for row in numbers:
         assert stats.kstest(row, stats.norm.cdf).pvalue > UNLIKELY
     assert np.abs(np.corrcoef(numbers) - np.eye(8)).max() < 6 / np.sqrt(numbers.shape[1])
@@ -245,26 +237,20 @@ def test_one_step_across_many_seeds_or_runs_is_gaussian(varied: str) -> None:
 def test_a_number_is_a_function_of_its_place() -> None:
     all_of_them = noise.gaussian(4, noise.BEFORE, 1001, 3, run=9)
     for samples in (0, 1, 2, 3, 4, 5, 1000):
-        assert np.array_equal(
-            noise.gaussian(4, noise.BEFORE, samples, 3, run=9), all_of_them[:samples]
-        )
+        fewer = noise.gaussian(4, noise.BEFORE, samples, 3, run=9)
+        assert np.array_equal(fewer, all_of_them[:samples])
     assert np.array_equal(noise.gaussian(4, noise.BEFORE, 1001, 1, run=9), all_of_them[:, :1])
     assert noise.gaussian(4, noise.BEFORE, 10, 0).shape == (10, 0)
 
 
 def test_no_two_places_share_numbers() -> None:
-    places = [
-        (seed, stream, run)
-        for seed in (0, 1, 2**32, 2**63 - 1)
-        for stream in (noise.AFTER, noise.BEFORE, noise.DISTURBANCE)
-        for run in RUNS
-    ]
-    numbers = np.concatenate(
-        [noise.gaussian(seed, stream, 40, 3, run).ravel() for seed, stream, run in places]
-    )
-    assert (
-        np.unique(numbers).size > numbers.size - 60
-    )  # of float32 some coincide; of two places alike it would be 120
+    seeds, streams = (0, 1, 2**32, 2**63 - 1), (noise.AFTER, noise.BEFORE, noise.DISTURBANCE)
+    parts = []
+    for seed, stream, run in itertools.product(seeds, streams, RUNS):
+        parts.append(noise.gaussian(seed, stream, 40, 3, run).ravel())
+    numbers = np.concatenate(parts)
+    # Of float32 some coincide; of two places alike it would be 120.
+    assert np.unique(numbers).size > numbers.size - 60
 
 
 @settings(max_examples=25)
@@ -276,9 +262,8 @@ def test_no_two_places_share_numbers() -> None:
 )
 def test_lanes_draw_the_same_bits(seed: int, first: int, count: int, run: int) -> None:
     runs = [*RUNS[:-1], run]
-    assert np.array_equal(
-        filled(first, count, seed, runs), expected(first + count, seed, runs)[first:]
-    )
+    by_numpy = expected(first + count, seed, runs)[first:]
+    assert np.array_equal(filled(first, count, seed, runs), by_numpy)
 
 
 @pytest.mark.parametrize("width", [1, 3, 16, 128])
@@ -290,13 +275,8 @@ def test_bits_do_not_depend_on_the_number_of_lanes(width: int) -> None:
 def test_steps_far_out() -> None:
     far = 10**10 + 3
     assert np.array_equal(filled(far, 9), np.concatenate([filled(far, 2), filled(far + 2, 7)]))
-    a, b, c, d = philox(
-        np.uint64(far // 4),
-        np.uint64(noise.word(*STREAMS[1])),
-        np.uint64(5),
-        np.uint64(0),
-        np.uint64(3),
-    )
+    counter = (far // 4, noise.word(*STREAMS[1]), 5, 0)
+    a, b, c, d = philox(*map(np.uint64, counter), np.uint64(3))
     assert filled(far, 1)[0, 1, RUNS.index(5)] == box_muller(c, d)[1]  # the last of four
     assert far % 4 == 3
     assert a != b
@@ -311,18 +291,18 @@ def test_threads_do_not_change_a_bit() -> None:
 # --- Coloured
 
 
-@pytest.mark.parametrize(
-    "cuts",
-    [[1000], [1, 2, 5, 992], [3] * 333 + [1]],
-    ids=["at once", "in parts", "three at a time"],
-)
+CUTS = {"at once": [1000], "in parts": [1, 2, 5, 992], "three at a time": [3] * 333 + [1]}
+
+
+@pytest.mark.parametrize("cuts", CUTS.values(), ids=CUTS)
 def test_coloured_lanes_have_the_same_bits(cuts: list[int]) -> None:
     words = [
         noise.word(noise.AFTER, 0),
         noise.word(noise.DISTURBANCE, 0),
         noise.word(noise.DISTURBANCE, 1),
     ]
-    state, first, parts = np.full((2, len(RUNS)), np.nan), 0, []
+    state = np.full((2, len(RUNS)), np.nan)
+    first, parts = 0, []
     for count in cuts:
         parts.append(np.empty((count, 3, len(RUNS))))
         normal.fill(parts[-1], first, 3, words, RUNS)
@@ -340,15 +320,12 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
     assert found.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
     lag = round(correlation / step)
     assert np.corrcoef(found[:-lag, 0], found[lag:, 0])[0, 1] == pytest.approx(np.exp(-1), abs=0.04)
-    starts = np.array(
-        [noise.coloured(seed, 1, np.ones(1), correlation, step)[0, 0] for seed in range(2000)]
-    )
-    assert starts.std() == pytest.approx(1.0, abs=0.08)
+    starts = [noise.coloured(seed, 1, np.ones(1), correlation, step) for seed in range(2000)]
+    assert np.std(starts) == pytest.approx(1.0, abs=0.08)
     white = noise.gaussian(3, noise.DISTURBANCE, 200_000, 2) * [2.0, 0.5]
     memory = np.exp(-step / correlation)
-    np.testing.assert_allclose(
-        found[1:] - memory * found[:-1], np.sqrt(1 - memory**2) * white[1:], atol=1e-14
-    )
+    driven = found[1:] - memory * found[:-1]
+    np.testing.assert_allclose(driven, np.sqrt(1 - memory**2) * white[1:], atol=1e-14)
     assert np.array_equal(found[0], white[0])
 
 
@@ -356,10 +333,9 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 
 
 def test_lanes_are_drawn_by_vector_instructions() -> None:
-    """The products of the generator, the root of the radius and the polynomials are of many lanes at once."""
-    block = normal._kernel(
-        normal._FILL, 2 * lanes.WIDTH
-    )  # compiled here: what comes from disk cannot be inspected
+    """The generator's products, the radius' root and the polynomials are of many lanes at once."""
+    # Compiled here: what comes from disk cannot be inspected.
+    block = normal._kernel(normal._FILL, 2 * lanes.WIDTH)
     code = block.text
     for wide in (
         r"mul .*<\d+ x i64>",
@@ -381,11 +357,16 @@ def test_misuse_is_named() -> None:
             normal.colour(np.empty((4, 1, 16)), state, 0, start, 0.5, 0.5)
 
 
+SINGLE_RUN = """
+import sys
+import numpy
+from undeadzone.signals import noise
+noise.coloured(0, 9, numpy.ones(1), 1.0, 0.1)
+print({"numba", "scipy.signal"} & sys.modules.keys())
+"""
+
+
 def test_a_single_run_needs_neither_numba_nor_scipy_signal() -> None:
-    code = "import sys, numpy; from undeadzone import noise; noise.coloured(0, 9, numpy.ones(1), 1.0, 0.1); print({'numba', 'scipy.signal'} & sys.modules.keys())"
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout
-        == "set()\n"
-    )
+    command = [sys.executable, "-c", SINGLE_RUN]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

@@ -1,4 +1,4 @@
-"""Tuning: candidates as lanes, gradients, known optima, the certificate, held-out runs, the command."""
+"""Tuning: candidates as lanes, gradients, known optima, certificate, held-out runs, the command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
-from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.run import LIMIT
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.simulation.simulate import run_loop
@@ -36,8 +36,9 @@ from undeadzone.tuning.objective import Frame, Objective, losses, objective, sta
 from undeadzone.tuning.one_by_one import row
 from undeadzone.tuning.parameters import numbers, parameters, with_numbers
 from undeadzone.tuning.result import HeldOut, Worth, change
+from undeadzone.tuning.search import FORBIDDEN, REACH, Evaluation, _penalised, gradient, values_at
 from undeadzone.tuning.sweep import sweep
-from undeadzone.tuning.tune import REACH, Judged, gradient, tune
+from undeadzone.tuning.tune import tune
 
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
 GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
@@ -45,15 +46,14 @@ GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
 
 def gusts(**changes: Any) -> Scenario:
     """The paper's loop at 100 Hz, in gusts, with widths that vary."""
-    found = scene(
+    widths = {"uniform": [0.3, 2.0]}
+    scenario = scene(
         sensor={"noise": 0.02},
         simulation={"time": "sampled", "step": 1e-2, "duration": 4.0},
         disturbance={"kind": "random", "rms": 5.0, "correlation_time": 0.3},
-        ensemble={
-            "entries": {f"sensor.{edge}": {"uniform": [0.3, 2.0]} for edge in ("right", "left")}
-        },
+        ensemble={"entries": {"sensor.right": widths, "sensor.left": widths}},
     )
-    return msgspec.structs.replace(found, **changes)
+    return msgspec.structs.replace(scenario, **changes)
 
 
 def of(what: Tune, scenario: Scenario, names: list[str], probes: Any) -> Objective:
@@ -71,11 +71,8 @@ def test_numbers_of_the_options_by_address() -> None:
     changed = with_numbers(scenario, {"observer.L[1]": 7.0, "controller.alpha": 3.0})
     np.testing.assert_array_equal(changed.observer.L, [1.0, 7.0])
     assert changed.controller.alpha == 3.0
-    assert (
-        numbers(changed)
-        | {"observer.L[1]": known["observer.L[1]"], "controller.alpha": known["controller.alpha"]}
-        == known
-    )
+    as_before = {name: known[name] for name in ("observer.L[1]", "controller.alpha")}
+    assert numbers(changed) | as_before == known
 
 
 @pytest.mark.parametrize(
@@ -92,7 +89,7 @@ def test_an_address_names_entries(address: str, names: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("bounds", "message"),
     [
         ({}, "nothing to tune"),
         ({"observer.gama": (1, 20)}, "did you mean 'observer.gamma'"),
@@ -110,12 +107,10 @@ def test_an_address_names_entries(address: str, names: list[str]) -> None:
         ({"observer.gamma": (1, 20), "observer.gamma[0]": (1, 20)}, "tuned twice"),
     ],
 )
-def test_what_cannot_be_tuned(given: dict[str, tuple[float, float]], message: str) -> None:
+def test_what_cannot_be_tuned(bounds: dict[str, tuple[float, float]], message: str) -> None:
+    entries = {address: Range(between=between) for address, between in bounds.items()}
     with pytest.raises(InputError, match=message):
-        tune(
-            gusts(),
-            Tune(entries={address: Range(between=between) for address, between in given.items()}),
-        )
+        tune(gusts(), Tune(entries=entries))
 
 
 @pytest.mark.parametrize(
@@ -172,57 +167,61 @@ def test_no_gains_of_an_unstable_plant_are_certified() -> None:
     ],
 )
 def test_words_of_the_table(table: dict[str, Any]) -> None:
-    data = {"plant": {}, "tune": table}
-    with pytest.raises(
-        InputError,
-        match=r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')",
-    ):
-        convert(data)
+    words = r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')"
+    with pytest.raises(InputError, match=words):
+        convert({"plant": {}, "tune": table})
 
 
 def test_a_candidate_is_the_run_of_its_own_scenario() -> None:
     scenario, names = gusts(), ["observer.L[0]", "observer.L[1]", "observer.gamma"]
     on = of(Tune(entries=GAINS, runs=6), scenario, names, [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
     points = np.array([[1.0, 1.5, 10.0], [0.3, 8.0, 0.7], [4.0, 30.0, 20.0]])
-    found = on.benches[0].rows([resolve_scenario(on.scenario(0, point)) for point in points])
-    for point, several in zip(points, found, strict=True):
+    runs = on.test_runs[0]
+    together = runs.rows([resolve_scenario(on.scenario(0, point)) for point in points])
+    for point, rows in zip(points, together, strict=True):
         alone = prepare(with_numbers(scenario, dict(zip(names, point, strict=True))))
-        values = on.benches[0].values
-        np.testing.assert_allclose(
-            several, alone.rows(np.arange(6), values)[:, values.shape[1] :], rtol=1e-9
-        )
+        expected = alone.rows(np.arange(6), runs.values)[:, runs.values.shape[1] :]
+        np.testing.assert_allclose(rows, expected, rtol=1e-9)
 
 
 def test_the_gradient_by_lanes_is_that_of_single_candidates() -> None:
     what = Tune(entries=GAINS, runs=6)
-    found = parameters(what.entries, gusts())
-    on = of(what, gusts(), [p.name for p in found], [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
+    tuned = parameters(what.entries, gusts())
+    on = of(what, gusts(), [p.name for p in tuned], [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
 
-    def costs(u: Floats) -> Floats:
-        points = np.stack([p.value(u[:, i]) for i, p in enumerate(found)], axis=1)
-        return on.costs([problems for problems in on.problems(points) if problems is not None])
+    def evaluate(u: Floats) -> Evaluation:
+        problems = on.problems(values_at(tuned, u))
+        return Evaluation(on.costs(problems), np.full(len(u), np.inf))
+
+    def difference(u: Floats, step: Floats) -> float:
+        ahead, behind = evaluate((u + step)[None]).cost[0], evaluate((u - step)[None]).cost[0]
+        return (ahead - behind) / (2 * step.max())
 
     u = np.array([0.5, 0.7, 0.4])
-    worth, slopes = gradient(lambda sides: Judged(costs(sides), np.full(len(sides), np.inf)), u)
-    assert worth.cost[0] == costs(u[None])[0]
-    for i, slope in enumerate(slopes.cost):
-        step = REACH * np.eye(3)[i]
-        ahead, behind = costs((u + step)[None])[0], costs((u - step)[None])[0]
-        assert slope == pytest.approx((ahead - behind) / (2 * REACH), rel=1e-12)
-        small = 1e-5 * np.eye(3)[i]
-        assert slope == pytest.approx(
-            (costs((u + small)[None])[0] - costs((u - small)[None])[0]) / 2e-5, rel=0.1, abs=0.03
-        )
+    worth, slopes = gradient(evaluate, u)
+    assert worth.cost[0] == evaluate(u[None]).cost[0]
+    for direction, slope in zip(np.eye(3), slopes.cost, strict=True):
+        assert slope == pytest.approx(difference(u, REACH * direction), rel=1e-12)
+        assert slope == pytest.approx(difference(u, 1e-5 * direction), rel=0.1, abs=0.03)
 
 
 def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
-    def judge(u: Floats) -> Judged:
-        return Judged(np.where(u[:, 1] > 0.5, np.inf, (u**2).sum(axis=1)), np.full(len(u), np.inf))
+    def evaluate(u: Floats) -> Evaluation:
+        cost = np.where(u[:, 1] > 0.5, np.inf, (u**2).sum(axis=1))
+        return Evaluation(cost, np.full(len(u), np.inf))
 
-    worth, slopes = gradient(judge, np.array([1.0, 0.5]))
+    worth, slopes = gradient(evaluate, np.array([1.0, 0.5]))
     assert worth.cost[0] == 1.25
     np.testing.assert_allclose(slopes.cost, [2 - REACH, 1 - REACH])
     np.testing.assert_array_equal(slopes.margin, 0.0)
+
+
+def test_without_certificate_a_candidate_costs_the_more_the_more_it_lacks() -> None:
+    margin = np.array([0.3, 0.1, 0.0, -np.inf, np.inf])
+    cost = _penalised(Evaluation(np.arange(5.0), margin), 0.2)
+    assert cost[0] == 0.0
+    assert cost[4] == 4.0
+    assert FORBIDDEN < cost[1] < cost[2] < cost[3] < np.inf
 
 
 @pytest.mark.parametrize(
@@ -241,12 +240,10 @@ def test_one_gain_is_as_good_as_a_dense_sweep(name: Any, metric: str) -> None:
 
 def test_several_gains_are_better_than_a_grid() -> None:
     what = Tune(entries=GAINS, runs=16, held_out=64, budget=150)
-    names = ("observer.L[0]", "observer.L[1]", "observer.gamma")
-    grid = sweep(
-        gusts(),
-        {name: np.geomspace(*GAINS[name.partition("[")[0]].between, 7) for name in names},
-        what,
-    )
+    L, gamma = GAINS["observer.L"].between, GAINS["observer.gamma"].between
+    axes = {"observer.L": np.geomspace(*L, 7), "observer.gamma": np.geomspace(*gamma, 7)}
+    grid = sweep(gusts(), axes, what)
+    assert list(grid.axes) == ["observer.L[0]", "observer.L[1]", "observer.gamma"]
     assert grid.cost.shape == (7, 7, 7)
     found = tune(gusts(), what)
     assert found.cost[1] < grid.cost.min()
@@ -266,9 +263,8 @@ def test_the_certificate_is_kept_where_it_binds() -> None:
     assert 0.02 <= proof.margin < 0.1
     free = tune(gusts(), msgspec.structs.replace(what, certified=False))
     assert free.cost[1] < found.cost[1]
-    assert not certify(
-        model.linear, np.reshape(free.values[:2], (2, 1)), np.array(free.values[2:]), model.Ts
-    ).certified
+    L, gamma = np.reshape(free.values[:2], (2, 1)), np.array(free.values[2:])
+    assert not certify(model.linear, L, gamma, model.Ts).certified
     assert found.improved
     assert found.certified
 
@@ -282,87 +278,64 @@ def test_threads_change_nothing() -> None:
 
 def test_a_rebuilt_option_is_a_lane_too() -> None:
     scenario = gusts(observer=HighGain(epsilon=0.2))
-    on = of(
-        Tune(runs=4),
-        scenario,
-        ["observer.epsilon", "controller.alpha"],
-        [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]],
-    )
-    candidates = on.problems(np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]]))
-    assert candidates[2] is None  # too fast for the sample time
-    kept = [problems for problems in candidates if problems is not None]
-    cost = on.costs(kept)
-    assert on.benches[0].graph == graph(kept[1][0])
-    alone = prepare(kept[1][0].scenario)
-    lost = losses(
-        "rms_tracking", on.benches[0], alone.rows(np.arange(4), on.benches[0].values)[:, 2:]
-    )
+    names, probes = ["observer.epsilon", "controller.alpha"], [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]]
+    on = of(Tune(runs=4), scenario, names, probes)
+    nominal, faster, too_fast = on.problems(np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]]))
+    assert too_fast is None  # for the sample time
+    cost = on.costs([nominal, faster])
+    runs = on.test_runs[0]
+    assert runs.graph == graph(faster[0])
+    alone = prepare(faster[0].scenario)
+    lost = losses("rms_tracking", runs, alone.rows(np.arange(4), runs.values)[:, 2:])
     assert cost[1] == pytest.approx(lost.mean(), rel=1e-9)
 
 
 def test_an_observer_in_python_runs_the_same_runs() -> None:
     scenario = gusts(ensemble=None)
-    bench = of(Tune(runs=3), scenario, ["observer.gamma"], [[10.0], [5.0]]).benches[0]
+    runs = of(Tune(runs=3), scenario, ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
     problem = resolve_scenario(scenario)
-    for k, expected in enumerate(bench.rows([problem])[0]):
+    for k, expected in enumerate(runs.rows([problem])[0]):
         loop, state, _ = prepare_loop(problem)
-        found = row(problem, run_loop(loop, state, inputs.exogenous(problem, run=k)))
-        np.testing.assert_allclose(found[0], expected, rtol=1e-9)
+        metrics_of_run = row(problem, run_loop(loop, state, exogenous(problem, run=k)))
+        np.testing.assert_allclose(metrics_of_run[0], expected, rtol=1e-9)
     particles = gusts(ensemble=None, observer=ParticleFilter(right=[0.0, 2.0], particles=10))
-    found = tune(
-        particles,
-        Tune(
-            entries={"observer.noise": Range(between=(0.01, 1.0), log=True)},
-            runs=2,
-            held_out=2,
-            budget=4,
-        ),
-    )
+    noise = {"observer.noise": Range(between=(0.01, 1.0), log=True)}
+    found = tune(particles, Tune(entries=noise, runs=2, held_out=2, budget=4))
     assert len(found.trials) == 4
     assert found.cost[1] <= found.cost[0]
     with pytest.raises(InputError, match="computes in Python"):
-        tune(
-            gusts(observer=particles.observer),
-            Tune(entries={"observer.noise": Range(between=(0.01, 1.0))}),
-        )
+        tune(gusts(observer=particles.observer), Tune(entries=noise))
 
 
 def test_another_structure_is_another_graph() -> None:
-    options = [
-        TaylorResidual(reach=6.0, speed=3.0, degree=degree, leak=leak)
-        for degree, leak in ((5, 0.1), (5, 0.2), (7, 0.1))
-    ]
-    problems = [resolve_scenario(gusts(observer=each)) for each in options]
-    assert graph(problems[0]) == graph(problems[1]) != graph(problems[2])
+    graphs = []
+    for degree, leak in ((5, 0.1), (5, 0.2), (7, 0.1)):
+        options = TaylorResidual(reach=6.0, speed=3.0, degree=degree, leak=leak)
+        graphs.append(graph(resolve_scenario(gusts(observer=options))))
+    assert graphs[0] == graphs[1] != graphs[2]
 
 
 def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
-    bench = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).benches[0]
+    runs = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
     names = metrics.columns(resolve_scenario(gusts()).plant)
-    found = np.zeros((5, len(names)))
-    found[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
-    found[:, names.index("diverged")] = [0, 1, 1, 0, 0]
-    found[:, names.index("peak_tracking")] = [1.0, 1e20, 1e20, 4.0, 1e3]
-    found[:, names.index("settling_time")] = [1.0, 3.0, 1.0, 4.0, 4.0]
-    lost = losses("rms_tracking", bench, found)
+    rows = np.zeros((5, len(names)))
+    rows[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
+    rows[:, names.index("diverged")] = [0, 1, 1, 0, 0]
+    rows[:, names.index("peak_tracking")] = [1.0, 1e20, 1e20, 4.0, 1e3]
+    rows[:, names.index("settling_time")] = [1.0, 3.0, 1.0, 4.0, 4.0]
+    lost = losses("rms_tracking", runs, rows)
     assert lost[0] == 0.1
     assert lost[3] == 3.0
     assert LIMIT == lost[4] < lost[1] < lost[2] < 2 * LIMIT
-    found[:, names.index("d_right[0]")] = 5.0
-    np.testing.assert_allclose(
-        losses("d_right_error[0]", bench, found[:1, None].repeat(2, axis=1))[0],
-        5.0 - bench.values[:, 0],
-    )
+    rows[:, names.index("d_right[0]")] = 5.0
+    errors = losses("d_right_error[0]", runs, rows[:1, None].repeat(2, axis=1))
+    np.testing.assert_allclose(errors[0], 5.0 - runs.values[:, 0])
 
 
 def test_statistics_of_losses() -> None:
     lost = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))[None]
-    assert [float(statistic(name, lost)[0]) for name in ("mean", "median", "p95", "worst")] == [
-        50.5,
-        50.0,
-        95.0,
-        100.0,
-    ]
+    expected = {"mean": 50.5, "median": 50.0, "p95": 95.0, "worst": 100.0}
+    assert {name: statistic(name, lost)[0] for name in expected} == expected
 
 
 def test_the_interval_of_the_change_covers_it() -> None:
@@ -381,9 +354,8 @@ def test_better_means_fewer_diverge_or_a_change_that_chance_does_not_explain() -
     value = Interval(1.0, 0.9, 1.1)
 
     def improved(before: Interval, after: Interval, change: Interval) -> bool:
-        return dataclasses.replace(
-            found, held_out=(HeldOut(Worth(value, before), Worth(value, after), 8),), change=change
-        ).improved
+        held_out = HeldOut(Worth(value, before), Worth(value, after), 8)
+        return dataclasses.replace(found, held_out=(held_out,), change=change).improved
 
     assert improved(none, none, Interval(-1.0, -2.0, -0.1))
     assert not improved(none, none, Interval(-1.0, -2.0, 0.1))
@@ -397,26 +369,20 @@ def test_several_scenarios_at_once() -> None:
     what = Tune(entries=GAMMA, runs=8, held_out=8, budget=24)
     frames = [Frame(0.1, 2.0), Frame(0.0, 0.05)]
     found = tune([gusts(), calm], what, frames=frames)
-    expected = [
-        sweep(scenario, {"observer.gamma": [found.values[0], 10.0]}, what).cost
-        for scenario in (gusts(), calm)
-    ]
-    scores = np.mean(
-        [
-            (cost - frame.zero) / (frame.one - frame.zero)
-            for cost, frame in zip(expected, frames, strict=True)
-        ],
-        axis=0,
-    )
-    np.testing.assert_allclose(scores[::-1], found.cost, rtol=1e-9)
+    scores = []
+    for scenario, frame in zip((gusts(), calm), frames, strict=True):
+        cost = sweep(scenario, {"observer.gamma": [found.values[0], 10.0]}, what).cost
+        scores.append((cost - frame.zero) / (frame.one - frame.zero))
+    np.testing.assert_allclose(np.mean(scores, axis=0)[::-1], found.cost, rtol=1e-9)
     assert [scenario.title for scenario in found.scenarios] == [gusts().title, "calm"]
     assert {scenario.observer.gamma for scenario in found.scenarios} == {found.values[0]}
     assert found.runs == len(found.trials) * 8 * 2
+    other = gusts(title="other", observer=HighGain())
     with pytest.raises(InputError, match="scenario 'other' has no such number"):
-        tune(
-            [gusts(), gusts(title="other", observer=HighGain())],
-            Tune(entries={"observer.L": GAINS["observer.L"]}),
-        )
+        tune([gusts(), other], Tune(entries={"observer.L": GAINS["observer.L"]}))
+    for wrong in ([Frame(1.0, 1.0)], [Frame(), Frame()]):
+        with pytest.raises(InputError, match="frames: expected one for each of 1 scenarios"):
+            tune([gusts()], what, frames=wrong)
 
 
 def test_runs_that_are_alike_are_one_run() -> None:
@@ -430,9 +396,8 @@ def test_runs_that_are_alike_are_one_run() -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     scenario = tmp_path / "mine.toml"
-    scenario.write_text(
-        toml.dumps(gusts(tune=Tune(entries=GAMMA, runs=16, held_out=64, budget=40)))
-    )
+    what = Tune(entries=GAMMA, runs=16, held_out=64, budget=40)
+    scenario.write_text(toml.dumps(gusts(tune=what)))
     words = ["--over", "observer.L=0.01:100:log", "--json", "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(group, ["tune", str(scenario), *words], standalone_mode=False)
     assert run.exception is None
@@ -447,11 +412,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert all(numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"])
     for name in ("history.png", "around.png"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
-    again = CliRunner().invoke(
-        group,
-        ["tune", str(tmp_path / "out" / "tuned.toml"), "--budget", "4", "--no-figures"],
-        standalone_mode=False,
-    )
+    words = ["--budget", "4", "--no-figures"]
+    path = str(tmp_path / "out" / "tuned.toml")
+    again = CliRunner().invoke(group, ["tune", path, *words], standalone_mode=False)
     assert again.return_value == 1
     assert "NO improvement" in again.stdout
 
@@ -459,10 +422,8 @@ def test_the_command(tmp_path: Path) -> None:
 def test_a_tuned_scenario_finds_its_files(tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "r.csv").write_text("t,r\n0,0\n1,1\n2,0\n4,1\n")
-    table = msgspec.to_builtins(gusts().simulation)
-    scenario = scene(
-        reference={"kind": "csv", "path": str(tmp_path / "here" / "r.csv")}, simulation=table
-    )
+    reference = {"kind": "csv", "path": str(tmp_path / "here" / "r.csv")}
+    scenario = scene(reference=reference, simulation=msgspec.to_builtins(gusts().simulation))
     found = tune(scenario, Tune(entries=GAMMA, runs=2, held_out=2, budget=4))
     path = found.save(tmp_path / "there" / "deep" / "tuned.toml")
     assert resolve_scenario(read(path)).reference is not None

@@ -1,4 +1,4 @@
-"""What varies: each address is the number of the scenario that it names, each distribution is SciPy's, each mistake is named."""
+"""What varies: an address is the number it names, a distribution SciPy's; mistakes are named."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from scipy import stats
 
 from scenes import random_plant, scene, table
 from undeadzone.engine import interpret
+from undeadzone.ensemble.addresses import matching, sizes
 from undeadzone.ensemble.binding import Binding, bind, initial_copies
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.linear import batched_hold as hold
+from undeadzone.linear import batched_hold
 from undeadzone.plants.system import sampled
 from undeadzone.scenario.ensemble_table import Distribution, Vary, decoded, spread
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse
+from undeadzone.signals.exosystem import Random, Sine, Step
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -28,9 +30,13 @@ AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 2.0}
 MODEL = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
 PLANT = MODEL | {"x0": [0.5, 0.0]}
 PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"], "h": ["angle"], "states": ["angle", "rate"], "inputs": ["torque"],
-    "parameters": {"g": 9.81, "b": 0.8}, "x0": [0.1, 0.0],
-}  # fmt: skip
+    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
+    "h": ["angle"],
+    "states": ["angle", "rate"],
+    "inputs": ["torque"],
+    "parameters": {"g": 9.81, "b": 0.8},
+    "x0": [0.1, 0.0],
+}
 TWO = {
     "plant": {
         "A": [[-1.0, 0.5], [0.0, -2.0]],
@@ -65,6 +71,7 @@ def uniform(low: float = 0.5, high: float = 1.5, **words: Any) -> dict[str, Any]
 # --- an address is the number of the scenario ---
 
 BIAS = {"kind": "step", "amplitude": 1.0}
+GUST = {"kind": "random", "rms": 1.0, "correlation_time": 0.1}
 SAME: list[tuple[str, float, dict[str, Any], dict[str, Any]]] = [
     ("sensor.right", 0.4, {}, {"sensor": {"right": 0.4}}),
     ("sensor.left[0]", 0.0, {}, {"sensor": {"left": 0.0}}),
@@ -127,10 +134,8 @@ SAME: list[tuple[str, float, dict[str, Any], dict[str, Any]]] = [
     (
         "disturbance.rms[0]",
         2.0,
-        *(
-            {"disturbance": {"kind": "random", "rms": rms, "correlation_time": 0.1}}
-            for rms in (1.0, 2.0)
-        ),
+        {"disturbance": GUST},
+        {"disturbance": GUST | {"rms": 2.0}},
     ),
     (
         "disturbance.scale",
@@ -161,39 +166,34 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     changed: dict[str, Any],
     simulation: dict[str, Any],
 ) -> None:
-    problem = resolve_scenario(
-        scene(ensemble={address: uniform(value, value)}, simulation=simulation, **base)
-    )
+    ensemble = {address: uniform(value, value)}
+    problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation, **base))
     loop, _, exogenous = prepare(problem)
-    expected_loop, expected_state, expected_exogenous = prepare(
-        resolve_scenario(scene(simulation=simulation, **changed))
-    )
+    other = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
+    other_loop, other_state, other_exogenous = other
     binding = bind(problem, loop)
     state, params = binding.packed(binding.draw(0, 1, 1)[0])
     if "noise" in address:
-        exogenous = expected_exogenous  # drawn also where the nominal noise is 0
-    found, _ = interpret.run(loop.step, state, exogenous, params)
-    expected, _ = interpret.run(
-        expected_loop.step, expected_state, expected_exogenous, tree.pack(expected_loop.params)
-    )
+        exogenous = other_exogenous  # drawn also where the nominal noise is 0
+    varied, _ = interpret.run(loop.step, state, exogenous, params)
+    other_params = tree.pack(other_loop.params)
+    expected, _ = interpret.run(other_loop.step, other_state, other_exogenous, other_params)
     assert np.isfinite(expected).all()
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
     nominal, _ = interpret.run(loop.step, binding.state, exogenous, binding.params)
-    assert not np.allclose(found, nominal, rtol=1e-6, atol=1e-6)
+    assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("simulation", [{}, AT_100_HZ], ids=["continuous", "sampled"])
-def test_what_the_observer_believes_can_vary_alone(simulation: dict[str, Any]) -> None:
+def test_the_observers_model_can_vary_alone(simulation: dict[str, Any]) -> None:
     """Its model, not the plant, nor the controller and the feedforward."""
-    problem = resolve_scenario(
-        scene(ensemble={"observer.model.A[1,0]": uniform(-1.5, -1.5)}, simulation=simulation)
-    )
+    ensemble = {"observer.model.A[1,0]": uniform(-1.5, -1.5)}
+    problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation))
     loop = prepare(problem)[0]
     _, params = bind(problem, loop).packed(np.array([-1.5]))
-    believed = resolve_scenario(
-        scene(model={"A": [[0.0, 1.0], [-1.5, -2.0]]}, simulation=simulation)
-    ).model.params
-    expected = loop.params._replace(observer=loop.params.observer._replace(model=believed))
+    model = {"A": [[0.0, 1.0], [-1.5, -2.0]]}
+    varied = resolve_scenario(scene(model=model, simulation=simulation)).model.params
+    expected = loop.params._replace(observer=loop.params.observer._replace(model=varied))
     np.testing.assert_allclose(params, tree.pack(expected), rtol=1e-13, atol=1e-16)
 
 
@@ -206,11 +206,11 @@ def test_the_belief_of_a_filter_starts_where_the_run_says(method: str) -> None:
     binding = bound({"observer.mean[2]": uniform(0.3, 0.3)}, **changes)
     state, _ = binding.packed(np.array([0.3]))
     assert state[2 + 2] == 0.3
-    assert (
-        np.count_nonzero(state != binding.state) == {"kalman": 1, "censored": 3}[method]
-    )  # one for each level
+    levels = {"kalman": 1, "censored": 3}[method]
+    assert np.count_nonzero(state != binding.state) == levels
 
 
+CENSORED = {"right": [0.0, 2.0], "noise": 0.1, "bias": 1.0, "tolerance": 0.1, "disturbance": 0.1}
 OBSERVERS: list[tuple[dict[str, Any], dict[str, Any]]] = [
     (OBSERVER | {"adaptation": {"method": "least_squares"}}, {}),
     (OBSERVER | {"adaptation": {"method": "least_squares"}}, AT_100_HZ),
@@ -223,17 +223,7 @@ OBSERVERS: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"method": "ukf", "right": [0.0, 2.0]}, AT_100_HZ),
     ({"method": "printed", "L": [12.0, 15.0], "widths0": 1.0}, {}),
     ({"method": "kalman", "right": [0.0, 2.0]}, AT_100_HZ),
-    (
-        {
-            "method": "censored",
-            "right": [0.0, 2.0],
-            "noise": 0.1,
-            "bias": 1.0,
-            "tolerance": 0.1,
-            "disturbance": 0.1,
-        },
-        AT_100_HZ,
-    ),
+    ({"method": "censored"} | CENSORED, AT_100_HZ),
 ]
 
 
@@ -246,9 +236,8 @@ def test_initial_states_are_constants_or_copies_of_params(
     """`init` on other params gives the state in which just the copies have changed."""
     problem = resolve_scenario(scene(observer=observer, simulation=simulation))
     loop = prepare(problem)[0]
-    other = tree.rebuild(
-        loop.params, (np.asarray(leaf) + 0.125 for _, leaf in tree.leaves(loop.params))
-    )
+    other_leaves = [np.asarray(leaf) + 0.125 for _, leaf in tree.leaves(loop.params)]
+    other = tree.rebuild(loop.params, iter(other_leaves))
     state = loop.state._replace(
         observer=problem.observer.init(other.observer),
         controller=problem.controller.init(other.controller),
@@ -263,48 +252,33 @@ def test_initial_states_are_constants_or_copies_of_params(
 
 
 def test_without_an_index_each_entry_has_its_own_draw() -> None:
-    binding = bound(
-        {"sensor.right": uniform(), "sensor.left": uniform(shared=True), "plant.A[1,:]": uniform()},
-        **TWO,
-    )
-    assert binding.names == [
-        "sensor.right[0]",
-        "sensor.right[1]",
-        "sensor.left",
-        "plant.A[1,0]",
-        "plant.A[1,1]",
-    ]
+    entries = {
+        "sensor.right": uniform(),
+        "sensor.left": uniform(shared=True),
+        "plant.A[1,:]": uniform(),
+    }
+    binding = bound(entries, **TWO)
+    right = ["sensor.right[0]", "sensor.right[1]"]
+    assert binding.names == [*right, "sensor.left", "plant.A[1,0]", "plant.A[1,1]"]
     values = binding.draw(0, 3, 3)
     assert len(np.unique(values)) == values.size
-    params = [binding.packed(row)[1] for row in values]
     names = tree.names(prepare(resolve_scenario(scene(**TWO)))[0].params)
-    by_name = [dict(zip(names, numbers, strict=True)) for numbers in params]
-    assert [
-        (p["sensor.right[0]"], p["sensor.right[1]"], p["sensor.left[0]"], p["sensor.left[1]"])
-        for p in by_name
-    ] == [(a, b, c, c) for a, b, c, *_ in values.tolist()]
+    for row in values:
+        params = dict(zip(names, binding.packed(row)[1], strict=True))
+        assert [params[name] for name in right] == row[:2].tolist()
+        assert params["sensor.left[0]"] == params["sensor.left[1]"] == row[2]
 
 
 @pytest.mark.parametrize("simulation", [{}, AT_100_HZ], ids=["continuous", "sampled"])
 def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
-    binding = bound(
-        {"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)},
-        simulation=simulation,
-    )
+    entries = {"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)}
+    binding = bound(entries, simulation=simulation)
     assert binding.names == ["plant.A[1,:] + plant.B[1,:] (relative)"]
-    heavy = resolve_scenario(
-        scene(
-            plant=PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]},
-            model=MODEL,
-            simulation=simulation,
-        )
-    )
-    np.testing.assert_allclose(
-        binding.packed(np.array([0.5]))[1],
-        tree.pack(prepare(heavy)[0].params),
-        rtol=1e-13,
-        atol=1e-16,
-    )
+    plant = PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]}
+    heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
+    _, params = binding.packed(np.array([0.5]))
+    expected = tree.pack(prepare(heavy)[0].params)
+    np.testing.assert_allclose(params, expected, rtol=1e-13, atol=1e-16)
 
 
 def test_factors_leave_entries_that_are_zero_alone() -> None:
@@ -312,6 +286,38 @@ def test_factors_leave_entries_that_are_zero_alone() -> None:
     assert binding.names == [f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")]
     values = binding.draw(0, 4, 4)
     np.testing.assert_array_equal(binding.lanes(values).params, values * [-1.0, 1.0, -2.0])
+
+
+@pytest.mark.parametrize(
+    ("address", "names"),
+    [
+        ("plant.A", ["plant.A[0,0]", "plant.A[1,0]", "plant.A[1,1]"]),
+        ("plant.A[1,:]", ["plant.A[1,0]", "plant.A[1,1]"]),
+        ("plant.A[:,0]", ["plant.A[0,0]", "plant.A[1,0]"]),
+        ("plant.A[1,0]", ["plant.A[1,0]"]),
+        ("plant", []),
+        ("plantXA", []),
+        ("observer.gamma", ["observer.gamma"]),
+    ],
+)
+def test_an_address_stands_for_names(address: str, names: list[str]) -> None:
+    known = ["plant.A[0,0]", "plant.A[1,0]", "plant.A[1,1]", "observer.gamma"]
+    assert matching(address, known) == names
+
+
+@pytest.mark.parametrize(
+    ("signal", "sizes_of_two"),
+    [
+        (Sine(amplitude=2.0, frequency=1.0), [2.0, 2.0]),
+        (Sine(amplitude=2.0, frequency=1.0, offset=0.1), []),
+        (Step(amplitude=[2.0, 3.0]), [2.0, 3.0]),
+        (Step(amplitude=2.0, before=1.0), []),
+        (Random(rms=[0.5, 0.0], correlation_time=0.1), [0.5, 0.0]),
+        (None, []),
+    ],
+)
+def test_sizes_that_a_signal_is_proportional_to(signal: Any, sizes_of_two: list[float]) -> None:
+    assert sizes(signal, 2).tolist() == sizes_of_two
 
 
 def test_nothing_varies_in_an_empty_table() -> None:
@@ -337,9 +343,8 @@ LAWS: list[tuple[dict[str, Any], Any]] = [
     ("words", "law"), LAWS, ids=lambda case: str(case) if isinstance(case, dict) else ""
 )
 def test_draws_follow_their_distribution(words: dict[str, Any], law: Any, sampling: str) -> None:
-    values = bound({"sensor.right": words}, {"sampling": sampling, "seed": 4}).draw(0, 6000, 6000)[
-        :, 0
-    ]
+    binding = bound({"sensor.right": words}, {"sampling": sampling, "seed": 4})
+    values = binding.draw(0, 6000, 6000)[:, 0]
     assert values.min() >= 0
     assert stats.kstest(values, law.cdf).pvalue > 1e-3
 
@@ -347,31 +352,35 @@ def test_draws_follow_their_distribution(words: dict[str, Any], law: Any, sampli
 def test_quantiles_are_accurate_in_the_tails() -> None:
     u = np.array([1e-12, 1e-6, 0.5, 1 - 1e-6])
     for words, law in LAWS:
-        found = spread("sensor.right", Distribution(**words), 0.0).quantile(u)
-        np.testing.assert_allclose(found, law.ppf(u), rtol=1e-9, atol=1e-12)
+        distribution = spread("sensor.right", Distribution(**words), 0.0)
+        np.testing.assert_allclose(distribution.quantile(u), law.ppf(u), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["uniform", "normal"])
 def test_a_distribution_without_width_is_its_value(kind: str) -> None:
-    values = {"uniform": [0.7, 0.7], "normal": [0.7, 0.0]}[kind]
-    assert (bound({"sensor.right": {kind: values}}).draw(0, 10, 10) == 0.7).all()
+    words = {"uniform": [0.7, 0.7], "normal": [0.7, 0.0]}[kind]
+    values = bound({"sensor.right": {kind: words}}).draw(0, 10, 10)
+    assert (values == 0.7).all()
 
 
 def test_the_seed_is_that_of_the_simulation_unless_given() -> None:
-    drawn = [
-        bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw(0, 3, 3)
-        for ensemble in ({}, {"seed": 5}, {"seed": 6})
-    ]
-    assert np.array_equal(drawn[0], drawn[1])
-    assert not np.array_equal(drawn[0], drawn[2])
+    def drawn(ensemble: dict[str, Any]) -> Floats:
+        return bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw(0, 3, 3)
+
+    assert np.array_equal(drawn({}), drawn({"seed": 5}))
+    assert not np.array_equal(drawn({}), drawn({"seed": 6}))
 
 
 # --- a run's numbers do not depend on the batch ---
 
 MANY = {
-    "sensor.right": uniform(), "sensor.noise": {"log_normal": [0.01, 0.5]}, "plant.A[1,:]": {"normal": [1.0, 0.3], "relative": True},
-    "plant.B[1,0]": {"log_normal": [1.0, 3.0]}, "plant.x0": {"normal": [0.0, 1.0]}, "observer.right0": uniform(),
-}  # fmt: skip
+    "sensor.right": uniform(),
+    "sensor.noise": {"log_normal": [0.01, 0.5]},
+    "plant.A[1,:]": {"normal": [1.0, 0.3], "relative": True},
+    "plant.B[1,0]": {"log_normal": [1.0, 3.0]},
+    "plant.x0": {"normal": [0.0, 1.0]},
+    "observer.right0": uniform(),
+}
 BOUND = {
     sampling: bound(MANY, {"sampling": sampling}, simulation=AT_100_HZ)
     for sampling in ("random", "latin_hypercube", "sobol", "saltelli")
@@ -397,7 +406,9 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
 
 
 def held(AB: Floats, Ts: float) -> Floats:
-    return np.moveaxis(hold.zoh(np.ascontiguousarray(np.moveaxis(AB, 0, -1)), Ts), -1, 0)
+    """[Ad, Bd] of many plants (plants x n x (n + m)) from their [A, B]."""
+    plants_last = np.ascontiguousarray(np.moveaxis(AB, 0, -1))
+    return np.moveaxis(batched_hold.zoh(plants_last, Ts), -1, 0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -418,7 +429,10 @@ def test_many_plants_are_held_as_one(seed: int, n: int, m: int, scale: float) ->
 
 
 def test_the_hold_is_exact_to_rounding_where_it_is_known() -> None:
-    """An integrator chain, an oscillator at 1e4 rad/s, a fast pole; the change of a slow state keeps its digits."""
+    """An integrator chain, an oscillator at 1e4 rad/s, a fast pole.
+
+    The change of a slow state keeps its digits.
+    """
     Ts, w, a = 1e-3, 1e4, 5e3
     chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     wave = np.array([[0.0, w, 0.0], [-w, 0.0, w]])
@@ -427,11 +441,9 @@ def test_the_hold_is_exact_to_rounding_where_it_is_known() -> None:
     c, s = np.cos(w * Ts), np.sin(w * Ts)
     np.testing.assert_array_equal(found[0], [[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts]])
     np.testing.assert_allclose(found[1], [[c, s, 1 - c], [-s, c, s]], atol=1e-13)
-    np.testing.assert_allclose(
-        found[2],
-        [[np.exp(-a * Ts), 0, -np.expm1(-a * Ts)], [0, np.exp(-1e-9 * Ts), -np.expm1(-1e-9 * Ts)]],
-        rtol=1e-13,
-    )
+    fast = [np.exp(-a * Ts), 0, -np.expm1(-a * Ts)]
+    slow = [0, np.exp(-1e-9 * Ts), -np.expm1(-1e-9 * Ts)]
+    np.testing.assert_allclose(found[2], [fast, slow], rtol=1e-13)
 
 
 def test_a_plant_that_overflows_says_so_by_its_numbers() -> None:
@@ -480,7 +492,8 @@ TABLES: list[tuple[Any, str]] = [
     ),
     (
         {"sensor.right": [0.3, 2.0]},
-        r'ensemble."sensor.right": expected a distribution such as \{ uniform = \[0.3, 2.0\] \}, found \[0.3, 2.0\]',
+        r'ensemble."sensor.right": expected a distribution such as '
+        r"\{ uniform = \[0.3, 2.0\] \}, found \[0.3, 2.0\]",
     ),
     (
         {"sensor.right": {"unifrm": [0.3, 2.0]}},
@@ -527,7 +540,8 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"sensor.right": uniform(2.0, 0.3)},
         {},
-        r'ensemble."sensor.right".uniform: expected \[low, high\] with low <= high, found \[2, 0.3\]',
+        r'ensemble."sensor.right".uniform: expected \[low, high\] with low <= high, '
+        r"found \[2, 0.3\]",
     ),
     (
         {"sensor.right": {"normal": [1.0, -0.1]}},
@@ -542,7 +556,8 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"plant.A[1,0]": {"log_normal": [1.0, 50.0]}},
         {},
-        r"log_normal: expected a smaller standard deviation of the logarithm, found 50: values would exceed",
+        r"log_normal: expected a smaller standard deviation of the logarithm, found 50: "
+        r"values would exceed",
     ),
     (
         {"plant.A[1,0]": uniform(0.0, 1e60)},
@@ -579,12 +594,14 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"gravity.g": uniform()},
         {},
-        "nothing of that name can vary; what can: .*plant.x0, reference.amplitude, .*sensor.threshold",
+        "nothing of that name can vary; "
+        "what can: .*plant.x0, reference.amplitude, .*sensor.threshold",
     ),
     (
         {"plant.A[2,0]": uniform()},
         {},
-        r'ensemble."plant.A\[2,0\]": no entry plant.A\[2,0\]; there is plant.A\[0,0\] to plant.A\[1,1\]',
+        r'ensemble."plant.A\[2,0\]": no entry plant.A\[2,0\]; '
+        r"there is plant.A\[0,0\] to plant.A\[1,1\]",
     ),
     (
         {"sensor.right[1]": uniform()},
@@ -611,7 +628,8 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"model.A[1,0]": uniform()},
         {},
-        r'ensemble."model.A\[1,0\]": the design stays as it is for the nominal \[model\]; vary plant.A',
+        r'ensemble."model.A\[1,0\]": the design stays as it is for the nominal \[model\]; '
+        r"vary plant.A",
     ),
     ({"simulation.step": uniform()}, {}, "nothing of that name can vary"),
     (
@@ -682,39 +700,27 @@ def test_what_cannot_vary(entries: dict[str, Any], changes: dict[str, Any], word
     assert "\n" not in str(raised.value)
 
 
-addresses = st.sampled_from(
-    [
-        "sensor.right",
-        "sensor.left[0]",
-        "plant.A[1,:]",
-        "plant.A",
-        "plant.B[1,0] + plant.A",
-        "disturbance.amplitude",
-        ".",
-    ]
-) | st.text(max_size=4)
-numbers = (
-    st.sampled_from([0, 1, 1.0, -1.0, 0.3, 1e-320, 1e49, 1e60, 2**62, True, "1"]) | st.floats()
-)
-values = st.fixed_dictionaries(
-    {},
-    optional={
-        **dict.fromkeys(
-            ("uniform", "normal", "log_normal"), st.lists(numbers, min_size=2, max_size=2) | numbers
-        ),
-        "relative": st.booleans(),
-        "shared": st.booleans() | numbers,
-    },
-)
-tables = st.fixed_dictionaries(
-    {},
-    optional={
-        "runs": numbers,
-        "seed": numbers,
-        "tolerance": numbers,
-        "entries": st.dictionaries(addresses, values, max_size=2) | numbers,
-    },
-)
+ADDRESSES = ["sensor.right", "sensor.left[0]", "plant.A[1,:]", "plant.A", "plant.B[1,0] + plant.A"]
+ADDRESSES += ["disturbance.amplitude", "."]
+NUMBERS = [0, 1, 1.0, -1.0, 0.3, 1e-320, 1e49, 1e60, 2**62, True, "1"]
+addresses = st.sampled_from(ADDRESSES) | st.text(max_size=4)
+numbers = st.sampled_from(NUMBERS) | st.floats()
+pairs = st.lists(numbers, min_size=2, max_size=2)
+words_of_distribution = {
+    "uniform": pairs | numbers,
+    "normal": pairs | numbers,
+    "log_normal": pairs | numbers,
+    "relative": st.booleans(),
+    "shared": st.booleans() | numbers,
+}
+values = st.fixed_dictionaries({}, optional=words_of_distribution)
+words_of_table = {
+    "runs": numbers,
+    "seed": numbers,
+    "tolerance": numbers,
+    "entries": st.dictionaries(addresses, values, max_size=2) | numbers,
+}
+tables = st.fixed_dictionaries({}, optional=words_of_table)
 
 
 @settings(max_examples=300, deadline=None)
@@ -723,12 +729,8 @@ def test_only_undeadzone_errors_come_out_of_any_table(
     reserved: dict[str, Any], entries: dict[str, Any]
 ) -> None:
     with suppress(UndeadzoneError):
-        binding = bind(
-            NOMINAL._replace(
-                scenario=convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
-            ),
-            prepare(NOMINAL)[0],
-        )
+        scenario = convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
+        binding = bind(NOMINAL._replace(scenario=scenario), prepare(NOMINAL)[0])
         with np.errstate(all="ignore"):
             binding.lanes(binding.draw(0, 3, 3))
 

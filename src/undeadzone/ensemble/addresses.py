@@ -1,12 +1,13 @@
-"""The numbers of a scenario that may vary, by address, and which packed numbers of its loop each of them sets."""
+"""The numbers of a scenario that may vary, by address, and the packed numbers that they set."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from undeadzone.observers import Oracle
 from undeadzone.plants.robots.arm import signless
@@ -18,20 +19,17 @@ from undeadzone.simulation.loop import Loop
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
+FIXED: Final = ("h", "controller.tau", "controller.rate")  # set by the clock, never varied
+PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
 PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
 LEAST: Final = {
-    **dict.fromkeys(
-        (
-            "sensor.right",
-            "sensor.left",
-            "sensor.threshold",
-            "sensor.noise",
-            "sensor.noise_before",
-            "disturbance.rms",
-            "observer.gamma",
-        ),
-        0.0,
-    ),
+    "sensor.right": 0.0,
+    "sensor.left": 0.0,
+    "sensor.threshold": 0.0,
+    "sensor.noise": 0.0,
+    "sensor.noise_before": 0.0,
+    "disturbance.rms": 0.0,
+    "observer.gamma": 0.0,
     "sensor.slope": POSITIVE,
 }
 SCALES: Final = {
@@ -43,7 +41,14 @@ SCALES: Final = {
 
 
 class Quantity(NamedTuple):
-    """A number in the scenario's unit, not below `least`; it sets the packed numbers `slots` of [params, state] to gain times its value."""
+    """A number that may vary.
+
+    Attributes:
+        nominal: its value in the scenario, in the scenario's unit
+        slots: where it stands among the packed numbers [params, state] of the loop
+        gain: the packed numbers are gain times the value
+        least: the least value that it may have
+    """
 
     nominal: float
     slots: tuple[int, ...]
@@ -56,35 +61,35 @@ def stem(name: str) -> str:
     return name.partition("[")[0]
 
 
+def index_of(name: str) -> str:
+    """The index of an address with its brackets; empty if it has none."""
+    return name[len(stem(name)) :]
+
+
 def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
     """Every quantity of a problem, by address, in the order of the loop's packed numbers."""
-    found: dict[str, Quantity] = {}
-    slots = dict(zip(tree.names(loop.params), range(tree.size(loop.params)), strict=True))
-    for (name, slot), value in zip(slots.items(), tree.pack(flowing(problem, loop)), strict=True):
-        key, index = stem(name), name[len(stem(name)) :]
-        if key in ("h", "controller.tau", "controller.rate") or key in _absent(problem):
+    size = tree.size(loop.params)
+    slots = dict(zip(tree.names(loop.params), range(size), strict=True))
+    values = tree.pack(flowing(problem, loop))
+    absent = _absent(problem)
+    by_address: dict[str, Quantity] = {}
+    for (name, slot), value in zip(slots.items(), values, strict=True):
+        key = stem(name)
+        if key in FIXED or key in absent:
             continue
-        gain, floor = problem.model.Ts or 1.0 if key in PER_SECOND else 1.0, -np.inf
-        if key in ("plant", "observer.model", "controller.model"):
-            name = f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
-            floor = (
-                0.0
-                if problem.plant.arm is not None and signless(problem.plant.names[int(index[1:-1])])
-                else floor
-            )
-        name = SCALES[key] + index if key in SCALES else name
-        found[name] = Quantity(
-            value / gain, (slot, *_told(problem, name, slots)), gain, LEAST.get(stem(name), floor)
-        )
-    found |= {
-        f"plant.x0[{i}]": Quantity(x, (tree.size(loop.params) + i,))
-        for i, x in enumerate(problem.x0)
-    }
-    return found | dict(_amplitudes(problem, found))
+        address = _address(problem, name)
+        gain = 1.0
+        if key in PER_SECOND and problem.model.Ts is not None:
+            gain = problem.model.Ts
+        all_slots = (slot, *_observer_copies(problem, address, slots))
+        by_address[address] = Quantity(value / gain, all_slots, gain, _least(problem, address))
+    for i, x in enumerate(problem.x0):
+        by_address[f"plant.x0[{i}]"] = Quantity(x, (size + i,))
+    return by_address | _amplitudes(problem, by_address)
 
 
 def flowing(problem: Problem, loop: Loop) -> Any:
-    """The loop's params with the matrices of plant and of the observer's model in continuous time."""
+    """The loop's params with the plant's and the observer's model in continuous time."""
     observer = loop.params.observer
     if hasattr(observer, "model"):
         observer = observer._replace(model=_flow(problem.model))
@@ -92,61 +97,102 @@ def flowing(problem: Problem, loop: Loop) -> Any:
 
 
 def _flow(system: System) -> Any:
-    return system.params if system.nonlinear or system.flow is None else system.flow
+    """The numbers of a system in continuous time, where it has such."""
+    if system.nonlinear or system.flow is None:
+        return system.params
+    return system.flow
+
+
+def _address(problem: Problem, name: str) -> str:
+    """The address in the scenario of a packed number of the loop."""
+    key, index = stem(name), index_of(name)
+    if key in PARAMETRIC:
+        return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
+    if key in SCALES:
+        return SCALES[key] + index
+    return name
+
+
+def _least(problem: Problem, address: str) -> float:
+    """The least value that the number at an address may have."""
+    _, is_parameter, parameter = address.partition(".parameters.")
+    if is_parameter and problem.plant.arm is not None and signless(parameter):
+        return 0.0
+    return LEAST.get(stem(address), -np.inf)
 
 
 def _absent(problem: Problem) -> list[str]:
-    """Scales that mean nothing here: the targets of a nonlinear model are not proportional to the reference."""
-    return ["scale.reference"] * problem.model.nonlinear + ["scale.disturbance"] * (
-        problem.scenario.disturbance is None
-    )
+    """The scales that mean nothing for a problem.
+
+    The targets of a nonlinear model are not proportional to the reference.
+    """
+    absent = []
+    if problem.model.nonlinear:
+        absent.append("scale.reference")
+    if problem.scenario.disturbance is None:
+        absent.append("scale.disturbance")
+    return absent
 
 
-def _told(problem: Problem, name: str, slots: dict[str, int]) -> list[int]:
-    """Where the observer holds a number of the sensor that it is told: the threshold, and the widths if it is the oracle."""
-    key, index = stem(name), name[len(stem(name)) :]
-    twin = {"sensor.threshold": "observer.threshold"}
+def _observer_copies(problem: Problem, address: str, slots: dict[str, int]) -> list[int]:
+    """Where the observer holds its own copy of a number of the sensor.
+
+    It copies the threshold, and the oracle copies the widths too.
+    """
+    copies = {"sensor.threshold": "observer.threshold"}
     if isinstance(problem.scenario.observer, Oracle):
-        twin |= {"sensor.right": "observer.right0", "sensor.left": "observer.left0"}
-    return [slots[twin[key] + index]] if key in twin and twin[key] + index in slots else []
+        copies |= {"sensor.right": "observer.right0", "sensor.left": "observer.left0"}
+    key = stem(address)
+    if key not in copies:
+        return []
+    copy = copies[key] + index_of(address)
+    return [slots[copy]] if copy in slots else []
 
 
-def _amplitudes(problem: Problem, found: dict[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
+def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
     """The amplitudes of reference and disturbance that have one size, which is not 0."""
+    amplitudes: dict[str, Quantity] = {}
     reference = sizes(problem.scenario.reference, len(problem.tracked))
-    if "reference.scale" in found and reference.size and reference.all() and np.ptp(reference) == 0:
-        yield (
-            "reference.amplitude",
-            Quantity(reference[0], found["reference.scale"].slots, 1 / reference[0]),
-        )
+    one_size = reference.size and reference.all() and np.ptp(reference) == 0
+    if "reference.scale" in by_address and one_size:
+        slots = by_address["reference.scale"].slots
+        amplitudes["reference.amplitude"] = Quantity(reference[0], slots, 1 / reference[0])
     signal = problem.scenario.disturbance
     name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
+    least = LEAST.get(name, -np.inf)
     for i, size in enumerate(sizes(signal, problem.plant.m)):
         if size:
-            yield (
-                f"{name}[{i}]",
-                Quantity(
-                    size, found[f"disturbance.scale[{i}]"].slots, 1 / size, LEAST.get(name, -np.inf)
-                ),
-            )
+            slots = by_address[f"disturbance.scale[{i}]"].slots
+            amplitudes[f"{name}[{i}]"] = Quantity(size, slots, 1 / size, least)
+    return amplitudes
 
 
 def sizes(signal: Signal | Random | None, channels: int) -> Floats:
-    """The amplitude (or rms) of each channel that a signal is proportional to; none where it has none."""
+    """The amplitude (or rms) of each channel that a signal is proportional to; none without one."""
+    rest: npt.ArrayLike = (
+        0.0  # what the signal has besides the part that is proportional to its size
+    )
     match signal:
-        case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest) if not np.any(
-            rest
-        ):
+        case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest):
             pass
         case Trapezoid(amplitude=size) | Random(rms=size):
             pass
         case _:
             return np.empty(0)
+    if np.any(rest):
+        return np.empty(0)
     return np.broadcast_to(np.asarray(size, float).ravel(), channels)
 
 
-def matching(address: str, found: Iterable[str]) -> list[str]:
-    """The names that an address stands for: without an index all entries, with `:` all values of that index."""
-    key, index = stem(address), address[len(stem(address)) :]
-    pattern = re.escape(key) + (re.escape(index).replace(":", r"\d+") if index else r"(\[.*\])?")
-    return [name for name in found if re.fullmatch(pattern, name)]
+def matching(address: str, names: Iterable[str]) -> list[str]:
+    """The names that an address stands for.
+
+    Without an index it stands for all entries, with `:` for all values of that index.
+    """
+    pattern = re.escape(stem(address))
+    index = index_of(address)
+    if index:
+        pattern += re.escape(index).replace(":", r"\d+")
+    else:
+        pattern += r"(\[.*\])?"
+    return [name for name in names if re.fullmatch(pattern, name)]

@@ -1,4 +1,4 @@
-"""What most of the recorded runs do over time: quantiles at each instant of the tracking error and of the errors of the widths."""
+"""What most recorded runs do over time: quantiles of tracking and width errors at each instant."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ EDGES: Final = ("right", "left")
 
 
 class Bands(NamedTuple):
-    """t [s] (N); quantiles: N x len(LEVELS) of |z - r| as `tracking[i]`, of d^ - d as `d_right[i]`, `d_left[i]`, i the output."""
+    """Quantiles of the recorded runs over time, by name; i is the output.
+
+    Attributes:
+        t: instants (N) [s]
+        quantiles: N x len(LEVELS) each: of |z - r| as `tracking[i]`, of the errors d^ - d of the
+            widths as `d_right[i]` and `d_left[i]`
+    """
 
     t: Floats
     quantiles: dict[str, Floats]
@@ -24,33 +30,49 @@ class Bands(NamedTuple):
 def bands(
     t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]
 ) -> Bands:
-    """Of recorded runs: z (lanes x N x p), r (lanes x N x k), d_hat (lanes x N x 2p) against the true widths (lanes x 2p).
+    """The bands of recorded runs.
 
-    A signal that is no number any more counts as infinitely far off, so that a band is one of all runs.
+    A signal that is no number any more counts as infinitely far off, so that a band is one of all
+    runs.
+
+    Args:
+        t: instants (N) [s]
+        z: outputs (lanes x N x p)
+        r: references (lanes x N x k)
+        d_hat: estimated widths (lanes x N x 2p), right and left of each output in turn
+        widths: true widths (lanes x 2p) in the same order
+        tracked: the outputs that follow the k references
     """
-    found = {f"tracking[{i}]": np.abs(z[:, :, i] - r[:, :, k]) for k, i in enumerate(tracked)}
-    found |= {
-        f"d_{EDGES[j % 2]}[{j // 2}]": d_hat[:, :, j] - widths[:, None, j]
-        for j in range(d_hat.shape[2])
-    }
-    return Bands(
-        t,
-        {
-            name: _quantiles(np.where(np.isnan(values), np.inf, values))
-            for name, values in found.items()
-        },
-    )
+    errors = {}
+    for k, i in enumerate(tracked):
+        errors[f"tracking[{i}]"] = np.abs(z[:, :, i] - r[:, :, k])
+    for j in range(d_hat.shape[2]):
+        name = f"d_{EDGES[j % 2]}[{j // 2}]"
+        errors[name] = d_hat[:, :, j] - widths[:, None, j]
+    return Bands(t, {name: _quantiles(error) for name, error in errors.items()})
 
 
 def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
-    """The true width of an edge such as `right[0]`: a number, or a column where it varies, in whatever words (`uncertain.UncertainNumber`)."""
+    """The true width of an edge in each run: a number, or a column (runs) where it varies.
+
+    Args:
+        name: the edge, such as `right[0]`
+        nominal: its width in the scenario
+        varied: columns by the names of `uncertain.UncertainNumber`, in whatever words they name the
+            edge
+    """
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")
         if any(matching(part, [f"sensor.{name}"]) for part in address.split(" + ")):
-            return column * nominal if address != words else column
+            relative = address != words
+            return column * nominal if relative else column
     return np.asarray(nominal)
 
 
 def _quantiles(values: Floats) -> Floats:
-    """Each quantile is the value of a run: nothing is interpolated between a number and infinity."""
-    return np.quantile(values, LEVELS, axis=0, method="inverted_cdf").T
+    """The quantiles at each instant (N x levels) of values (lanes x N).
+
+    Each is the value of a run: nothing is interpolated between a number and infinity.
+    """
+    bounded = np.where(np.isnan(values), np.inf, values)
+    return np.quantile(bounded, LEVELS, axis=0, method="inverted_cdf").T

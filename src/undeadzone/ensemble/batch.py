@@ -1,4 +1,4 @@
-"""The runs of an ensemble on the lanes engine: a block of run numbers in, a row of drawn values and metrics for each out."""
+"""The runs of an ensemble on the lanes engine, which makes a row of values and metrics of each."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.engine import lanes
-from undeadzone.ensemble import binding as variation
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.binding import Binding, Lanes
+from undeadzone.ensemble.binding import Binding, Lanes, bind
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.ensemble.metrics import Measured, Tally
 from undeadzone.ensemble.run_noise import RunNoise, drawn
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.run import last_samples
 from undeadzone.simulation.simulate import closed
@@ -31,8 +30,18 @@ BLOCK = 16 * lanes.WIDTH  # runs that are computed, and kept, together
 class Batch(NamedTuple):
     """The runs of a scenario, ready to be computed: a `Job`.
 
-    kernel: the loop with its metrics, compiled; exogenous: what all runs share, with time [s] and tail; params: nominal,
-    with the tolerance [z]; own: what each run draws for itself; tail: samples of the last 2 s.
+    Attributes:
+        layout: number of runs, names of the columns, size of a block
+        problem: the scenario, checked and built, at its nominal numbers
+        loop: plant, sensor, observer and controller as one graph
+        binding: what varies, bound to the loop
+        measured: the loop with its metrics
+        kernel: the same, compiled
+        exogenous: inputs that all runs share (N x inputs); the last two columns are time [s] and
+            1 in the tail, else 0
+        params: nominal, packed; the last one is the tolerance [z]
+        own: what each run draws for itself
+        tail: number of samples in the last 2 s
     """
 
     layout: Layout
@@ -50,35 +59,43 @@ class Batch(NamedTuple):
         """The rows of one block, on that many threads (default: one per processor)."""
         within = self.layout.within(index)
         runs = np.arange(within.start, within.stop)
-        return self.rows(
-            runs, self.binding.draw(int(runs[0]), runs.size, self.layout.runs), threads
-        )
+        values = self.binding.draw(int(runs[0]), runs.size, self.layout.runs)
+        return self.rows(runs, values, threads)
 
     def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
-        """The values and metrics (a row each) of runs given by number, with these values (runs x columns)."""
+        """The values and metrics (a row each) of runs.
+
+        Args:
+            runs: their numbers
+            values: of what varies (runs x columns)
+            threads: default one per processor
+        """
         return np.hstack([values, self.measure(runs, self.binding.lanes(values), threads)])
 
-    def measure(self, runs: Integers, given: Lanes, threads: int | None = None) -> Floats:
-        """The metrics (a row each) of lanes; runs: the number of the run whose noise each of them has."""
+    def measure(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
+        """The metrics (a row each) of lanes.
+
+        Args:
+            runs: the number of the run whose noise each lane has
+            own: the states and params of each lane
+            threads: default one per processor
+        """
         _, finals = lanes.run(
             self.kernel,
-            self.started(given.states),
+            self.started(own.states),
             self.exogenous,
             self.params,
             self.own.supply(runs),
-            given.params,
+            own.params,
             threads=threads,
         )
-        plain, tallied = np.split(finals, [given.states.shape[1]], axis=1)
-        tally: Tally = tree.rebuild(
-            self.measured.tally,
-            iter(
-                np.split(
-                    tallied, np.cumsum([np.size(part) for part in self.measured.tally])[:-1], axis=1
-                )
-            ),
+        states, tallied = np.split(finals, [own.states.shape[1]], axis=1)
+        ends = np.cumsum([np.size(part) for part in self.measured.tally])
+        parts = np.split(tallied, ends[:-1], axis=1)
+        tally: Tally = tree.rebuild(self.measured.tally, iter(parts))
+        return metrics.rows(
+            tally, states, len(self.exogenous), self.tail, len(self.problem.tracked)
         )
-        return metrics.rows(tally, plain, len(self.exogenous), self.tail, len(self.problem.tracked))
 
     def started(self, states: Floats) -> Floats:
         """The states (lanes x S) of the loop with nothing counted yet."""
@@ -86,14 +103,22 @@ class Batch(NamedTuple):
 
 
 def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
-    """The runs of a scenario's [ensemble]; moved: packed params that each lane has for itself though they do not vary. Raises InputError and its kinds."""
+    """The runs of a scenario's [ensemble].
+
+    Args:
+        scenario: with or without the table [ensemble]
+        moved: packed params that each lane has for itself though they do not vary
+
+    Raises:
+        InputError or a subclass
+    """
     problem = resolve_scenario(scenario)
     loop = closed(problem)
-    binding = variation.bind(problem, loop)
+    binding = bind(problem, loop)
     binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
     vary = problem.scenario.ensemble or Vary()
     measured = metrics.measured(loop, problem)
-    shared = inputs.exogenous(problem, run=None)
+    shared = exogenous_inputs(problem, run=None)
     t = np.arange(len(shared)) * scenario.simulation.step
     tail = np.zeros(t.size)
     tail[last_samples(t)] = 1.0
@@ -120,12 +145,22 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
 
 
 def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
-    """The exogenous inputs that are 0 throughout and for all runs: with them known, a kernel is shorter."""
-    return {i: 0.0 for i, column in enumerate(shared.T) if i not in own and not column.any()}
+    """The exogenous inputs that are 0 throughout and for all runs.
+
+    A kernel that knows them is shorter.
+
+    Args:
+        shared: inputs that all runs share (N x inputs)
+        own: the inputs that each run has for itself
+    """
+    columns = enumerate(shared.T)
+    return {i: 0.0 for i, column in columns if i not in own and not column.any()}
 
 
 def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
-    """The zeros and ones among the params that do not vary: likewise."""
-    return {
-        i: float(value) for i, value in enumerate(params) if value in (0.0, 1.0) and i not in varied
-    }
+    """The zeros and ones among the packed params that do not vary, which shorten a kernel too."""
+    constants = {}
+    for i, value in enumerate(params):
+        if value in (0.0, 1.0) and i not in varied:
+            constants[i] = float(value)
+    return constants

@@ -1,4 +1,4 @@
-"""What is kept of a run without keeping its signals: sums and extremes that the loop itself accumulates."""
+"""What is kept of a run without its signals: sums and extremes that the loop itself accumulates."""
 
 from __future__ import annotations
 
@@ -17,9 +17,18 @@ from undeadzone.support.arrays import Floats
 
 
 class Tally(NamedTuple):
-    """Sums of (z - r)^2 and (z - z^)^2 over the tail, the largest |z - r|, the last time at which it was too large [s], silent samples, sum of u^2.
+    """What a run has accumulated so far; the tail is the last 2 s.
 
-    right, left: the latest d_r^, d_l^ (p each). tip: of an arm, the sum of squared distances of its tip from its path over the tail.
+    Attributes:
+        tracking: sum of |z - r|^2 over the tail
+        estimation: sum of |z - z^|^2 over the tail
+        peak: the largest |z - r|
+        settled: the last time at which |z - r| was beyond the tolerance [s]
+        silent: number of samples without a reading, of all outputs
+        effort: sum of |u|^2
+        right, left: the latest d_r^, d_l^ (p each)
+        tip: of an arm, the sum over the tail of squared distances of its tip from its path [m^2];
+            empty for other plants
     """
 
     tracking: Any
@@ -34,9 +43,13 @@ class Tally(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """A loop that also keeps a `Tally`, behind its own state; rare: as in `engine.lanes.build`.
+    """A loop that also keeps a `Tally`.
 
-    step(state and tally, exogenous inputs, time [s] and 1 in the tail, params and tolerance [z] for scale 1).
+    Attributes:
+        step: the loop's step with three longer arguments: the state, then the tally; the exogenous
+            inputs, then time [s] and 1 in the tail; the params, then the tolerance [z] for scale 1
+        rare: the parts of the step that a change of side asks for, as in `engine.lanes.build`
+        tally: zeros, in its shape
     """
 
     step: ca.Function
@@ -47,43 +60,40 @@ class Measured(NamedTuple):
 def measured(loop: Loop, problem: Problem) -> Measured:
     """The loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    one, each = np.zeros(1), np.zeros(problem.plant.p)
-    zero = Tally(
-        one, one, one, one, one, one, each, each, np.zeros(0 if problem.plant.arm is None else 1)
-    )
-    kept = tree.size(zero)
-    s, w, p = (
-        ca.SX.sym(name, step.size1_in(i) + more)
-        for i, (name, more) in enumerate((("s", kept), ("w", 2), ("p", 1)))
-    )
-    given = (s[:-kept], w[:-2], p[:-1])
-    following, out, *flag = step(*given)
+    zero = _nothing(problem.plant)
+    size = tree.size(zero)
+    s = ca.SX.sym("s", step.size1_in(0) + size)
+    w = ca.SX.sym("w", step.size1_in(1) + 2)
+    p = ca.SX.sym("p", step.size1_in(2) + 1)
+    t, tail, tolerance = w[-2], w[-1], p[-1]
+    arguments = (s[:-size], w[:-2], p[:-1])
+    following, out, *flag = step(*arguments)
     outputs: Outputs = tree.unpack(loop.outputs, out)
     instant: Exogenous = tree.unpack(loop.instant, w[: tree.size(loop.instant)])
-    params: Params = tree.unpack(loop.params, given[2])
-    error = outputs.z[problem.tracked] - params.scale.reference * instant.target.r
-    tally = _add(
-        tree.unpack(zero, s[-kept:]),
-        outputs,
-        error,
-        w[-2],
-        w[-1],
-        p[-1] * ca.fabs(params.scale.reference),
-    )
+    params: Params = tree.unpack(loop.params, arguments[2])
+    scale = params.scale.reference
+    error = outputs.z[problem.tracked] - scale * instant.target.r
+    before: Tally = tree.unpack(zero, s[-size:])
+    tally = _add(before, outputs, error, t, tail, tolerance * ca.fabs(scale))
     if problem.plant.arm is not None:
-        tally = tally._replace(
-            tip=tally.tip
-            + w[-1] * ca.sumsqr(_astray(problem.plant.arm, problem.model, params, outputs, instant))
-        )
+        astray = _astray(problem.plant.arm, problem.model, params, outputs, instant)
+        tally = tally._replace(tip=tally.tip + tail * ca.sumsqr(astray))
     results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
-    parts = tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)
+    parts = tuple(ca.Function("rare", [s, w, p], part(*arguments)) for part in rare)
     return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
 
 
-def _astray(body: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
-    """An arm's tip less where the model's would be on the path."""
+def _nothing(plant: System) -> Tally:
+    """The tally of a run that has not begun."""
+    one, each = np.zeros(1), np.zeros(plant.p)
+    tip = np.zeros(0 if plant.arm is None else 1)
+    return Tally(one, one, one, one, one, one, each, each, tip)
+
+
+def _astray(arm: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
+    """An arm's tip less where the model's would be on the path [m]."""
     x_ref = params.scale.reference * instant.target.x_ref
-    return body.tip(params.plant, out.x[: body.size]) - body.tip(model.params, x_ref[: body.size])
+    return arm.tip(params.plant, out.x[: arm.size]) - arm.tip(model.params, x_ref[: arm.size])
 
 
 def _add(
@@ -105,8 +115,9 @@ def _add(
 
 def columns(plant: System) -> tuple[str, ...]:
     """The names of the metrics of a plant."""
-    widths = (f"d_{edge}[{i}]" for edge in ("right", "left") for i in range(plant.p))
-    tip = () if plant.arm is None else ("rms_tip",)
+    right = [f"d_right[{i}]" for i in range(plant.p)]
+    left = [f"d_left[{i}]" for i in range(plant.p)]
+    tip = [] if plant.arm is None else ["rms_tip"]
     return (
         "rms_tracking",
         "rms_estimation",
@@ -114,18 +125,27 @@ def columns(plant: System) -> tuple[str, ...]:
         "settling_time",
         "silent_fraction",
         "rms_input",
-        *widths,
+        *right,
+        *left,
         *tip,
         "diverged",
     )
 
 
 def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) -> Floats:
-    """The metrics (runs x columns) from tallies (runs x 1 or x p each) and final states (runs x S)."""
+    """The metrics (runs x columns) of finished runs.
+
+    Args:
+        tally: what each run accumulated (runs x 1 or x p each)
+        states: the final states (runs x S)
+        samples: number of samples of a run
+        tail: number of samples in the tail
+        tracked: number of outputs that follow a reference
+    """
     p = tally.right.shape[1]
     with np.errstate(invalid="ignore", over="ignore"):
-        diverged = ~((np.abs(states) < LIMIT).all(axis=1) & (tally.peak[:, 0] < LIMIT))
-        found = (
+        bounded = (np.abs(states) < LIMIT).all(axis=1) & (tally.peak[:, 0] < LIMIT)
+        metrics = (
             np.sqrt(tally.tracking / (tail * tracked)),
             np.sqrt(tally.estimation / (tail * p)),
             tally.peak,
@@ -133,6 +153,5 @@ def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) ->
             tally.silent / (samples * p),
             np.sqrt(tally.effort / samples),
         )
-    return np.hstack(
-        [*found, tally.right, tally.left, np.sqrt(tally.tip / tail), diverged[:, None]]
-    )
+    tip = np.sqrt(tally.tip / tail)
+    return np.hstack([*metrics, tally.right, tally.left, tip, ~bounded[:, None]])

@@ -1,4 +1,4 @@
-"""Candidates as lanes: options that differ in their numbers alone share one kernel, the same runs for each of them."""
+"""Candidates as lanes: options that differ in numbers alone share one kernel and the same runs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,16 @@ from undeadzone.support.arrays import Floats, Integers
 
 
 class TestRuns(NamedTuple):
-    """Runs on which candidates for the options of one scenario are tried; graph: what they must share."""
+    """Runs on which candidates for the options of one scenario are tried.
 
-    fleet: Batch
+    Attributes:
+        batch: the runs of the first candidate, ready to be computed
+        graph: what candidates must have to share its kernel
+        runs: their numbers
+        values: of what varies (runs x columns)
+    """
+
+    batch: Batch
     graph: str
     runs: Integers
     values: Floats
@@ -34,97 +41,111 @@ class TestRuns(NamedTuple):
     @property
     def problem(self) -> Problem:
         """The problem of the first candidate."""
-        return self.fleet.problem
+        return self.batch.problem
 
     @property
     def varied(self) -> dict[str, Floats]:
         """What [ensemble] varies: its values in the runs, by name."""
-        return dict(zip(self.fleet.binding.names, self.values.T, strict=True))
+        return dict(zip(self.batch.binding.names, self.values.T, strict=True))
 
     def redrawn(self, runs: int, seed: int) -> TestRuns:
-        """The bench with other runs: the first `runs` of a seed; one if nothing differs between them."""
-        binding, own = self.fleet.binding, self.fleet.own
-        count = 1 if not binding.columns and not own.entries else runs
-        fleet = self.fleet._replace(
+        """The same on other runs: the first `runs` of a seed; one if nothing differs among them."""
+        binding, own = self.batch.binding, self.batch.own
+        differ = binding.columns or own.entries
+        count = runs if differ else 1
+        batch = self.batch._replace(
             binding=binding._replace(seed=seed), own=own._replace(seed=seed)
         )
-        return self._replace(
-            fleet=fleet, runs=np.arange(count), values=fleet.binding.draw(0, count, runs)
-        )
+        values = batch.binding.draw(0, count, runs)
+        return self._replace(batch=batch, runs=np.arange(count), values=values)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
-        """The metrics (candidates x runs x columns) of candidates; those that the kernel does not serve get one of their own. Raises InputError."""
+        """The metrics (candidates x runs x columns) of candidates.
+
+        Those that the kernel does not serve get one of their own. Raises InputError.
+        """
         kinds = [_kind(self, candidate) for candidate in candidates]
-        found = np.empty(
-            (len(candidates), self.runs.size, len(self.fleet.layout.columns) - self.values.shape[1])
-        )
+        columns = len(self.batch.layout.columns) - self.values.shape[1]
+        rows = np.empty((len(candidates), self.runs.size, columns))
         for kind in dict.fromkeys(kinds):
             chosen = [k for k, each in enumerate(kinds) if each == kind]
             group = [candidates[k] for k in chosen]
-            here = (
-                self
-                if kind is None
-                else bench(group[0].scenario, group, self.runs.size, self.fleet.binding.seed)
-            )
-            found[chosen] = _rows(here, group, threads).reshape(len(chosen), *found.shape[1:])
-        return found
+            runs = self
+            if kind is not None:
+                seed = self.batch.binding.seed
+                runs = prepare_test_runs(group[0].scenario, group, self.runs.size, seed)
+            rows[chosen] = _rows(runs, group, threads).reshape(len(chosen), *rows.shape[1:])
+        return rows
 
 
-def bench(scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int) -> TestRuns:
-    """A bench for a scenario whose candidates move the numbers that the probes move. Raises InputError and its kinds."""
-    vary = scenario.ensemble or Vary()
-    sampling = (
-        "sobol" if vary.sampling == "saltelli" else vary.sampling
-    )  # whose runs are not independent
-    scenario = msgspec.structs.replace(
-        scenario, ensemble=msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
-    )
+def prepare_test_runs(
+    scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int
+) -> TestRuns:
+    """Test runs for a scenario whose candidates move the numbers that the probes move.
+
+    Args:
+        scenario: the first candidate
+        probes: other candidates
+        runs: how many
+        seed: of what the runs draw
+
+    Raises:
+        InputError or a subclass
+    """
+    scenario = msgspec.structs.replace(scenario, ensemble=_table(scenario, runs, seed))
     problem = resolve_scenario(scenario)
     form, loop = graph(problem), closed(problem)
     nominal = tree.pack(loop.params)
-    moved = {
-        int(i)
-        for probe in probes
-        if graph(probe) == form
-        for i in np.flatnonzero(_numbers(loop, probe)[1] != nominal)
-    }
+    moved: set[int] = set()
+    for probe in probes:
+        if graph(probe) == form:
+            _, params = _numbers(loop, probe)
+            moved.update(np.flatnonzero(params != nominal).tolist())
     for column in bind(problem, loop).columns:
         if moved & {slot for slot, _ in column.slots}:
             raise InputError(
-                f"tune: [ensemble] varies {column.name}, which what is tuned decides; keep one of them"
+                f"tune: [ensemble] varies {column.name}, which what is tuned decides; "
+                "keep one of them"
             )
-    return TestRuns(prepare(scenario, moved), form, np.empty(0, int), np.empty((0, 0))).redrawn(
-        runs, seed
-    )
+    batch = prepare(scenario, moved)
+    return TestRuns(batch, form, np.empty(0, int), np.empty((0, 0))).redrawn(runs, seed)
 
 
-def _kind(given: TestRuns, candidate: Problem) -> str | None:
+def _table(scenario: Scenario, runs: int, seed: int) -> Vary:
+    """The table [ensemble] for test runs; those of Saltelli's design are not independent."""
+    vary = scenario.ensemble or Vary()
+    sampling = "sobol" if vary.sampling == "saltelli" else vary.sampling
+    return msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
+
+
+def _kind(runs: TestRuns, candidate: Problem) -> str | None:
     """None for a candidate that the kernel serves, else its graph."""
     form = graph(candidate)
-    if form != given.graph:
+    if form != runs.graph:
         return form
-    outside = np.delete(np.arange(given.fleet.binding.params.size), given.fleet.binding.indices)
-    params = _numbers(given.fleet.loop, candidate)[1]
-    return None if np.array_equal(params[outside], given.fleet.binding.params[outside]) else form
+    binding = runs.batch.binding
+    shared = np.delete(np.arange(binding.params.size), binding.indices)
+    _, params = _numbers(runs.batch.loop, candidate)
+    return None if np.array_equal(params[shared], binding.params[shared]) else form
 
 
-def _rows(given: TestRuns, candidates: list[Problem], threads: int | None) -> Floats:
-    """Candidate by candidate, run by run."""
-    fleet, parts = given.fleet, []
+def _rows(runs: TestRuns, candidates: list[Problem], threads: int | None) -> Floats:
+    """The metrics of candidates that the kernel serves: candidate by candidate, run by run."""
+    batch, parts = runs.batch, []
     for candidate in candidates:
-        state, params = _numbers(fleet.loop, candidate)
-        parts.append(fleet.binding._replace(state=state, params=params).lanes(given.values))
+        state, params = _numbers(batch.loop, candidate)
+        parts.append(batch.binding._replace(state=state, params=params).lanes(runs.values))
     lanes = parts[0]._replace(
         states=np.concatenate([part.states for part in parts]),
         params=np.concatenate([part.params for part in parts]),
     )
-    return fleet.measure(np.tile(given.runs, len(candidates)), lanes, threads)
+    return batch.measure(np.tile(runs.runs, len(candidates)), lanes, threads)
 
 
 def graph(problem: Problem) -> str:
-    """Observer and controller without their numbers, but with those of a plan: equal for problems that one kernel serves.
+    """Observer and controller without their numbers, but with those of a plan, as text.
 
-    Raises InputError if there is no graph.
+    It is equal for problems that one kernel serves. Raises InputError if there is no graph.
     """
     observer, controller, model = graph_of(problem.observer), problem.controller, problem.model
     p_column, p = tree.symbols((observer.params, controller.params), "p")
@@ -137,10 +158,8 @@ def graph(problem: Problem) -> str:
         np.zeros(controller.planned),
     )
     t_column, target = tree.symbols(instant, "t")
-    u, y, side, x = (
-        ca.SX.sym(name, size)
-        for name, size in (("u", model.m), ("y", model.p), ("side", model.p), ("x", model.n))
-    )
+    u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
+    side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
     moved, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
     results = (
         moved,
@@ -151,14 +170,16 @@ def graph(problem: Problem) -> str:
         controller.init(p[1]),
     )
     inputs = [p_column, s_column, t_column, u, y, side, x]
+    function = ca.Function("graph", inputs, [tree.stack(result) for result in results])
     plan = () if controller.plan is None else tree.pack(controller.plan.params).tolist()
-    return str(
-        ca.Function("graph", inputs, [tree.stack(result) for result in results]).serialize()
-    ) + str((tree.names((observer.params, like)), plan))
+    return str(function.serialize()) + str((tree.names((observer.params, like)), plan))
 
 
 def _numbers(loop: Loop, candidate: Problem) -> tuple[Floats, Floats]:
-    """(initial state, params), packed, of a loop with the observer and controller of a candidate that has its graph."""
+    """(initial state, params), packed, of a loop with a candidate's observer and controller.
+
+    The candidate has the graph of the loop.
+    """
     observer, controller = graph_of(candidate.observer), candidate.controller
     params: Any = loop.params._replace(observer=observer.params, controller=controller.params)
     state = loop.state._replace(

@@ -1,8 +1,8 @@
-"""What a candidate is worth: a statistic of a metric over the same runs for all of them, and the margin of its certificate."""
+"""What a candidate is worth: a statistic of a metric over runs, and its certificate's margin."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,84 +18,109 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.simulation.run import LIMIT
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.candidates import TestRuns, bench
-from undeadzone.tuning.one_by_one import OneByOne, singles
+from undeadzone.tuning.candidates import TestRuns, prepare_test_runs
+from undeadzone.tuning.one_by_one import OneByOne, one_by_one
 from undeadzone.tuning.parameters import with_numbers
 
 Problems = tuple[Problem, ...]
 
 
 class Frame(NamedTuple):
-    """Scores are counted from `zero` (0) to `one` (1), so that scenarios of different units or difficulty weigh alike."""
+    """The scale of a scenario's scores: scenarios of different units or difficulty weigh alike.
+
+    Attributes:
+        zero: what counts as 0, in the unit of the metric
+        one: what counts as 1, more than `zero`
+    """
 
     zero: float = 0.0
     one: float = 1.0
 
 
 class Objective(NamedTuple):
-    """The scenarios to be done well at once, each with its bench and frame; names: of the numbers of a candidate."""
+    """Scenarios to be done well at once.
+
+    Attributes:
+        what: the table [tune]
+        names: addresses of the numbers of a candidate
+        scenarios: as they are, without a candidate's numbers
+        test_runs: of each scenario
+        frames: of each scenario
+    """
 
     what: Tune
     names: tuple[str, ...]
     scenarios: tuple[Scenario, ...]
-    benches: tuple[TestRuns | OneByOne, ...]
+    test_runs: tuple[TestRuns | OneByOne, ...]
     frames: tuple[Frame, ...]
 
     def scenario(self, index: int, point: Floats) -> Scenario:
         """A scenario with the numbers of a candidate."""
-        return with_numbers(
-            self.scenarios[index], dict(zip(self.names, point.tolist(), strict=True))
-        )
+        numbers = dict(zip(self.names, point.tolist(), strict=True))
+        return with_numbers(self.scenarios[index], numbers)
 
     def problems(self, points: Floats) -> list[Problems | None]:
-        """The problems of each candidate (candidates x numbers), one per scenario; None where one is refused."""
-        return [self._each(point) for point in points]
+        """The problems of each candidate, one per scenario; None where one is refused.
+
+        Args:
+            points: candidates x numbers
+        """
+        return [self._problems_of(point) for point in points]
 
     def margins(self, candidates: Sequence[Problems | None]) -> Floats:
-        """The least margin of each candidate's certificates: inf if none is asked for, -inf where refused."""
-        wanted = self.what.certified
-        found = [
-            -np.inf
-            if problems is None
-            else min(map(certified_margin, problems))
-            if wanted
-            else np.inf
-            for problems in candidates
-        ]
-        return np.array(found)
+        """The least margin of each candidate's certificates.
+
+        It is inf if no certificate is asked for, -inf for a candidate that is refused.
+        """
+        return np.array([self._margin(problems) for problems in candidates])
 
     def costs(self, candidates: Sequence[Problems], threads: int | None = None) -> Floats:
-        """What candidates cost, each at least one."""
-        return self.scores(
-            [
-                self.losses(k, problems, threads)
-                for k, problems in enumerate(zip(*candidates, strict=True))
-            ]
-        )
+        """What candidates (one or more) cost."""
+        lost = []
+        for k in range(len(self.scenarios)):
+            problems = [each[k] for each in candidates]
+            lost.append(self.losses(k, problems, threads))
+        return self.scores(lost)
 
     def losses(
         self, index: int, candidates: Sequence[Problem], threads: int | None = None
     ) -> Floats:
         """What each candidate loses in each run of a scenario (candidates x runs)."""
-        given = self.benches[index]
-        return losses(self.what.metric, given, given.rows(candidates, threads))
+        runs = self.test_runs[index]
+        return losses(self.what.metric, runs, runs.rows(candidates, threads))
 
     def scores(self, lost: Sequence[Floats]) -> Floats:
-        """The mean of the framed statistics of losses (candidates x runs) in each scenario."""
-        framed = [
-            (statistic(self.what.statistic, each) - frame.zero) / (frame.one - frame.zero)
-            for each, frame in zip(lost, self.frames, strict=True)
-        ]
+        """The mean over the scenarios of framed statistics.
+
+        Args:
+            lost: losses in each scenario (candidates x runs)
+        """
+        framed = []
+        for each, frame in zip(lost, self.frames, strict=True):
+            value = statistic(self.what.statistic, each)
+            framed.append((value - frame.zero) / (frame.one - frame.zero))
         return np.mean(framed, axis=0)
 
-    def _each(self, point: Floats) -> Problems | None:
-        found = (_possible(self.scenario(k, point)) for k in range(len(self.scenarios)))
-        possible = tuple(problem for problem in found if problem is not None)
-        return possible if len(possible) == len(self.scenarios) else None
+    def _problems_of(self, point: Floats) -> Problems | None:
+        """The problems of one candidate, one per scenario; None where one is refused."""
+        problems = []
+        for k in range(len(self.scenarios)):
+            problem = _possible(self.scenario(k, point))
+            if problem is not None:
+                problems.append(problem)
+        return tuple(problems) if len(problems) == len(self.scenarios) else None
+
+    def _margin(self, problems: Problems | None) -> float:
+        """The least margin of a candidate's certificates (`margins`)."""
+        if problems is None:
+            return -np.inf
+        if not self.what.certified:
+            return np.inf
+        return min(map(certified_margin, problems))
 
     def redrawn(self, runs: int, seed: int) -> Objective:
-        """The same on other runs."""
-        return self._replace(benches=tuple(given.redrawn(runs, seed) for given in self.benches))
+        """The same on other runs: the first `runs` of a seed."""
+        return self._replace(test_runs=tuple(each.redrawn(runs, seed) for each in self.test_runs))
 
 
 def objective(
@@ -107,22 +132,37 @@ def objective(
     runs: int,
     seed: int,
 ) -> Objective:
-    """The objective on the first `runs` runs of a seed; probes: candidates that move whatever others will move, the first one possible.
+    """The objective on the first runs of a seed.
 
-    Raises InputError and its kinds.
+    Args:
+        what: the table [tune]
+        scenarios: to be done well at once
+        frames: of each scenario
+        names: addresses of the numbers of a candidate
+        probes: candidates (rows) that move whatever others will move; the first one is possible
+        runs: how many
+        seed: of the runs
+
+    Raises:
+        InputError or a subclass
     """
-    found = Objective(what, tuple(names), tuple(scenarios), (), tuple(frames))
-    each = ([found.scenario(k, point) for point in probes] for k in range(len(scenarios)))
-    return found._replace(benches=tuple(_bench(what, near, runs, seed) for near in each))
+    without_runs = Objective(what, tuple(names), tuple(scenarios), (), tuple(frames))
+    test_runs = []
+    for k in range(len(scenarios)):
+        near = [without_runs.scenario(k, point) for point in probes]
+        test_runs.append(_test_runs(what, near, runs, seed))
+    return without_runs._replace(test_runs=tuple(test_runs))
 
 
-def _bench(what: Tune, probes: list[Scenario], runs: int, seed: int) -> TestRuns | OneByOne:
+def _test_runs(what: Tune, probes: list[Scenario], runs: int, seed: int) -> TestRuns | OneByOne:
+    """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
     first = resolve_scenario(probes[0])
     _check_metric(what.metric, first)
     if isinstance(first.observer, NumericObserver):
-        return singles(first).redrawn(runs, seed)
-    near = [problem for scenario in probes[1:] if (problem := _possible(scenario)) is not None]
-    return bench(probes[0], near, runs, seed)
+        return one_by_one(first).redrawn(runs, seed)
+    possible = [_possible(scenario) for scenario in probes[1:]]
+    near = [problem for problem in possible if problem is not None]
+    return prepare_test_runs(probes[0], near, runs, seed)
 
 
 def statistic(name: str, lost: Floats) -> Floats:
@@ -133,40 +173,54 @@ def statistic(name: str, lost: Floats) -> Floats:
     return np.sort(lost, axis=-1)[..., int(np.ceil(lost.shape[-1] * share)) - 1]
 
 
-def losses(metric: str, given: TestRuns | OneByOne, found: Floats) -> Floats:
-    """The size of a metric in rows of metrics (... x columns); above LIMIT, but finite, for runs that diverged: the faster, the more."""
-    problem = given.problem
-    column = {name: found[..., i] for i, name in enumerate(metrics.columns(problem.plant))}
-    if metric in column:
-        size = column[metric]
+def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
+    """The size of a metric; above LIMIT, but finite, for runs that diverged: the faster, the more.
+
+    Args:
+        metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
+        runs: on which the rows were computed
+        rows: of metrics (... x columns)
+    """
+    problem = runs.problem
+    names = metrics.columns(problem.plant)
+    columns = {name: rows[..., i] for i, name in enumerate(names)}
+    if metric in columns:
+        size = columns[metric]
     else:
-        edge, _, index = metric.removeprefix("d_").partition("_error")
-        nominal = float(getattr(problem.sensor, edge)[int(index[1:-1])])
-        size = np.abs(
-            column[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, given.varied)
-        )
-    with np.errstate(over="ignore", invalid="ignore"):
-        rate = np.log1p(np.nan_to_num(column["peak_tracking"], nan=0.0)) / np.maximum(
-            column["settling_time"], problem.scenario.simulation.step
-        )
+        size = np.abs(_width_error(metric, runs, columns))
+    rate = _rate_of_divergence(columns, problem.scenario.simulation.step)
     return np.where(
-        column["diverged"] != 0,
+        columns["diverged"] != 0,
         LIMIT * (1 + rate / (1 + rate)),
         np.minimum(np.nan_to_num(size, nan=LIMIT), LIMIT),
     )
 
 
+def _width_error(metric: str, runs: TestRuns | OneByOne, columns: Mapping[str, Floats]) -> Floats:
+    """The final error of a width, d^ - d, in runs that vary it or not."""
+    edge, _, index = metric.removeprefix("d_").partition("_error")
+    nominal = float(getattr(runs.problem.sensor, edge)[int(index[1:-1])])
+    return columns[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, runs.varied)
+
+
+def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
+    """How fast |z - r| has grown: the logarithm of its peak over the time that this took [1/s]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        growth = np.log1p(np.nan_to_num(columns["peak_tracking"], nan=0.0))
+        return np.asarray(growth / np.maximum(columns["settling_time"], step))
+
+
 def certified_margin(problem: Problem) -> float:
     """The margin of the certificate; below 0 where the gains have none."""
     gains = constant_gains(problem.observer, problem.model)
-    if gains is None or problem.model.nonlinear:
-        why = (
-            "a nonlinear model has no certificate"
-            if gains is not None
-            else "this observer has no constant gains L and gamma to certify"
-        )
+    if gains is None:
         raise InputError(
-            f"tune.certified: {why}; leave certified out{', or use method = certified' * (gains is None)}"
+            "tune.certified: this observer has no constant gains L and gamma to certify; "
+            "leave certified out, or use method = certified"
+        )
+    if problem.model.nonlinear:
+        raise InputError(
+            "tune.certified: a nonlinear model has no certificate; leave certified out"
         )
     proof = certify(problem.model.linear, *gains, problem.model.Ts)
     return proof.margin if proof.certified else min(proof.margin, -1e-9)
@@ -181,11 +235,12 @@ def _possible(scenario: Scenario) -> Problem | None:
 
 
 def _check_metric(metric: str, problem: Problem) -> None:
-    errors = [f"d_{edge}_error[{i}]" for i in range(problem.plant.p) for edge in EDGES]
-    known = [
-        name
-        for name in metrics.columns(problem.plant)
-        if name != "diverged" and not name.startswith("d_")
-    ] + errors
+    """Raise InputError for a metric that the runs of a problem do not have."""
+    known = []
+    for name in metrics.columns(problem.plant):
+        if name != "diverged" and not name.startswith("d_"):
+            known.append(name)
+    for i in range(problem.plant.p):
+        known += [f"d_{edge}_error[{i}]" for edge in EDGES]
     if metric not in known:
         raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")

@@ -1,9 +1,9 @@
-"""Candidates run by run, for observers that compute in Python: slow, but the same runs and the same metrics as on the lanes."""
+"""Candidates run by run, for observers that compute in Python: runs and metrics as on lanes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,16 +12,22 @@ from undeadzone.ensemble.metrics import Tally
 from undeadzone.interfaces import NumericObserver, graph_of
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation import exogenous as inputs
-from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.collect import tips
+from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import last_samples
+from undeadzone.simulation.sample_by_sample import run_sample_by_sample
 from undeadzone.support.arrays import Floats
 
 
 class OneByOne(NamedTuple):
-    """The first `runs` runs of a seed, which differ in their noise and random disturbance alone."""
+    """Runs that differ in their noise and random disturbance alone.
+
+    Attributes:
+        problem: of the first candidate
+        runs: how many: the first ones of the seed
+        seed: of noise and disturbance
+    """
 
     problem: Problem
     runs: int
@@ -34,33 +40,27 @@ class OneByOne(NamedTuple):
 
     def redrawn(self, runs: int, seed: int) -> OneByOne:
         """Other runs: the first `runs` of a seed; one if nothing differs between them."""
-        alike = not (
-            self.problem.sensor.noise.any()
-            or self.problem.sensor.noise_before.any()
-            or inputs.random_disturbance(self.problem)
-        )
-        return OneByOne(self.problem, 1 if alike else runs, seed)
+        sensor = self.problem.sensor
+        noisy = sensor.noise.any() or sensor.noise_before.any()
+        differ = noisy or random_disturbance(self.problem)
+        return OneByOne(self.problem, runs if differ else 1, seed)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
-        """The metrics (candidates x runs x columns) of candidates."""
-        return np.stack(
-            [
-                np.concatenate([self._row(candidate, run) for run in range(self.runs)])
-                for candidate in candidates
-            ]
-        )
+        """The metrics (candidates x runs x columns) of candidates; threads: not used."""
+        return np.stack([self._rows_of(candidate) for candidate in candidates])
 
-    def _row(self, candidate: Problem, run: int) -> Floats:
-        assert isinstance(candidate.observer, NumericObserver)
-        return row(
-            candidate,
-            live.run_sample_by_sample(
-                candidate, candidate.observer, inputs.exogenous(candidate, run=run, seed=self.seed)
-            ),
-        )
+    def _rows_of(self, candidate: Problem) -> Floats:
+        """The metrics (runs x columns) of one candidate."""
+        observer = candidate.observer
+        assert isinstance(observer, NumericObserver)
+        rows = []
+        for run in range(self.runs):
+            inputs = exogenous(candidate, run=run, seed=self.seed)
+            rows.append(row(candidate, run_sample_by_sample(candidate, observer, inputs)))
+        return np.concatenate(rows)
 
 
-def singles(problem: Problem) -> OneByOne:
+def one_by_one(problem: Problem) -> OneByOne:
     """The runs of a problem, none yet. Raises InputError if [ensemble] varies anything."""
     vary = problem.scenario.ensemble
     if vary is not None and vary.entries:
@@ -75,20 +75,26 @@ def row(problem: Problem, out: Outputs) -> Floats:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     worst = np.abs(error).max(axis=1)
-    place = tips(problem, out.x, out.estimate.x, t)
     tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
+    poses = tips(problem, out.x, out.estimate.x, t)
+    tip: Floats = np.empty((1, 0))
+    if poses:
+        tip = _one_number(((poses["tip"] - poses["tip_r"])[tail] ** 2).sum())
     tally = Tally(
-        tracking=np.array([[(error[tail] ** 2).sum()]]),
-        estimation=np.array([[((out.z - out.estimate.z)[tail] ** 2).sum()]]),
-        peak=np.array([[np.fmax.reduce(worst)]]),
-        settled=np.array([[t[worst > tolerance].max(initial=0.0)]]),
-        silent=np.array([[(out.side == 0).sum()]]),
-        effort=np.array([[(out.u**2).sum()]]),
+        tracking=_one_number((error[tail] ** 2).sum()),
+        estimation=_one_number(((out.z - out.estimate.z)[tail] ** 2).sum()),
+        peak=_one_number(np.fmax.reduce(worst)),
+        settled=_one_number(t[worst > tolerance].max(initial=0.0)),
+        silent=_one_number((out.side == 0).sum()),
+        effort=_one_number((out.u**2).sum()),
         right=out.estimate.right[-1:],
         left=out.estimate.left[-1:],
-        tip=np.array([[((place["tip"] - place["tip_r"])[tail] ** 2).sum()]])
-        if place
-        else np.empty((1, 0)),
+        tip=tip,
     )
     states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
     return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))
+
+
+def _one_number(value: Any) -> Floats:
+    """A number of one run (1 x 1)."""
+    return np.array([[value]])

@@ -1,4 +1,4 @@
-"""The numbers in the options of observer and controller, by address, and scenarios with others in their place."""
+"""The numbers in the options of observer and controller, by address, and how to replace them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.ensemble.addresses import matching, stem
+from undeadzone.ensemble.addresses import index_of, matching, stem
 from undeadzone.errors import InputError
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import TABLE, Range
@@ -21,14 +21,27 @@ PARTS: Final = ("observer", "controller")
 
 
 class Number(NamedTuple):
-    """A number of the options: its value, None where it is left to the method; whether it is a whole number."""
+    """A number of the options.
+
+    Attributes:
+        value: in the scenario; None where it is left to the method
+        whole: whether it is a whole number
+    """
 
     value: float | None
     whole: bool
 
 
 class Parameter(NamedTuple):
-    """A number that is tuned, from `start` on, between low and high."""
+    """A number that is tuned.
+
+    Attributes:
+        name: its address
+        low, high: the bounds of its range
+        log: whether shares of the range are counted on a logarithmic scale
+        whole: whether it is a whole number
+        start: where the search begins
+    """
 
     name: str
     low: float
@@ -39,12 +52,13 @@ class Parameter(NamedTuple):
 
     def value(self, u: Floats) -> Floats:
         """The number at the share u, 0 to 1, of the range."""
-        found = (
-            self.low * (self.high / self.low) ** u
-            if self.log
-            else self.low + u * (self.high - self.low)
-        )
-        return np.clip(np.round(found) if self.whole else found, self.low, self.high)
+        if self.log:
+            value = self.low * (self.high / self.low) ** u
+        else:
+            value = self.low + u * (self.high - self.low)
+        if self.whole:
+            value = np.round(value)
+        return np.clip(value, self.low, self.high)
 
     def share(self, value: float) -> float:
         """The share of the range at which a number lies."""
@@ -55,9 +69,10 @@ class Parameter(NamedTuple):
 
 def numbers(scenario: Scenario) -> dict[str, Number]:
     """Every number of the options, by address."""
-    return {
-        name: number for part in PARTS for name, number in _numbers(part, getattr(scenario, part))
-    }
+    by_address: dict[str, Number] = {}
+    for part in PARTS:
+        by_address |= _numbers(part, getattr(scenario, part))
+    return by_address
 
 
 def with_numbers(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
@@ -68,67 +83,98 @@ def with_numbers(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
 
 
 def named(address: str, known: Mapping[str, Number]) -> list[str]:
-    """The numbers that an address stands for; a list may be indexed as the column that it is, one number as a list. Raises InputError."""
-    for form in (
-        address,
-        re.sub(r",[0:]\]$", "]", address),
-        re.sub(r"\[[0:](,[0:])?\]$", "", address),
-    ):
+    """The numbers that an address stands for.
+
+    A list may be indexed as the column that it is, one number as a list.
+
+    Args:
+        address: such as `observer.L` or `observer.L[:,0]`
+        known: the numbers of the options, by address
+
+    Raises:
+        InputError
+    """
+    as_list = re.sub(r",[0:]\]$", "]", address)
+    as_number = re.sub(r"\[[0:](,[0:])?\]$", "", address)
+    for form in (address, as_list, as_number):
         if names := matching(form, known):
             return names
-    key, place = stem(address), TABLE.entry_name(address)
+    raise InputError(f"{TABLE.entry_name(address)}: {_why_unknown(stem(address), known)}")
+
+
+def _why_unknown(key: str, known: Mapping[str, Number]) -> str:
+    """Why no number has an address, and what to do; key: the address without its index."""
     there = [name for name in known if stem(name) == key]
     if there and known[there[0]].value is None:
-        raise InputError(
-            f"{place}: the scenario gives no {key}; write it there, entry by entry, or name another number"
+        return (
+            f"the scenario gives no {key}; write it there, entry by entry, or name another number"
         )
     if there:
-        raise InputError(
-            f"{place}: no such entry; there is {there[0]}{f' to {there[-1]}' if there[1:] else ' alone'}"
-        )
+        extent = f"{there[0]} to {there[-1]}" if there[1:] else f"{there[0]} alone"
+        return f"no such entry; there is {extent}"
     stems = sorted({stem(name) for name in known})
     near = difflib.get_close_matches(key, stems, 1)
-    raise InputError(
-        f"{place}: no number of that name in the options; {f'did you mean {near[0]!r}?' if near else 'there are ' + ', '.join(stems)}"
-    )
+    choice = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(stems)}"
+    return f"no number of that name in the options; {choice}"
 
 
 def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:
-    """What is tuned. Raises InputError: nothing, an address that is not there or there twice, bounds that cannot be."""
+    """What is tuned.
+
+    Args:
+        entries: of the table [tune]: ranges by address
+        scenario: whose options hold the numbers
+
+    Raises:
+        InputError: for no entry, an address that is not there or there twice, bounds that cannot be
+    """
     if not entries:
         raise InputError(
-            f"tune: nothing to tune; name a number and its bounds in a table [tune]: {TABLE.example}"
+            "tune: nothing to tune; name a number and its bounds in a table [tune]: "
+            f"{TABLE.example}"
         )
     known = numbers(scenario)
-    found = [
-        _parameter(address, name, given, known[name])
-        for address, given in entries.items()
-        for name in named(address, known)
-    ]
-    names = [parameter.name for parameter in found]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{TABLE.entry_name(twice[0])}: tuned twice; keep one entry that names it")
-    return tuple(found)
+    tuned: list[Parameter] = []
+    for address, bounds in entries.items():
+        for name in named(address, known):
+            tuned.append(_parameter(address, name, bounds, known[name]))
+    names = [parameter.name for parameter in tuned]
+    for name in names:
+        if names.count(name) > 1:
+            place = TABLE.entry_name(name)
+            raise InputError(f"{place}: tuned twice; keep one entry that names it")
+    return tuple(tuned)
 
 
-def _numbers(name: str, value: Any, kind: Any = None) -> Iterator[tuple[str, Number]]:
-    """The numbers below a value whose annotation is `kind`."""
+def _numbers(name: str, value: Any, kind: Any = None) -> dict[str, Number]:
+    """The numbers below a value of the options, by address.
+
+    Args:
+        name: address of the value
+        value: a number, a list of numbers, or a table
+        kind: its annotation, where it has one
+    """
+    below: dict[str, Number] = {}
     if isinstance(value, msgspec.Struct):
         for field in msgspec.structs.fields(value):
-            yield from _numbers(f"{name}.{field.name}", getattr(value, field.name), field.type)
+            child = getattr(value, field.name)
+            below |= _numbers(f"{name}.{field.name}", child, field.type)
     elif isinstance(value, dict):
         for key, child in value.items():
-            yield from _numbers(f"{name}.{key}", child)
+            below |= _numbers(f"{name}.{key}", child)
     elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
         if kind is None or {int, float, Array} & {kind, *typing.get_args(kind)}:
-            yield name, Number(value, kind is int)
+            below[name] = Number(value, kind is int)
     elif isinstance(value, np.ndarray | list | tuple):
-        array = np.asarray(value, float)
-        for index in np.ndindex(array.shape):
-            yield (
-                name + (f"[{','.join(map(str, index))}]" if index else ""),
-                Number(float(array[index]), False),
-            )
+        below.update(_numbers_of_array(name, np.asarray(value, float)))
+    return below
+
+
+def _numbers_of_array(name: str, array: Floats) -> Iterator[tuple[str, Number]]:
+    """(address, number) of each entry of an array."""
+    for index in np.ndindex(array.shape):
+        place = f"[{','.join(map(str, index))}]" if index else ""
+        yield name + place, Number(float(array[index]), False)
 
 
 def _with(node: Any, path: list[str], value: float) -> Any:
@@ -137,41 +183,45 @@ def _with(node: Any, path: list[str], value: float) -> Any:
     old = node[name] if isinstance(node, dict) else getattr(node, name)
     if path[1:]:
         new = _with(old, path[1:], value)
-    elif index := path[0][len(name) :]:
-        new = np.array(old, float)
-        new[tuple(map(int, index[1:-1].split(",")))] = value
     else:
-        new = (
-            int(value)
-            if isinstance(old, int) and not isinstance(old, bool) and value == int(value)
-            else float(value)
-        )
-    return (
-        node | {name: new}
-        if isinstance(node, dict)
-        else msgspec.structs.replace(node, **{name: new})
-    )
+        new = _replaced(old, index_of(path[0]), value)
+    if isinstance(node, dict):
+        return node | {name: new}
+    return msgspec.structs.replace(node, **{name: new})
 
 
-def _parameter(address: str, name: str, given: Range, number: Number) -> Parameter:
-    place, (low, high) = TABLE.entry_name(address), given.between
+def _replaced(old: Any, index: str, value: float) -> Any:
+    """An option with another number: in place of the entry `[i]` or `[i,j]`, or of all of it."""
+    if index:
+        array = np.array(old, float)
+        array[tuple(map(int, index[1:-1].split(",")))] = value
+        return array
+    whole = isinstance(old, int) and not isinstance(old, bool)
+    if whole and value == int(value):
+        return int(value)
+    return float(value)
+
+
+def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
+    """A number with its checked bounds and its start; address: of its entry. Raises InputError."""
+    place = TABLE.entry_name(address)
+    low, high = bounds.between
     if not -LARGEST <= low < high <= LARGEST:
         raise InputError(
             f"{place}.between: expected [low, high] with low < high, found [{low:g}, {high:g}]"
         )
-    if given.log and low <= 0:
+    if bounds.log and low <= 0:
         raise InputError(
-            f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}; leave out log or raise it"
+            f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}; "
+            "leave out log or raise it"
         )
-    start, whose = (
-        (number.value, f"the scenario's {name}") if given.start is None else (given.start, "start")
-    )
+    start, whose, advice = bounds.start, "start", "widen between"
     if start is None:
-        start = float(np.sqrt(low * high) if given.log else (low + high) / 2)
+        start, whose, advice = number.value, f"the scenario's {name}", f"{advice}, or give start"
+    if start is None:
+        start = float(np.sqrt(low * high) if bounds.log else (low + high) / 2)
     if not low <= start <= high:
-        raise InputError(
-            f"{place}: {whose} = {start:g} lies outside [{low:g}, {high:g}]; widen between{', or give start' * (given.start is None)}"
-        )
-    return Parameter(
-        name, low, high, given.log, number.whole, float(np.round(start) if number.whole else start)
-    )
+        raise InputError(f"{place}: {whose} = {start:g} lies outside [{low:g}, {high:g}]; {advice}")
+    if number.whole:
+        start = float(np.round(start))
+    return Parameter(name, low, high, bounds.log, number.whole, float(start))

@@ -1,11 +1,11 @@
-"""The result of tuning: the numbers found, how, and what they are worth on runs that had no part in finding them."""
+"""The result of tuning: the numbers, how they were found, and what they are worth on other runs."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,30 +22,32 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
 from undeadzone.tuning.objective import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
+from undeadzone.tuning.search import SimulatedCandidate
 
-Stage = Literal["start", "global", "gradient", "local"]
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
 
 
-class Trial(NamedTuple):
-    """A candidate: its numbers, what it costs on the runs tuned on (inf: refused), the margin of its certificate, why it was tried."""
-
-    point: tuple[float, ...]
-    cost: float
-    margin: float
-    stage: Stage
-
-
 class Worth(NamedTuple):
-    """What numbers are worth in a scenario: the statistic over the runs that did not diverge, and the share that did."""
+    """What numbers are worth in a scenario.
+
+    Attributes:
+        value: the statistic over the runs that did not diverge
+        diverged: the share of runs that did
+    """
 
     value: Interval
     diverged: Interval
 
 
 class HeldOut(NamedTuple):
-    """Of one scenario, on that many held-out runs (one if nothing differs between runs): the scenario as it is, and tuned."""
+    """What tuning did in one scenario on held-out runs.
+
+    Attributes:
+        before: what the scenario as it is is worth
+        after: what the tuned one is worth
+        runs: how many; one if nothing differs between runs
+    """
 
     before: Worth
     after: Worth
@@ -56,10 +58,18 @@ class HeldOut(NamedTuple):
 class Tuned:
     """Scenarios with tuned numbers, and how they were found.
 
-    parameters: what was tuned; values: the numbers found; trials: every candidate, in order; runs: simulated to tune, of every
-    candidate in every scenario; seed: of these; seed + 1 is that of `held_out`. cost: of the scenarios as they are and tuned,
-    on the runs tuned on. change: of the cost on held-out runs, the same ones for both, with its interval. margin: of the
-    certificate, None if none was asked for.
+    Attributes:
+        scenarios: the tuned scenarios
+        what: the table [tune]
+        seed: of the runs tuned on; seed + 1 is that of `held_out`
+        parameters: what was tuned
+        values: the numbers found
+        trials: every candidate, in order
+        runs: simulated to tune, of every candidate in every scenario
+        cost: of the scenarios as they are and tuned, on the runs tuned on
+        held_out: of each scenario
+        change: of the cost on held-out runs, the same ones before and after
+        margin: of the certificate; None if none was asked for
     """
 
     scenarios: tuple[Scenario, ...]
@@ -67,7 +77,7 @@ class Tuned:
     seed: int
     parameters: tuple[Parameter, ...]
     values: tuple[float, ...]
-    trials: tuple[Trial, ...]
+    trials: tuple[SimulatedCandidate, ...]
     runs: int
     cost: tuple[float, float]
     held_out: tuple[HeldOut, ...]
@@ -86,55 +96,65 @@ class Tuned:
 
     @property
     def improved(self) -> bool:
-        """Whether held-out runs are better: fewer diverge, or as many and all that is known of the change is an improvement."""
-        before, after = (
-            sum(getattr(each, name).diverged.value for each in self.held_out)
-            for name in ("before", "after")
-        )
-        better = self.change.value < 0 and (
-            self.change.high < 0 or not np.isfinite(self.change.high)
-        )
-        return after < before or (after == before and better)
+        """Whether held-out runs are better.
+
+        Fewer diverge, or as many and all that is known of the change is an improvement.
+        """
+        before = sum(each.before.diverged.value for each in self.held_out)
+        after = sum(each.after.diverged.value for each in self.held_out)
+        change = self.change
+        cheaper = change.value < 0 and (change.high < 0 or not np.isfinite(change.high))
+        return after < before or (after == before and cheaper)
 
     @property
     def at_edge(self) -> list[str]:
         """The tuned numbers that lie at an end of their range: a wider one may do better."""
-        return [
-            p.name
-            for p, value in zip(self.parameters, self.values, strict=True)
-            if not EDGE < p.share(value) < 1 - EDGE
-        ]
+        names = []
+        for parameter, value in zip(self.parameters, self.values, strict=True):
+            if not EDGE < parameter.share(value) < 1 - EDGE:
+                names.append(parameter.name)
+        return names
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
-        """Write a tuned scenario as TOML, every number exactly; files that it names stay where they are. Raises FileError."""
+        """Write a tuned scenario as TOML, every number exactly.
+
+        Files that the scenario names stay where they are.
+
+        Args:
+            path: of the file
+            index: of the scenario
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: where it cannot be written
+        """
         path = Path(path)
-        before, after = (worth.value.value for worth in self.held_out[index][:2])
+        held_out = self.held_out[index]
+        before, after = held_out.before.value.value, held_out.after.value.value
         head = (
-            f"# Tuned by undeadzone {undeadzone.__version__}: {self.what.statistic} {self.what.metric} {before:.4g} -> {after:.4g} on held-out runs,\n"
+            f"# Tuned by undeadzone {undeadzone.__version__}: "
+            f"{self.what.statistic} {self.what.metric} {before:.4g} -> {after:.4g} "
+            "on held-out runs,\n"
             f"# {len(self.trials)} candidates on {self.what.runs} runs each, seed {self.seed}.\n"
         )
-        return write_text(
-            head
-            + toml.dumps(
-                anchored(self.scenarios[index], Path(os.path.relpath(Path(), path.parent)))
-            ),
-            path,
-        )
+        here = Path(os.path.relpath(Path(), path.parent))  # from the file's folder
+        return write_text(head + toml.dumps(anchored(self.scenarios[index], here)), path)
 
     def summary(self) -> dict[str, Any]:
-        """Everything found, ready for JSON; null where there is no bound."""
-        ranges = [
-            {"name": p.name, "low": p.low, "high": p.high, "log": p.log, "start": p.start}
-            for p in self.parameters
-        ]
-        found = {
+        """Everything found, ready for JSON.
+
+        Returns:
+            What was tuned and how, costs, held-out runs and every candidate; null where there is no
+            bound.
+        """
+        summary = {
             "titles": [scenario.title for scenario in self.scenarios],
             "metric": self.what.metric,
             "statistic": self.what.statistic,
             "confidence": LEVEL,
-            "parameters": [
-                {**each, "value": value} for each, value in zip(ranges, self.values, strict=True)
-            ],
+            "parameters": self._plain_parameters(),
             "at_edge": self.at_edge,
             "seed": self.seed,
             "runs": self.what.runs,
@@ -145,84 +165,120 @@ class Tuned:
             "held_out": {
                 "seed": self.seed + 1,
                 "change": self.change._asdict(),
-                "scenarios": [
-                    {"before": _plain(each.before), "after": _plain(each.after), "runs": each.runs}
-                    for each in self.held_out
-                ],
+                "scenarios": [_plain_held_out(each) for each in self.held_out],
             },
             "improved": self.improved,
             "certified": None if self.margin is None else self.certified,
             "margin": self.margin,
-            "history": [
-                {
-                    "values": list(trial.point),
-                    "cost": trial.cost,
-                    "margin": trial.margin,
-                    "stage": trial.stage,
-                }
-                for trial in self.trials
-            ],
+            "history": [_plain_candidate(candidate) for candidate in self.trials],
         }
-        return dict(finite(found))
+        return dict(finite(summary))
+
+    def _plain_parameters(self) -> list[dict[str, Any]]:
+        """What was tuned, for JSON."""
+        plain = []
+        for p, value in zip(self.parameters, self.values, strict=True):
+            bounds = {"low": p.low, "high": p.high, "log": p.log, "start": p.start}
+            plain.append({"name": p.name, **bounds, "value": value})
+        return plain
 
 
-def judged(
+def validate(
     on: Objective,
-    found: tuple[Parameter, ...],
-    trials: list[Trial],
-    best: Trial,
+    tuned: tuple[Parameter, ...],
+    candidates: list[SimulatedCandidate],
+    best: SimulatedCandidate,
     seed: int,
     threads: int | None = None,
 ) -> Tuned:
-    """The result of the best of the trials, judged on held-out runs, those of the next seed."""
+    """The result of tuning: the worth of the best candidate on held-out runs, of the next seed.
+
+    Args:
+        on: the objective
+        tuned: what was tuned
+        candidates: those simulated, in order
+        best: one of them
+        seed: of the runs tuned on
+        threads: default one per processor
+    """
     scenarios = tuple(on.scenario(k, np.array(best.point)) for k in range(len(on.scenarios)))
-    pairs = [
-        [resolve_scenario(scenario) for scenario in pair]
-        for pair in zip(on.scenarios, scenarios, strict=True)
-    ]
-    first = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
+    pairs = []
+    for scenario, tuned_scenario in zip(on.scenarios, scenarios, strict=True):
+        pairs.append([resolve_scenario(scenario), resolve_scenario(tuned_scenario)])
+    lost_as_is = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
     others = on.redrawn(on.what.held_out, seed + 1)
     lost = [others.losses(k, pair, threads) for k, pair in enumerate(pairs)]
-    name = on.what.statistic
     return Tuned(
         scenarios=scenarios,
         what=on.what,
         seed=seed,
-        parameters=found,
+        parameters=tuned,
         values=best.point,
-        trials=tuple(trials),
-        runs=len(trials) * sum(each.shape[1] for each in first),
-        cost=(float(on.scores(first)[0]), best.cost),
-        held_out=tuple(
-            HeldOut(worth(name, before), worth(name, after), before.size) for before, after in lost
-        ),
+        trials=tuple(candidates),
+        runs=len(candidates) * sum(each.shape[1] for each in lost_as_is),
+        cost=(float(on.scores(lost_as_is)[0]), best.cost),
+        held_out=tuple(_held_out(on.what.statistic, each) for each in lost),
         change=change(others, lost, seed),
         margin=best.margin if on.what.certified else None,
     )
 
 
-def _plain(found: Worth) -> dict[str, dict[str, float]]:
-    return {name: interval._asdict() for name, interval in found._asdict().items()}
+def _held_out(name: str, lost: Floats) -> HeldOut:
+    """A statistic of losses (2 x runs) before and after."""
+    before, after = lost
+    return HeldOut(worth(name, before), worth(name, after), before.size)
+
+
+def _plain_held_out(held_out: HeldOut) -> dict[str, Any]:
+    """Held-out runs of one scenario, for JSON."""
+    return {
+        "before": _plain(held_out.before),
+        "after": _plain(held_out.after),
+        "runs": held_out.runs,
+    }
+
+
+def _plain(worth: Worth) -> dict[str, dict[str, float]]:
+    """What numbers are worth, for JSON."""
+    return {name: interval._asdict() for name, interval in worth._asdict().items()}
+
+
+def _plain_candidate(candidate: SimulatedCandidate) -> dict[str, Any]:
+    """A candidate, for JSON."""
+    return {
+        "values": list(candidate.point),
+        "cost": candidate.cost,
+        "margin": candidate.margin,
+        "stage": candidate.stage,
+    }
 
 
 def worth(name: str, lost: Floats) -> Worth:
-    """The statistic of losses (runs) with its interval; the largest of the runs bounds the worst of all from below only."""
+    """The statistic of losses (runs) with its interval.
+
+    The largest of the runs bounds the worst of all runs from below only.
+    """
     kept = np.sort(lost[lost < LIMIT])
     diverged = statistics.proportion(lost.size - kept.size, lost.size)
     if not kept.size:
         return Worth(Interval(np.nan, np.nan, np.nan), diverged)
     if name == "worst":
         return Worth(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
-    return Worth(
-        statistics.mean(kept) if name == "mean" else statistics.quantile(kept, QUANTILES[name]),
-        diverged,
-    )
+    if name == "mean":
+        return Worth(statistics.mean(kept), diverged)
+    return Worth(statistics.quantile(kept, QUANTILES[name]), diverged)
 
 
 def change(on: Objective, lost: list[Floats], seed: int) -> Interval:
-    """What tuning did to the cost, from losses (2 x runs) before and after, between the quantiles of resampled runs.
+    """What tuning did to the cost, between the quantiles of resampled runs.
 
-    A run is drawn with both its losses. Unbounded where resampling says nothing: one run, or the worst of them.
+    A run is drawn with both its losses. The interval is unbounded where resampling says nothing:
+    for one run, or the worst of them.
+
+    Args:
+        on: the objective
+        lost: losses before and after (2 x runs) in each scenario
+        seed: of the resampling
     """
     before, after = on.scores(lost)
     value = float(after - before)
@@ -232,8 +288,9 @@ def change(on: Objective, lost: list[Floats], seed: int) -> Interval:
     rng = np.random.default_rng(seed)
     total = np.zeros(RESAMPLES)
     for each, frame in zip(lost, on.frames, strict=True):
-        drawn = each[:, rng.integers(0, each.shape[1], (RESAMPLES, each.shape[1]))]
-        old, new = statistic(on.what.statistic, drawn)
+        runs = each.shape[1]
+        resampled = each[:, rng.integers(0, runs, (RESAMPLES, runs))]
+        old, new = statistic(on.what.statistic, resampled)
         total += (new - old) / (frame.one - frame.zero) / len(lost)
     low, high = np.quantile(total, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(value, float(low), float(high))

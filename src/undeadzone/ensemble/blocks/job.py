@@ -10,9 +10,14 @@ from undeadzone.support.arrays import Floats
 
 
 class Layout(NamedTuple):
-    """`runs` rows of `columns`, in blocks of `block` runs (the last one may be shorter), and what determines them.
+    """The shape of the rows of a job, and what determines their numbers.
 
-    problem: everything that the numbers depend on besides the number of runs and the versions of packages, by name.
+    Attributes:
+        runs: number of rows
+        columns: names of the columns
+        block: runs in a block; the last block may be shorter
+        problem: everything that the numbers depend on besides the number of runs and the versions
+            of packages, by name
     """
 
     runs: int
@@ -31,25 +36,32 @@ class Layout(NamedTuple):
 
 
 class Job(Protocol):
-    """Work cut into blocks: the rows of a block (its runs x columns) are a function of its index alone."""
+    """Work cut into blocks: the rows of a block (runs x columns) depend on its index alone."""
 
     @property
     def layout(self) -> Layout:
         """What the blocks make up."""
 
     def block(self, index: int, threads: int | None = None) -> Floats:
-        """The rows of one block, on that many threads (default: one per processor); callable from several threads."""
+        """The rows of one block; callable from several threads.
+
+        Args:
+            index: of the block
+            threads: on which to compute; default: one per processor
+        """
 
 
 def versions() -> dict[str, str]:
     """The packages that decide the last bits of the results."""
+    packages = ("casadi", "numba", "llvmlite", "numpy", "scipy")
     return {
         "undeadzone": undeadzone.__version__,
-        **{name: _version(name) for name in ("casadi", "numba", "llvmlite", "numpy", "scipy")},
+        **{name: _version(name) for name in packages},
     }
 
 
 def _version(name: str) -> str:
+    """The version of an installed package."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -1,7 +1,8 @@
-"""Rows on disk, block by block, so that a run that is stopped at any moment (Ctrl-C, kill -9, power) can be continued.
+"""Rows on disk, block by block: a job stopped at any moment (Ctrl-C, kill -9, power) can go on.
 
-One file: a header that says of what, then the columns one after the other, then a checksum for each block, written after
-its rows. A block counts as done if its checksum is that of its rows; so nothing that was torn or lost is ever believed.
+One file holds a header that says of what, then the columns one after the other, then a checksum for
+each block, written after its rows. A block counts as done if its checksum is that of its rows; so
+nothing that was torn or lost is trusted.
 """
 
 from __future__ import annotations
@@ -31,7 +32,15 @@ OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
 
 
 class Store(NamedTuple):
-    """An open store, locked against other processes; done: which blocks it holds."""
+    """An open store, locked against other processes.
+
+    Attributes:
+        path: of its file
+        layout: of the rows
+        file: open for reading and writing
+        start: where the columns begin [bytes]
+        done: which blocks it holds
+    """
 
     path: Path
     layout: Layout
@@ -48,49 +57,44 @@ class Store(NamedTuple):
     def runs_done(self) -> int:
         """The number of runs that it holds."""
         last = self.layout.within(self.layout.blocks - 1)
-        return int(self.done.sum()) * self.layout.block - int(self.done[-1]) * (
-            self.layout.block - (last.stop - last.start)
-        )
+        runs = int(self.done.sum()) * self.layout.block
+        if self.done[-1]:
+            runs -= self.layout.block - (last.stop - last.start)
+        return runs
 
     def put(self, block: int, rows: Floats) -> None:
-        """Keep the rows of a block (its runs x columns). Raises ShapeError, FileError (disk full, file removed)."""
+        """Keep the rows of a block (its runs x columns).
+
+        Raises ShapeError, and FileError (disk full, file removed).
+        """
         runs = self.layout.within(block)
-        expected = (runs.stop - runs.start, len(self.layout.columns))
-        if rows.shape != expected:
-            raise ShapeError(
-                f"block {block}: expected {expected[0]} x {expected[1]}, found {' x '.join(map(str, rows.shape))}"
-            )
-        data = np.ascontiguousarray(rows.T, "<f8")
+        count, width = runs.stop - runs.start, len(self.layout.columns)
+        if rows.shape != (count, width):
+            shape = " x ".join(map(str, rows.shape))
+            raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
+        columns = np.ascontiguousarray(rows.T, "<f8")
         if not os.fstat(self.file.fileno()).st_nlink:
             raise FileError(f"{self.path}: cannot write: it was removed")
+        checksums = _start_of_checksums(self.start, self.layout)
         with _writing(self.path):
-            for column, numbers in enumerate(data):
-                _write(
-                    self.file,
-                    self.start + (column * self.layout.runs + runs.start) * NUMBER,
-                    numbers.tobytes(),
-                )
-            _write(
-                self.file,
-                _checksums(self.start, self.layout) + block * NUMBER,
-                _checksum(block, data.tobytes()),
-            )
+            for index, column in enumerate(columns):
+                offset = _start_of_rows(self.start, self.layout, index, block)
+                _write(self.file, offset, column.tobytes())
+            _write(self.file, checksums + block * NUMBER, _checksum(block, columns.tobytes()))
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
-        """The columns by name (runs each), read from the file as they are used. Raises InputError while blocks are missing."""
+        """The columns by name (runs each), read from the file as they are used.
+
+        Raises InputError while blocks are missing.
+        """
+        layout = self.layout
         if not self.done.all():
-            raise InputError(
-                f"{self.path}: {self.layout.runs - self.runs_done} of {self.layout.runs} runs are missing; resume it first"
-            )
-        shape = (len(self.layout.columns), self.layout.runs)
-        return dict(
-            zip(
-                self.layout.columns,
-                np.memmap(self.file, "<f8", "r", self.start, shape),
-                strict=True,
-            )
-        )
+            left = f"{layout.runs - self.runs_done} of {layout.runs} runs"
+            raise InputError(f"{self.path}: {left} are missing; resume it first")
+        shape = (len(layout.columns), layout.runs)
+        numbers = np.memmap(self.file, "<f8", "r", self.start, shape)
+        return dict(zip(layout.columns, numbers, strict=True))
 
     def close(self) -> None:
         """Close and unlock; the file stays."""
@@ -104,25 +108,31 @@ class Store(NamedTuple):
 
 
 def start(path: Path, layout: Layout, resume: bool = False) -> Store:
-    """Open a store, or make one where there is none; resume: take up what an earlier run left there.
+    """Open a store, or make one where there is none.
 
-    Raises FileError where it cannot be written, another process uses it, the file is something else, or it is there and
-    `resume` is not set; InputError where it holds another problem.
+    Args:
+        path: of its file
+        layout: of the rows
+        resume: take up what an earlier run left there
+
+    Raises:
+        FileError: where it cannot be written, another process uses it, the file is something else,
+            or it is there and `resume` is not set
+        InputError: where it holds another problem
     """
     header = _header(layout)
     with _writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = io.FileIO(
-            path, "r+", opener=lambda name, flags: os.open(name, flags | os.O_CREAT, 0o666)
-        )
+        file = io.FileIO(path, "r+", opener=_open_or_create)
     try:
         _lock(path, file)
-        found = _read(file, 0, len(header) + OTHER_HEADER)
-        fresh = not found.strip(b"\0")
+        there = _read(file, 0, len(header) + OTHER_HEADER)
+        fresh = not there.strip(b"\0")
         if not fresh:
-            _check(path, found, header, resume)
+            _check(path, there, header, resume)
+        size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
         with _writing(path):
-            _allocate(path, file, _checksums(len(header), layout) + layout.blocks * NUMBER, fresh)
+            _allocate(path, file, size, fresh)
             if fresh:
                 _write(file, 0, header)
             return Store(path, layout, file, len(header), _done(file, len(header), layout))
@@ -131,70 +141,95 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         raise
 
 
+def _open_or_create(name: str, flags: int) -> int:
+    """Open a file, which is made where there is none; nothing is cut off."""
+    return os.open(name, flags | os.O_CREAT, 0o666)
+
+
 def _header(layout: Layout) -> bytes:
-    words = (
-        {"ensemble": 1, "runs": layout.runs, "columns": layout.columns, "block": layout.block}
-        | layout.problem
-        | versions()
-    )
+    """What determines the numbers, as a line of JSON in whole pages."""
+    words = {
+        "ensemble": 1,
+        "runs": layout.runs,
+        "columns": layout.columns,
+        "block": layout.block,
+        **layout.problem,
+        **versions(),
+    }
     line = json.dumps(words).encode() + b"\n"
-    return line.ljust(-(-len(line) // PAGE) * PAGE, b"\0")
+    pages = -(-len(line) // PAGE)
+    return line.ljust(pages * PAGE, b"\0")
 
 
-def _check(path: Path, found: bytes, header: bytes, resume: bool) -> None:
+def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
+    """Raise FileError or InputError for a file that cannot be continued.
+
+    Args:
+        path: of the file
+        beginning: of its bytes
+        header: as a file of this job begins
+        resume: whether it is to be continued
+    """
     try:
-        there, here = (json.loads(text.partition(b"\n")[0]) for text in (found, header))
+        there = json.loads(beginning.partition(b"\n")[0])
+        here = json.loads(header.partition(b"\n")[0])
         there["ensemble"]
-        differences = [
-            _difference(key, there.get(key), here.get(key))
-            for key in here | there
-            if there.get(key) != here.get(key)
-        ]
+        differing = [key for key in here | there if there.get(key) != here.get(key)]
+        differences = [_difference(key, there.get(key), here.get(key)) for key in differing]
     except (ValueError, TypeError, AttributeError, KeyError):
         raise FileError(
             f"{path}: is not an unfinished ensemble; choose another name or delete it"
         ) from None
     if not resume:
         raise FileError(
-            f"{path}: an unfinished ensemble is there; continue it with --resume, or delete it to start anew"
+            f"{path}: an unfinished ensemble is there; continue it with --resume, "
+            "or delete it to start anew"
         )
     if differences:
         raise InputError(
-            f"{path}: holds another problem ({'; '.join(differences)}); delete it to start anew, or choose another name"
+            f"{path}: holds another problem ({'; '.join(differences)}); "
+            "delete it to start anew, or choose another name"
         )
 
 
 def _difference(key: str, there: object, here: object) -> str:
     """The first lines in which two values differ."""
+    was, now = there, here
     lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
-    was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
+    for line_there, line_here in lines:
+        if line_there != line_here:
+            was, now = line_there, line_here
+            break
     return f"{key}: {was!s:.60} there, {now!s:.60} here"
 
 
 def _done(file: io.FileIO, start: int, layout: Layout) -> npt.NDArray[np.bool_]:
-    checksums = _read(file, _checksums(start, layout), layout.blocks * NUMBER)
+    """Which blocks of a file have the checksum of their rows."""
+    checksums = _read(file, _start_of_checksums(start, layout), layout.blocks * NUMBER)
     done = np.zeros(layout.blocks, bool)
-    for block in np.flatnonzero(np.frombuffer(checksums, "<u8")):
-        runs = layout.within(int(block))
-        offsets = (
-            start + (column * layout.runs + runs.start) * NUMBER
-            for column in range(len(layout.columns))
-        )
-        data = b"".join(
-            _read(file, offset, (runs.stop - runs.start) * NUMBER) for offset in offsets
-        )
-        done[block] = (
-            _checksum(int(block), data) == checksums[block * NUMBER : (block + 1) * NUMBER]
-        )
+    for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
+        runs = layout.within(block)
+        size = (runs.stop - runs.start) * NUMBER
+        columns = range(len(layout.columns))
+        offsets = [_start_of_rows(start, layout, column, block) for column in columns]
+        rows = b"".join(_read(file, offset, size) for offset in offsets)
+        kept = checksums[block * NUMBER : (block + 1) * NUMBER]
+        done[block] = _checksum(block, rows) == kept
     return done
 
 
-def _checksums(start: int, layout: Layout) -> int:
-    """Where the checksums begin."""
+def _start_of_rows(start: int, layout: Layout, column: int, block: int) -> int:
+    """Where the numbers of a block begin in a column [bytes]."""
+    return start + (column * layout.runs + layout.within(block).start) * NUMBER
+
+
+def _start_of_checksums(start: int, layout: Layout) -> int:
+    """Where the checksums begin [bytes]."""
     return start + len(layout.columns) * layout.runs * NUMBER
 
 
 def _checksum(block: int, data: bytes) -> bytes:
+    """The checksum of the rows of a block, which also tells blocks apart."""
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
 
 
@@ -206,9 +241,8 @@ def _lock(path: Path, file: io.FileIO) -> None:
 
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        used = not os.fstat(
-            file.fileno()
-        ).st_nlink  # finished and removed by another process between opening and locking
+        # Another process may have finished and removed it between opening and locking.
+        used = not os.fstat(file.fileno()).st_nlink
     except BlockingIOError:
         used = True
     except OSError:  # some network file systems have no locks
@@ -235,6 +269,7 @@ def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
 
 
 def _write(file: io.FileIO, offset: int, data: bytes) -> None:
+    """Write all of some bytes, in as many calls as the system asks for."""
     file.seek(offset)
     view = memoryview(data)
     while view:
@@ -242,12 +277,14 @@ def _write(file: io.FileIO, offset: int, data: bytes) -> None:
 
 
 def _read(file: io.FileIO, offset: int, size: int) -> bytes:
+    """Some bytes, or as many as there are."""
     file.seek(offset)
     return file.read(size)
 
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
+    """Failures to write as FileError."""
     try:
         yield
     except (OSError, OverflowError, ValueError) as error:

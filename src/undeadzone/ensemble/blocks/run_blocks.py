@@ -21,41 +21,62 @@ def run(
     cluster: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> journal.Store:
-    """The complete store of a job at `path`: read its `columns` inside `keeping`, `remove` it once they are elsewhere, or `close` it.
+    """Compute a job and keep its rows in a store on disk.
 
-    resume: keep the blocks that an earlier run left there. workers, cluster: compute on that many processes, or on the
-    Dask cluster at that address; the bits are the same. progress: told of runs just done. What stops it (Ctrl-C, an
-    error) says what is kept. Raises InputError and its kinds: FileError, ClusterError.
+    Whatever stops it (Ctrl-C, an error) says what is kept. The bits are the same wherever they are
+    computed.
+
+    Args:
+        prepare: gives the job; picklable where workers or a cluster compute
+        path: of the store
+        resume: keep the blocks that an earlier run left there
+        workers: number of local processes that compute; default: this one
+        cluster: address of a Dask cluster that computes instead
+        progress: called with the number of runs just done
+
+    Returns:
+        The complete store: read its `columns` inside `keeping`, then `remove` it once they are
+        elsewhere, or `close` it.
+
+    Raises:
+        InputError or a subclass: FileError, ClusterError
     """
     job = prepare()
     store = journal.start(path, job.layout, resume)
-    tell = progress or (lambda runs: None)
+    report = progress or _silent
     with keeping(store):
         if store.runs_done:
-            tell(store.runs_done)
+            report(store.runs_done)
         with closing(_results(prepare, job, store.missing, workers, cluster)) as blocks:
             for block, rows in blocks:
                 store.put(block, rows)
-                tell(len(rows))
+                report(len(rows))
     return store
 
 
 @contextmanager
 def keeping(store: journal.Store) -> Iterator[None]:
-    """Close the store if something stops what is done inside, which then says what is kept; an empty store is removed."""
+    """Close the store if something stops what is done inside.
+
+    What stops it then says what is kept; a store without runs is removed.
+    """
     try:
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_leave(store)) from None
     except UndeadzoneError as error:
-        raise type(error)("; ".join(filter(None, (str(error), _leave(store))))) from None
+        sentences = (str(error), _leave(store))
+        raise type(error)("; ".join(filter(None, sentences))) from None
     except BaseException as error:
         kept = _leave(store)
-        if isinstance(
-            error.__context__, KeyboardInterrupt
-        ):  # Ctrl-C within a lock of the thread pool ends as a RuntimeError
+        # Ctrl-C within a lock of the thread pool ends as a RuntimeError.
+        if isinstance(error.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt(kept) from None
         raise
+
+
+def _silent(runs: int) -> None:
+    """Progress that nobody asked for."""
 
 
 def _results(
@@ -65,6 +86,7 @@ def _results(
     workers: int | None,
     cluster: str | None,
 ) -> Generator[tuple[int, Floats], None, None]:
+    """(block, its rows) as they are computed."""
     if workers is not None or cluster is not None:
         from undeadzone.ensemble.blocks.dask_cluster import results
 
@@ -75,8 +97,10 @@ def _results(
 
 
 def _leave(store: journal.Store) -> str:
+    """Close a store, or remove one without runs, and say what it holds."""
     if not store.runs_done:
         store.remove()
         return ""
     store.close()
-    return f"{store.runs_done} of {store.layout.runs} runs are kept in {store.path}; continue with --resume"
+    runs = f"{store.runs_done} of {store.layout.runs} runs"
+    return f"{runs} are kept in {store.path}; continue with --resume"

@@ -1,4 +1,8 @@
-"""Columns and a header in a file: `.npz`, the same bytes for the same numbers and read as a map, or `.parquet` for other tools."""
+"""Columns and a header in a file: `.npz` or `.parquet`.
+
+An `.npz` has the same bytes for the same numbers and is read as a map; a `.parquet` is for other
+tools.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import struct
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
@@ -15,14 +19,20 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.files import reason, replacing
 
 HEADER: Final = "undeadzone"
+COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
+ATTACHED: Final = "attached/"
 CHUNK: Final = 2**20  # rows in a row group of Parquet
-ZIP_SIZES: Final = (
-    26  # where a local header in a zip file holds the lengths of its name and extra field
-)
+ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
 
 
 class Table(NamedTuple):
-    """header: text; columns: equally long; attached: other arrays."""
+    """What a file holds.
+
+    Attributes:
+        header: text
+        columns: equally long, by name
+        attached: other arrays, by name
+    """
 
     header: str
     columns: Mapping[str, Floats]
@@ -30,7 +40,7 @@ class Table(NamedTuple):
 
 
 def require(path: Path) -> None:
-    """Raise InputError where no table can be written: for another suffix, or where pyarrow is missing."""
+    """Raise InputError where no table can be written: another suffix, or pyarrow is missing."""
     if path.suffix not in (".npz", ".parquet"):
         raise InputError(f"{path}: the name must end in .npz or .parquet")
     if path.suffix == ".parquet":
@@ -40,8 +50,10 @@ def require(path: Path) -> None:
 def save(table: Table, path: Path) -> Path:
     """Write a table as its suffix says. Raises FileError, InputError."""
     require(path)
-    write = _write_parquet if path.suffix == ".parquet" else _write_npz
-    write(table, path)
+    if path.suffix == ".parquet":
+        _write_parquet(table, path)
+    else:
+        _write_npz(table, path)
     return path
 
 
@@ -58,80 +70,81 @@ def load(path: Path) -> Table:
 
 
 def _write_npz(table: Table, path: Path) -> None:
+    """Write the header and every array as a member of a zip file."""
     arrays: dict[str, Any] = {HEADER: np.frombuffer(table.header.encode(), np.uint8)}
-    arrays |= {f"columns/{name}": values for name, values in table.columns.items()}
-    arrays |= {
-        f"attached/{name}": np.ascontiguousarray(values) for name, values in table.attached.items()
-    }
+    for name, values in table.columns.items():
+        arrays[COLUMNS + name] = values
+    for name, values in table.attached.items():
+        arrays[ATTACHED + name] = np.ascontiguousarray(values)
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)
 
 
 def _read_npz(path: Path) -> Table:
     """Arrays are mapped, not read; but every byte is checked first."""
-    found = {}
+    arrays = {}
     with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
         torn = archive.testzip()
         if torn is not None:
             raise ValueError(f"{torn} is damaged")
         for entry in archive.infolist():
-            file.seek(entry.header_offset + ZIP_SIZES)
-            file.seek(sum(struct.unpack("<HH", file.read(4))), 1)
-            np.lib.format.read_magic(file)
-            shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-            found[entry.filename.removesuffix(".npy")] = np.memmap(
-                path, dtype, "r", file.tell(), shape, "F" if fortran else "C"
-            )
-    header = found[HEADER].tobytes().decode()
-    columns, attached = (
-        {n.removeprefix(kind): v for n, v in found.items() if n.startswith(kind)}
-        for kind in ("columns/", "attached/")
-    )
-    return Table(header, columns, attached)
+            arrays[entry.filename.removesuffix(".npy")] = _mapped(path, file, entry.header_offset)
+    header = arrays[HEADER].tobytes().decode()
+    return Table(header, _below(COLUMNS, arrays), _below(ATTACHED, arrays))
+
+
+def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
+    """The array of an uncompressed member of a zip file, as a map; offset: of its local header."""
+    file.seek(offset + ZIP_SIZES)
+    name_size, extra_size = struct.unpack("<HH", file.read(4))
+    file.seek(name_size + extra_size, 1)
+    np.lib.format.read_magic(file)
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    return np.memmap(path, dtype, "r", file.tell(), shape, "F" if fortran else "C")
+
+
+def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays of one kind, by their own names."""
+    names = [name for name in arrays if name.startswith(kind)]
+    return {name.removeprefix(kind): arrays[name] for name in names}
 
 
 def _write_parquet(table: Table, path: Path) -> None:
+    """Write the columns as Parquet; header and other arrays become its metadata."""
     arrow = _arrow()
     import pyarrow.parquet as parquet
 
-    extra = {
-        f"attached/{name}": np.ascontiguousarray(values, "<f8").tobytes()
-        for name, values in table.attached.items()
-    }
-    schema = arrow.schema(
-        [(name, arrow.float64()) for name in table.columns], metadata={HEADER: table.header} | extra
-    )
+    metadata: dict[str, str | bytes] = {HEADER: table.header}
+    for name, values in table.attached.items():
+        metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
+    schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata=metadata)
     runs = len(next(iter(table.columns.values())))
     with (
         replacing(path) as temporary,
         parquet.ParquetWriter(temporary, schema, compression="zstd") as writer,
     ):
         for start in range(0, runs, CHUNK):
-            rows = [
-                np.asarray(values[start : start + CHUNK], float)
-                for values in table.columns.values()
-            ]
-            writer.write_table(
-                arrow.Table.from_arrays([arrow.array(part) for part in rows], schema=schema)
-            )
+            chunks = [column[start : start + CHUNK] for column in table.columns.values()]
+            parts = [arrow.array(np.asarray(chunk, float)) for chunk in chunks]
+            writer.write_table(arrow.Table.from_arrays(parts, schema=schema))
 
 
 def _read_parquet(path: Path) -> Table:
+    """The columns in memory, header and other arrays from the metadata."""
     _arrow()
     import pyarrow.parquet as parquet
 
     table = parquet.read_table(path)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
-    attached = {
-        name.removeprefix("attached/"): np.frombuffer(value, "<f8")
-        for name, value in metadata.items()
-        if name.startswith("attached/")
-    }
+    attached = {}
+    for name, value in _below(ATTACHED, metadata).items():
+        attached[name] = np.frombuffer(value, "<f8")
     return Table(metadata[HEADER].decode(), columns, attached)
 
 
 def _arrow() -> Any:
+    """The package pyarrow. Raises InputError where it is missing."""
     try:
         import pyarrow
     except ImportError:
