@@ -17,7 +17,8 @@ import pytest
 from undeadzone.controllers import PD
 from undeadzone.observers import Printed
 from undeadzone.paper import Paper, audit, measures, write
-from undeadzone.paper.claims import TEXTS, Claim
+from undeadzone.paper.claim_texts import TEXTS
+from undeadzone.paper.claims import Claim
 from undeadzone.paper.equations import EQUATIONS, FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING, SIGNED
 from undeadzone.paper.example import ALPHA, READINGS, D, printed
