@@ -36,6 +36,7 @@ CONTROLLERS = {
 
 
 def table() -> str:
+    """Every count."""
     if importlib.util.find_spec("adam") is None:
         return "## Operations of a six-joint arm\n\nNot counted: adam-robotics is not installed.\n"
     arm = sampled(system(Plant(arm=URDF(path=str(UR5)))), STEP, 1)

@@ -47,6 +47,7 @@ class Work(NamedTuple):
 
     @property
     def steps(self) -> int:
+        """How many."""
         return len(self.targets)
 
 

@@ -62,7 +62,7 @@ def rival(label: str, name: str, function: str, move: Move, runs: int, **options
 
 def rows(group: str, entries: list[Entry], rounds: int = 20, *, alike: bool = True) -> list[str]:
     """A row for each, the first being ours; alike: they compute the same final states."""
-    finals = [one.run() if callable(one.run) else None for one in entries]
+    finals = [_final(one) for one in entries]
     best = [math.inf] * len(entries)
     for _ in range(rounds):
         for i, one in enumerate(entries):
@@ -79,6 +79,11 @@ def rows(group: str, entries: list[Entry], rounds: int = 20, *, alike: bool = Tr
             cells = [one.run, "", ""]
         lines.append(row(group, one.label, *cells))
     return lines
+
+
+def _final(entry: Entry) -> Any:
+    """The final states of a program, None if there is none."""
+    return entry.run() if callable(entry.run) else None
 
 
 def _apart(ours: Any, its: Any) -> str:

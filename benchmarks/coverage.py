@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from benchmarks.filterpy_filters import extended, unscented
 from benchmarks.markdown import row
 from benchmarks.random_problems import (
     CORRELATION,
@@ -29,7 +30,7 @@ from undeadzone.observers import Censored, Kalman, Observer, Reading
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, deadzone, resolve, side
+from undeadzone.sensor import Sensor, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -178,43 +179,6 @@ def verdict(
         d_cov=d_cov,
         nis=nis,
     )
-
-
-def extended(posed: Problems, k: int) -> Any:
-    """filterpy's EKF on [x; d_r; d_l], its branch of the dead zone the predicted one."""
-    from filterpy.kalman import ExtendedKalmanFilter
-
-    n = posed.models[k].A.shape[0]
-    rival = ExtendedKalmanFilter(n + 2, 1)
-
-    def slope(v: Floats) -> Floats:
-        right, left = float(v[0] > v[n]), float(v[0] < -v[n + 1])
-        return np.concatenate([[right + left], np.zeros(n - 1), [-right, left]])[None, :]
-
-    def reading(v: Floats) -> Floats:
-        return np.array([deadzone(v[0], v[n], v[n + 1])])
-
-    def correct(y: float) -> None:
-        rival.update(np.array([y]), slope, reading)
-
-    return rival, correct
-
-
-def unscented(posed: Problems, k: int) -> Any:
-    """filterpy's UKF on [x; d_r; d_l], alpha 1, beta 2, kappa 0.5."""
-    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-
-    n = posed.models[k].A.shape[0]
-    points = MerweScaledSigmaPoints(n + 2, 1.0, 2.0, 0.5)
-
-    def reading(v: Floats) -> Floats:
-        return np.array([deadzone(v[0], v[n], v[n + 1])])
-
-    def move(v: Floats, dt: float, F: Floats, G: Floats) -> Floats:
-        return F @ v + G
-
-    rival = UnscentedKalmanFilter(n + 2, 1, STEP, reading, move, points)
-    return rival, lambda y: rival.update(np.array([y]))
 
 
 def rivalling(build: Callable[[Problems, int], Any], posed: Problems, count: int) -> Verdict:

@@ -82,6 +82,7 @@ def truth(work: Work) -> Result:
 
 @functools.cache
 def _truth(n: int, duration: float, time: Time) -> Result:
+    """`truth` of works of one kind, computed once."""
     return ours.truth(draw(CHECKED, duration, n=n, time=time))
 
 

@@ -161,11 +161,10 @@ def costs(rows: Sequence[Row]) -> Figure:
         if row.cost is None:
             continue
         x, y = row.cost, float(np.clip(row.median_regret, LEAST, CAP))
-        colour = ZONE if row.reference else ESTIMATE
+        colour, ink = (ZONE, ZONE) if row.reference else (ESTIMATE, TRUTH)
         axes.plot(x, y, "o", color=colour, markersize=11, alpha=0.25, markeredgewidth=0)
         axes.text(x, y, str(place), color=TRUTH, fontsize=6.5, ha="center", va="center")
         words, down = f"{place:>2}  {row.method}", 1 - place / (len(rows) + 1)
-        ink = ZONE if row.reference else TRUTH
         names.text(0.0, down, words, color=ink, fontsize=8, va="center")
     axes.set_xscale("log")
     axes.set_yscale("log")

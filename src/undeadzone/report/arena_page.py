@@ -118,7 +118,9 @@ def arena_page(contest: Contest, images: Mapping[str, bytes]) -> str:
 
 def _cells(row: Row) -> tuple[Any, ...]:
     """The row of a method, as `HEAD` names its cells; lines to compare with are grey."""
-    name = Html(f'<span class="note">{row.method}</span>') if row.reference else row.method
+    name: str | Html = row.method
+    if row.reference:
+        name = Html(f'<span class="note">{row.method}</span>')
     regret = (_rounded(row.median_regret), _interval(row.median_interval))
     behind = (_rounded(row.behind), _interval(row.behind_interval))
     worst = (_rounded(row.worst_regret), _interval(row.worst_interval), row.worst_scenario)
@@ -149,7 +151,7 @@ def _runs(contest: Contest) -> str:
 
 def _count(number: int, what: str) -> str:
     """A number of things: "1 run", "2 runs"."""
-    return f"{number} {what}s" if number > 1 else f"{number} {what}"
+    return f"{number} {what}{'s' * (number > 1)}"
 
 
 def _verdict(contest: Contest) -> Html:

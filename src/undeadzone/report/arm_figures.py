@@ -43,12 +43,13 @@ def tip(run: Run, rival: Run | None = None) -> Figure:
     """The tip on its path in each plane it moves in, its distance from the path, the torques."""
     assert run.tip is not None
     spatial = run.tip.shape[1] == 3
-    rows = SPATIAL if spatial else PLANAR
-    figure, panels = sheet(rows, f"{run.info.title}: the tip", height=3.2)
+    title = f"{run.info.title}: the tip"
     if spatial:
+        figure, panels = sheet(SPATIAL, title, height=3.2)
         for name, plane in PLANES.items():
             _plane(panels[name], run, rival, plane, f" in {name}")
     else:
+        figure, panels = sheet(PLANAR, title, height=3.2)
         _plane(panels["x-y"], run, rival, PLANES["x-y"], "")
     figure.legend(*panels["x-y"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
     _distances(panels["error"], run, rival)

@@ -43,7 +43,9 @@ def words(quantity: str) -> str:
     if quantity in WORDS:
         return WORDS[quantity]
     edge, _, output = quantity.partition("_error[")
-    return f"{edge[:3]}^ − {edge[:3]}, output {output[:-1]}" if output else quantity
+    if not output:
+        return quantity
+    return f"{edge[:3]}^ − {edge[:3]}, output {output[:-1]}"
 
 
 def distributions(result: Ensemble) -> Figure:
@@ -66,9 +68,9 @@ def distributions(result: Ensemble) -> Figure:
         for axes in (above, below):
             axes.xaxis.set_minor_formatter(NullFormatter())
         below.set_xlim(above.get_xlim())
-        first = name == names[0]
-        of_bins = "share of runs in each bin [%]" if first else ""
-        of_runs = "share of runs beyond it" if first else ""
+        of_bins, of_runs = "", ""
+        if name == names[0]:
+            of_bins, of_runs = "share of runs in each bin [%]", "share of runs beyond it"
         quantity = WORDS[name]
         finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
         finish(below, "", of_runs, label(quantity, result.unit(name)), legend=0)

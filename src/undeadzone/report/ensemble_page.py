@@ -109,8 +109,9 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
         parts.append(tag("span", f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
         worst = summary["metrics"][MAIN]["p99"]
-        unit = "" if result.unit(MAIN) == "1" else f" {result.unit(MAIN)}"
-        limit = f"{WORDS[MAIN]} at most {worst['value']:.4g}{unit}"
+        limit = f"{WORDS[MAIN]} at most {worst['value']:.4g}"
+        if result.unit(MAIN) != "1":
+            limit += f" {result.unit(MAIN)}"
         parts.append(tag("span", f"{limit} in 99 % of the runs that did not diverge"))
     return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
 
@@ -153,7 +154,9 @@ def _distribution(name: str, values: Mapping[str, Any], unit: str) -> tuple[Any,
 
 def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
     """The cell of a value; of a settling time without a bound, words."""
-    return "never" if name == "settling_time" and value["value"] is None else cell
+    if name == "settling_time" and value["value"] is None:
+        return "never"
+    return cell
 
 
 def _interval(value: Mapping[str, float | None]) -> Html:
@@ -207,7 +210,9 @@ def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
 
 def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
     """The row of a run: its number, its error or that it diverged, its entries."""
-    outcome = tag("span", "diverged", "no") if run["diverged"] else run["metrics"][MAIN]
+    outcome = run["metrics"][MAIN]
+    if run["diverged"]:
+        outcome = tag("span", "diverged", "no")
     return (run["run"], outcome, *run["varied"].values())
 
 

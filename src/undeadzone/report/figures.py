@@ -144,8 +144,9 @@ def _output(axes: Axes, run: Run, i: int, of: str) -> None:
     axes.plot(t, run.z[shown, i], color=TRUTH, label="output z")
     estimate = run.z_hat[shown, i]
     axes.plot(t, estimate, color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
-    stop = "" if run.diverged_at is None else f", diverged at {run.diverged_at:.4g} s"
-    title = f"Output{of} and what is known of it{stop}"
+    title = f"Output{of} and what is known of it"
+    if run.diverged_at is not None:
+        title += f", diverged at {run.diverged_at:.4g} s"
     finish(axes, title, label("z, y", run.unit("z")), legend=5)
 
 

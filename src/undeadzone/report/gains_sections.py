@@ -25,8 +25,10 @@ def verdict(of: Assessment) -> Html:
     parts = []
     if of.gains is not None:
         proof = of.gains.certificate
-        words = f"certified, margin {proof.margin:.4g}" if proof.certified else "not certified"
-        parts.append(_yes(proof.certified, words))
+        if proof.certified:
+            parts.append(_yes(True, f"certified, margin {proof.margin:.4g}"))
+        else:
+            parts.append(_yes(False, "not certified"))
         parts.append(tag("span", f"rate {of.gains.rates.rate:.4g} 1/s"))
     if all(known.right and known.left for known in of.known):
         parts.append(_yes(True, "every width can be known"))
@@ -74,7 +76,9 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[Html]:
     if tried is not None:
         count = f"{tried.attack.trajectories:,}"
         attempts = f" {count} random and adversarial trajectories did not make V rise."
-    widths = " + the sum of w |d~|² / γ over the outputs" if gains.dynamics.gamma.any() else ""
+    widths = ""
+    if gains.dynamics.gamma.any():
+        widths = " + the sum of w |d~|² / γ over the outputs"
     guarantee = (
         f"For an exact model without noise and disturbance, V = x~'P x~{widths} never rises, "
         "whatever the sides do and in whatever order, with projection and silence innovation too; "
@@ -173,7 +177,9 @@ def _known(known: Knowledge, name: str) -> Html:
     """Whether a direction can be known, with its deviation if that is."""
     if not getattr(known, name):
         return _yes(False, "no")
-    return _yes(True, f"± {known.std[name]:.2g}" if name in known.std else "yes")
+    if name not in known.std:
+        return _yes(True, "yes")
+    return _yes(True, f"± {known.std[name]:.2g}")
 
 
 def trade_section(design: Design) -> list[Html]:

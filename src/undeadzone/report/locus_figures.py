@@ -20,7 +20,6 @@ from undeadzone.report.style import (
     finish,
     sheet,
 )
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.assessment import Assessment, Gains
 
 if TYPE_CHECKING:
@@ -151,8 +150,11 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
 
 def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     """The rate [1/s] along the reference with one gain scaled."""
-    L: Floats = factor * gains.L if name == "L" else gains.L
-    gamma: Floats = factor * gains.gamma if name == "gamma" else gains.gamma
+    L, gamma = gains.L, gains.gamma
+    if name == "L":
+        L = factor * L
+    else:
+        gamma = factor * gamma
     jump = of.problem.sensor.kind == "jump"
     return rates(of.problem.model.linear, L, gamma, of.schedule, jump).rate
 

@@ -56,28 +56,31 @@ def positive_realness(proof: Certificate) -> Figure:
     For several outputs the eigenvalues of its Hermitian part under the weights W. Sampled,
     1 + G - Ts gamma / 2 on the unit circle. The model must be stable: the margin finite.
     """
-    Ts = proof.dynamics.Ts
     w = _frequencies(proof.dynamics)
     worst_at = np.inf if proof.frequency is None else proof.frequency
     H = _response(proof.dynamics, proof.W, w)
-    worst = _response(proof.dynamics, proof.W, np.array([worst_at]))[0]
-    of_one = H.shape[1] == 1
-    rows = [["real"]]
-    if of_one:
-        zoomed = np.abs(H).max() > 15 * abs(proof.margin)
-        rows = [["curve", "zoom", "real"]] if zoomed else [["curve", "real"]]
-    at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
-    verdict = "certified" if proof.certified else "not certified"
-    title = f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}"
-    figure, panels = sheet(rows, title, height=4.0)
-    what = "1 + G" if Ts is None else "1 + G − Ts γ/2"
-    words = f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
-    if of_one:
+    what = "1 + G" if proof.dynamics.Ts is None else "1 + G − Ts γ/2"
+    if H.shape[1] > 1:
+        figure, panels = sheet([["real"]], _verdict(proof, worst_at), height=4.0)
+        words = f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
+    else:
+        worst = _response(proof.dynamics, proof.W, np.array([worst_at]))[0]
+        rows = [["curve", "real"]]
+        if np.abs(H).max() > 15 * abs(proof.margin):
+            rows = [["curve", "zoom", "real"]]
+        figure, panels = sheet(rows, _verdict(proof, worst_at), height=4.0)
+        _nyquist_curves(panels, H[:, 0, 0], worst[0, 0], proof, what)
         words = f"Re ({what})"
-        _nyquist_curves(panels, H[:, 0, 0], worst[0, 0], proof.margin, what, Ts)
     _eigenvalues(panels["real"], w, H, proof.margin, worst_at)
     finish(panels["real"], f"{words} over frequency", "", "ω [rad/s]", legend=0)
     return figure
+
+
+def _verdict(proof: Certificate, worst_at: float) -> str:
+    """The least real part, where it is attained [rad/s], and whether it certifies."""
+    at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
+    verdict = "certified" if proof.certified else "not certified"
+    return f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}"
 
 
 def _frequencies(errors: Dynamics) -> Floats:
@@ -101,12 +104,7 @@ def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
 
 
 def _nyquist_curves(
-    panels: dict[str, Axes],
-    curve: np.ndarray,
-    worst: complex,
-    margin: float,
-    what: str,
-    Ts: float | None,
+    panels: dict[str, Axes], curve: np.ndarray, worst: complex, proof: Certificate, what: str
 ) -> None:
     """The curve of one output, and around its worst point again where that would be too small."""
     axes = panels["curve"]
@@ -114,10 +112,11 @@ def _nyquist_curves(
     finish(axes, f"Nyquist curve of {what}", "Im", "Re", legend=0)
     if abs(curve[0] - curve[-1]) > 0.2 * np.abs(curve).max():
         _name_point(axes, curve[0], "ω = 0")
-        _name_point(axes, curve[-1], "ω → ∞" if Ts is None else "ω = π/Ts")
+        continuous = proof.dynamics.Ts is None
+        _name_point(axes, curve[-1], "ω → ∞" if continuous else "ω = π/Ts")
     if "zoom" in panels:
         _curve(panels["zoom"], curve, worst)
-        _near(panels["zoom"], curve, worst, abs(margin))
+        _near(panels["zoom"], curve, worst, abs(proof.margin))
         finish(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
 
 

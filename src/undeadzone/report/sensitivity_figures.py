@@ -141,8 +141,11 @@ def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN
         return None
     names = list(sensitivities)[:2]
     two = len(names) == 2
-    row, width = ([*names, "both"], 13.0) if two else (names, 6.5)
-    figure, panels = sheet([row], "The most influential entries", width=width, height=4.4)
+    title = "The most influential entries"
+    if two:
+        figure, panels = sheet([[*names, "both"]], title, width=13.0, height=4.4)
+    else:
+        figure, panels = sheet([names], title, width=6.5, height=4.4)
     values = np.where(result.diverged, np.nan, result.column(metric))
     runs = _marked(result, values, metric)
     scale = _scale(values[runs.shown])

@@ -107,16 +107,18 @@ def _region(axes: Axes, of: Assessment, i: int) -> None:
     truth = np.array([sensor.right[i], sensor.left[i]])
     if known.right and known.left:
         _ellipse(axes, known)
-        noisy = sensor.noise[i] or sensor.noise_before[i]
-        exact = "" if noisy else " (no noise: readings are taken as all but exact)"
-        words, off = f"Both can be known{exact}", " − truth"
+        words, off = "Both can be known", " − truth"
+        if not (sensor.noise[i] or sensor.noise_before[i]):
+            words += " (no noise: readings are taken as all but exact)"
         axes.plot(0.0, 0.0, "+", color=TRUTH, markersize=10, label="truth")
     else:
         _strip(axes, known, truth, _floor(of, i, truth))
         words, off = "; ".join(known.reasons), ""
         axes.plot(*truth, "+", color=TRUTH, markersize=10, label="truth")
     axes.set_aspect("equal")
-    title = f"Output {i}: {words}" if len(of.known) > 1 else words[:1].upper() + words[1:]
+    title = words[:1].upper() + words[1:]
+    if len(of.known) > 1:
+        title = f"Output {i}: {words}"
     y_label, x_label = (label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
     finish(axes, fill(title, 46), y_label, x_label, legend=2)
 
