@@ -1,1 +1,4 @@
-"""Benchmarks: one module each with `table() -> str` (Markdown); `python -m benchmarks [NAME ...]` runs them."""
+"""Benchmarks, one module each with `table() -> str` (Markdown).
+
+`python -m benchmarks [NAME ...]` runs them.
+"""

@@ -1,4 +1,7 @@
-"""Run the benchmarks named on the command line (default: all) and write their tables to benchmarks/RESULTS.md."""
+"""Run the benchmarks named on the command line and print their tables.
+
+Without names all are run, and their tables are written to benchmarks/RESULTS.md.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,28 @@ import sys
 from pathlib import Path
 
 NAMES = (
-    "cold_start", "live_step", "accuracy", "engines", "noise", "speed", "precision", "coverage", "arm_coverage", "arm_operations", "certificates", "arms",
-)  # fmt: skip
-HEAD = "# Results\n\nWritten by `make bench`. Times are ratios within one run; machines differ, ratios less so.\n"
+    "cold_start",
+    "live_step",
+    "accuracy",
+    "engines",
+    "noise",
+    "speed",
+    "precision",
+    "coverage",
+    "arm_coverage",
+    "arm_operations",
+    "certificates",
+    "arms",
+)
+HEAD = (
+    "# Results\n\nWritten by `make bench`. "
+    "Times are ratios within one run; machines differ, ratios less so.\n"
+)
 
 
 def main() -> None:
-    os.environ.setdefault(
-        "OMP_WAIT_POLICY", "passive"
-    )  # idle threads of one program must not spin beside the next one's
+    # idle threads of one program must not spin beside the next one's
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     names = sys.argv[1:] or NAMES
     parts = [HEAD, f"Python {platform.python_version()}, {platform.machine()}.\n"]
     for name in names:

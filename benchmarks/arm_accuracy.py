@@ -1,4 +1,4 @@
-"""What estimating dead zones of random widths does for the tip of an arm, and how near the estimated widths come."""
+"""What estimating dead zones of random widths does for the tip of an arm, and how exact it is."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import undeadzone as uz
+from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.linear import MARGIN
 from undeadzone.ensemble.bands import true_width
 from undeadzone.ensemble.batch import Batch, prepare
@@ -21,13 +22,33 @@ from undeadzone.support.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RUNS = 100
-WITHIN, THIRD = 0.05, 1 / 3  # of a width; of the uncompensated error
+WITHIN = 0.05  # of a width
+THIRD = 1 / 3  # of the uncompensated error
+TIPS = (
+    "arm",
+    "observer",
+    "rms error of the tip, last 2 s [mm]",
+    "uncompensated [mm]",
+    "their ratio",
+    "at most a third",
+)
+WIDTHS = ("arm", "joint", "d_r + d_l", "d_r", "d_l", "centre identifiable")
+NOTES = (
+    "arms with random widths, asymmetric, each joint its own: medians over runs and shares of runs "
+    "with 95 % intervals.",
+    "Relative errors [%] of estimated widths at the end, and share within 5 %, of runs whose path "
+    "passes the edges by 5 %.",
+)
 
 
 class Accuracy(NamedTuple):
-    """Of each run: rms error of the tip over the last 2 s [m], compensated and not; widths (runs x joints x [right, left]).
+    """What came of each run.
 
-    reached: whether the path of a joint goes beyond its edges.
+    Attributes:
+        tip: rms error of the tip over the last 2 s (runs) [m]
+        blind: the same without compensation
+        estimate, truth: widths (runs x joints x [right, left])
+        reached: whether the path of a joint goes beyond its edges (runs x joints x [right, left])
     """
 
     tip: Floats
@@ -41,100 +62,90 @@ class Accuracy(NamedTuple):
 def fleet(name: str, blind: bool = False) -> Batch | None:
     """The runs of an example, or of what it is compared with, None without that."""
     scenario = read(EXAMPLES / f"{name}.toml")
-    scenario = msgspec.structs.replace(
-        scenario, ensemble=msgspec.structs.replace(scenario.ensemble or uz.Vary(), runs=RUNS)
-    )
-    if blind and scenario.compare is None:
+    ensemble = msgspec.structs.replace(scenario.ensemble or uz.Vary(), runs=RUNS)
+    scenario = msgspec.structs.replace(scenario, ensemble=ensemble)
+    if not blind:
+        return prepare(scenario)
+    if scenario.compare is None:
         return None
-    return prepare(
-        msgspec.structs.replace(scenario, observer=scenario.compare) if blind else scenario
-    )
+    return prepare(msgspec.structs.replace(scenario, observer=scenario.compare))
 
 
 def measured(name: str) -> Accuracy:
-    """The runs of an example beside its [compare], with the same widths, noise and initial states."""
+    """The runs of an example beside its [compare], with the same widths, noise, initial states."""
     ours, other = fleet(name), fleet(name, blind=True)
     assert ours is not None
-    found, blind = _columns(ours), None if other is None else _columns(other)
-    varied, sensor = {words: found[words] for words in ours.binding.names}, ours.problem.sensor
-    edges = [
-        [
-            (f"{edge}[{i}]", nominal[i])
-            for edge, nominal in (("right", sensor.right), ("left", sensor.left))
-        ]
-        for i in range(ours.problem.plant.p)
-    ]
-    runs = ours.layout.runs
-    estimate = np.array([[found[f"d_{words}"] for words, _ in pair] for pair in edges])
-    truth = np.array(
-        [
-            [np.broadcast_to(true_width(words, nominal, varied), runs) for words, nominal in pair]
-            for pair in edges
-        ]
-    )
-    path = ours.problem.reference.value(
+    columns = _columns(ours)
+    estimate, truth = _widths(ours, columns)
+    r = ours.problem.reference.value(
         np.arange(len(ours.exogenous)) * ours.problem.scenario.simulation.step
     )
-    reached = np.stack([path.max(axis=0), -path.min(axis=0)], axis=1)[..., None] > (
-        1 + MARGIN
-    ) * np.where(truth > 0, truth, np.inf)
+    reach = np.stack([r.max(axis=0), -r.min(axis=0)], axis=1)[None]  # of each joint to each side
+    edges = (1 + MARGIN) * np.where(truth > 0, truth, np.inf)
     return Accuracy(
-        _tip(found),
-        None if blind is None else _tip(blind),
-        *(part.transpose(2, 0, 1) for part in (estimate, truth, reached)),
+        tip=_tip(columns),
+        blind=None if other is None else _tip(_columns(other)),
+        estimate=estimate,
+        truth=truth,
+        reached=reach > edges,
     )
 
 
-def _columns(given: Batch) -> dict[str, Floats]:
-    runs = given.layout.runs
-    return dict(
-        zip(
-            given.layout.columns,
-            given.rows(np.arange(runs), given.binding.draw(0, runs, runs)).T,
-            strict=True,
-        )
-    )
+def _widths(fleet: Batch, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
+    """Estimated and true widths (runs x joints x [right, left])."""
+    sensor, runs = fleet.problem.sensor, fleet.layout.runs
+    varied = {name: columns[name] for name in fleet.binding.names}
+    shape = (runs, fleet.problem.plant.p, 2)
+    estimate, truth = np.empty(shape), np.empty(shape)
+    for i in range(fleet.problem.plant.p):
+        for k, (edge, nominal) in enumerate((("right", sensor.right), ("left", sensor.left))):
+            name = f"{edge}[{i}]"
+            estimate[:, i, k] = columns[f"d_{name}"]
+            truth[:, i, k] = true_width(name, nominal[i], varied)
+    return estimate, truth
 
 
-def _tip(found: dict[str, Floats]) -> Floats:
-    return np.where(found["diverged"] != 0, np.inf, found["rms_tip"])
+def _columns(fleet: Batch) -> dict[str, Floats]:
+    """All runs simulated: a column for each entry and metric."""
+    runs = fleet.layout.runs
+    table = fleet.rows(np.arange(runs), fleet.binding.draw(0, runs, runs))
+    return dict(zip(fleet.layout.columns, table.T, strict=True))
 
 
-def tips(name: str, found: Accuracy) -> str:
+def _tip(columns: dict[str, Floats]) -> Floats:
+    """The rms error of the tip, infinite where a run diverged."""
+    return np.where(columns["diverged"] != 0, np.inf, columns["rms_tip"])
+
+
+def tips(name: str, accuracy: Accuracy) -> str:
     """The row of an arm."""
     scenario = read(EXAMPLES / f"{name}.toml")
-    cells = [name, method(scenario), _median(1e3 * found.tip, "{:.3g}")]
-    if found.blind is None:
-        return _row(*cells, "no [compare]", "", "")
-    ratio = found.tip / found.blind
-    return _row(
-        *cells,
-        _median(1e3 * found.blind, "{:.3g}"),
-        _median(ratio, "{:.3g}"),
-        _share(ratio <= THIRD),
-    )
+    cells = [name, method(scenario), _median(1e3 * accuracy.tip, "{:.3g}")]
+    if accuracy.blind is None:
+        return row(*cells, "no [compare]", "", "")
+    ratio = accuracy.tip / accuracy.blind
+    blind = _median(1e3 * accuracy.blind, "{:.3g}")
+    return row(*cells, blind, _median(ratio, "{:.3g}"), _share(ratio <= THIRD))
 
 
-def widths(name: str, found: Accuracy) -> list[str]:
+def widths(name: str, accuracy: Accuracy) -> list[str]:
     """A row for each joint: relative errors of what the readings determine."""
     info = uz.simulate(read(EXAMPLES / f"{name}.toml")).info
-    lines = []
+    rows = []
     for i, verdict in enumerate(info.identifiable):
-        (right, left), (d_right, d_left), (far, near) = (
-            found.estimate[:, i].T,
-            found.truth[:, i].T,
-            found.reached[:, i].T,
-        )
+        right, left = accuracy.estimate[:, i].T
+        d_right, d_left = accuracy.truth[:, i].T
+        far, near = accuracy.reached[:, i].T
         parts = {
             "width": (right + left, d_right + d_left, far & near),
             "right": (right, d_right, far),
             "left": (left, d_left, near),
         }
-        cells = [
-            _relative(*part) if verdict[key] else "not identifiable" for key, part in parts.items()
-        ]
-        lines.append(_row(name, str(i + 1), *cells, "yes" if verdict["centre"] else "no"))
-    return lines
+        cells = []
+        for key, part in parts.items():
+            cells.append(_relative(*part) if verdict[key] else "not identifiable")
+        rows.append(row(name, str(i + 1), *cells, "yes" if verdict["centre"] else "no"))
+    return rows
 
 
 def _relative(estimate: Floats, truth: Floats, reached: npt.NDArray[np.bool_]) -> str:
@@ -147,39 +158,34 @@ def _relative(estimate: Floats, truth: Floats, reached: npt.NDArray[np.bool_]) -
 
 
 def method(scenario: Scenario) -> str:
+    """The name of a scenario's observer."""
     return str(type(scenario.observer).__struct_config__.tag)
 
 
 def _median(values: Floats, form: str) -> str:
+    """The median with its interval."""
     return _interval(quantile(np.sort(values), 0.5), form)
 
 
 def _share(held: Any) -> str:
-    return (
-        _interval(
-            Interval(*(100 * value for value in proportion(int(held.sum()), held.size))), "{:.3g}"
-        )
-        + " %"
-    )
+    """The share of runs in which something held, with its interval [%]."""
+    percent = [100 * value for value in proportion(int(held.sum()), held.size)]
+    return f"{_interval(Interval(*percent), '{:.3g}')} %"
 
 
-def _interval(found: Interval, form: str) -> str:
-    value, low, high = map(form.format, found)
+def _interval(interval: Interval, form: str) -> str:
+    """A value with its interval in words."""
+    value, low, high = map(form.format, interval)
     return f"{value} ({low} to {high})"
-
-
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def lines(names: tuple[str, ...]) -> list[str]:
     """The tables of these examples."""
-    found = {name: measured(name) for name in names}
-    return [
-        f"\n{RUNS} arms with random widths, asymmetric, each joint its own: medians over runs and shares of runs with 95 % intervals.\n",
-        "| arm | observer | rms error of the tip, last 2 s [mm] | uncompensated [mm] | their ratio | at most a third |\n|---|---|---|---|---|---|",
-        *(tips(name, one) for name, one in found.items()),
-        "\nRelative errors [%] of estimated widths at the end, and share within 5 %, of runs whose path passes the edges by 5 %.\n",
-        "| arm | joint | d_r + d_l | d_r | d_l | centre identifiable |\n|---|---|---|---|---|---|",
-        *(line for name, one in found.items() for line in widths(name, one)),
-    ]
+    accuracies = {name: measured(name) for name in names}
+    written = [f"\n{RUNS} {NOTES[0]}\n", *head(*TIPS)]
+    for name, accuracy in accuracies.items():
+        written.append(tips(name, accuracy))
+    written += [f"\n{NOTES[1]}\n", *head(*WIDTHS)]
+    for name, accuracy in accuracies.items():
+        written += widths(name, accuracy)
+    return written

@@ -1,4 +1,7 @@
-"""How often the claimed 95 % intervals of `extended` hold the truth over random two-link arms, and its errors in closed loop."""
+"""How often claimed 95 % intervals of `extended` hold the truth over random two-link arms.
+
+Its errors in closed loop stand below.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,8 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from benchmarks.coverage import Verdict, covariance, row, verdict
+from benchmarks.coverage import Verdict, covariance, verdict
+from benchmarks.markdown import row
 from undeadzone import sensor
 from undeadzone.engine import lanes
 from undeadzone.observers import Estimate, Extended, Reading
@@ -33,8 +37,30 @@ PULSES = np.array([2.0, 3.0])  # [rad/s] of the joints' sines
 EXAMPLE = Path(__file__).parents[1] / "examples" / "two_link.toml"
 
 
+COLUMNS = (
+    "claimed",
+    "true",
+    "d_r",
+    "d_l",
+    "width",
+    "centre",
+    "q",
+    "NEES",
+    "NIS",
+    "rms error of width, of centre [mrad]",
+)
+
+
 class Case(NamedTuple):
-    """What the filter claims and what is true besides: rms of the disturbance [N m], of the payload's error [kg], amplitude of the sines [rad]."""
+    """What the filter claims and what is true besides.
+
+    Attributes:
+        claimed, true: both in words
+        options: of the filter
+        disturbance: its rms [N m]
+        payload: rms of its error [kg]
+        amplitude: of the joints' sines [rad]
+    """
 
     claimed: str
     true: str
@@ -63,8 +89,12 @@ CASES = (
 class Watch(NamedTuple):
     """An arm held on a path by its true state, and the filter that watches it.
 
-    next, out = step(s, w, p): s = [x; filter], w = [q, q', q'' of the path; noise over its rms; disturbance], p = [d_r; d_l; arm; filter],
-    out = [x; estimate; mean]; filter, numbers: its first state and its parameters; sizes: of x and of the parts of the estimate.
+    Attributes:
+        step: next, out = step(s, w, p) with s = [x; filter], w = [q, q', q'' of the path; noise
+            over its rms; disturbance], p = [d_r; d_l; arm; filter], out = [x; estimate; mean]
+        filter: its first state
+        numbers: its parameters
+        sizes: of x and of the parts of the estimate
     """
 
     step: ca.Function
@@ -79,46 +109,38 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     first = observer.init(observer.params)
     column, state = tree.symbols(first, "s")
     numbers, params = tree.symbols(observer.params, "o")
-    x, path, noise, w, widths, truth = (
-        ca.SX.sym(*given)
-        for given in [
-            ("x", 2 * N),
-            ("path", 3 * N),
-            ("e", N),
-            ("w", N),
-            ("d", 2 * N),
-            ("p", len(arm.params)),
-        ]
-    )
+    x, path = ca.SX.sym("x", 2 * N), ca.SX.sym("path", 3 * N)
+    noise, w = ca.SX.sym("e", N), ca.SX.sym("w", N)
+    widths, truth = ca.SX.sym("d", 2 * N), ca.SX.sym("p", len(arm.params))
     assert arm.arm is not None
     q, v, a = ca.vertsplit(path, N)
-    u = torque(arm.arm, truth, x[:N], x[N:], a + 100 * (q - x[:N]) + 20 * (v - x[N:]))
+    held = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
+    u = torque(arm.arm, truth, x[:N], x[N:], held)
     read = sensor.jump if where.kind == "jump" else sensor.deadzone
     y = read(arm.output(truth, x), widths[:N], widths[N:]) + noise * where.noise
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
-    step = ca.Function(
-        "watch", [ca.vertcat(x, column), ca.vertcat(path, noise, w), ca.vertcat(widths, truth, numbers)],
-        [ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)), ca.vertcat(x, *estimate, state.mean)],
-        ["s", "w", "p"], ["next", "out"], {"cse": True},
-    )  # fmt: skip
-    return Watch(
-        step,
-        tree.pack(first),
-        tree.pack(observer.params),
-        (2 * N, *(part.shape[0] for part in estimate)),
-    )
+    inputs = [
+        ca.vertcat(x, column),
+        ca.vertcat(path, noise, w),
+        ca.vertcat(widths, truth, numbers),
+    ]
+    outputs = [
+        ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)),
+        ca.vertcat(x, *estimate, state.mean),
+    ]
+    names = (["s", "w", "p"], ["next", "out"])
+    step = ca.Function("watch", inputs, outputs, *names, {"cse": True})
+    sizes = (2 * N, *(part.shape[0] for part in estimate))
+    return Watch(step, tree.pack(first), tree.pack(observer.params), sizes)
 
 
 def sines(seconds: float, amplitude: float, pulses: Any, step: float) -> Floats:
-    """Positions, speeds and accelerations of joints that move as amplitude sin(pulse t), through 0."""
+    """Positions, speeds and accelerations of joints that move as amplitude sin(pulse t)."""
     t, pulses = np.arange(0.0, seconds, step)[:, None], np.asarray(pulses)
-    return np.hstack(
-        [
-            amplitude * np.sin(pulses * t),
-            amplitude * pulses * np.cos(pulses * t),
-            -amplitude * pulses**2 * np.sin(pulses * t),
-        ]
-    )
+    q = amplitude * np.sin(pulses * t)
+    v = amplitude * pulses * np.cos(pulses * t)
+    a = -amplitude * pulses**2 * np.sin(pulses * t)
+    return np.hstack([q, v, a])
 
 
 def observe(case: Case, count: int, seed: int) -> Verdict:
@@ -127,27 +149,25 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
     path = sines(DURATION, case.amplitude, PULSES, STEP)
     arm = sampled(system(Plant(arm=TwoLink(), parameters={"b1": 0.5, "payload": 1.0})), STEP, 1)
     where = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=NOISE), 2, STEP)
-    found = watch(Extended(right=RANGE, start=path[0, :4], x_std=START, **case.options), arm, where)
-    kernel = lanes.build(found.step, exogenous=range(6, 10), params=range(4 + len(arm.params)))
+    options = Extended(right=RANGE, start=path[0, :4], x_std=START, **case.options)
+    watched = watch(options, arm, where)
+    kernel = lanes.build(watched.step, exogenous=range(6, 10), params=range(4 + len(arm.params)))
     d, params = rng.uniform(*RANGE, (count, 4)), np.tile(arm.params, (count, 1))
     params[:, arm.names.index("payload")] += case.payload * rng.normal(size=count)
-    disturbance = np.stack(
-        [
-            noises.coloured(seed, len(path), np.full(2, case.disturbance), CORRELATION, STEP, run)
-            for run in range(count)
-        ],
-        axis=2,
-    )
-    own = np.concatenate([rng.normal(size=(len(path), 2, count)), disturbance], axis=1)
-    states = np.hstack(
-        [path[0, :4] + START * rng.normal(size=(count, 4)), np.tile(found.filter, (count, 1))]
-    )
-    numbers = np.concatenate([np.zeros(4), arm.params, found.numbers])
-    out, _ = lanes.run(
-        kernel, states, np.pad(path, ((0, 0), (0, 4))), numbers, own, np.hstack([d, params])
-    )
-    x, *parts = np.split(out, np.cumsum(found.sizes), axis=2)
-    estimate, last = Estimate(*parts[:-1]), Estimate(*(part[:, -1] for part in parts[:-1]))
+    w_rms = np.full(2, case.disturbance)
+    disturbances = [
+        noises.coloured(seed, len(path), w_rms, CORRELATION, STEP, run) for run in range(count)
+    ]
+    noise = rng.normal(size=(len(path), 2, count))
+    own = np.concatenate([noise, np.stack(disturbances, axis=2)], axis=1)
+    x0 = path[0, :4] + START * rng.normal(size=(count, 4))
+    states = np.hstack([x0, np.tile(watched.filter, (count, 1))])
+    numbers = np.concatenate([np.zeros(4), arm.params, watched.numbers])
+    shared = np.pad(path, ((0, 0), (0, 4)))
+    out, _ = lanes.run(kernel, states, shared, numbers, own, np.hstack([d, params]))
+    x, *parts = np.split(out, np.cumsum(watched.sizes), axis=2)
+    estimate = Estimate(*parts[:-1])
+    last = Estimate(*(part[:, -1] for part in parts[:-1]))
     used = estimate.innovation != 0
     return verdict(
         np.stack([d[:, :2], d[:, 2:], x[:, -1, :2]], axis=2).reshape(-1, 3),
@@ -159,20 +179,19 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
 
 
 def closed_loop() -> list[str]:
-    """Errors of the joints' angles on the example's figure of eight, whose controller sees the estimate."""
+    """Errors of the joints' angles on the example's path; the controller sees the estimate."""
     scenario = read(EXAMPLE)
     assert isinstance(scenario.observer, Extended)
+    separate = msgspec.structs.replace(
+        scenario.observer, joints="separate", disturbance=2.0, uncertain={}
+    )
     watching = {
         "as in the file": scenario.observer,
-        "separate joints, 2 N m claimed, no parameter uncertain": msgspec.structs.replace(
-            scenario.observer, joints="separate", disturbance=2.0, uncertain={}
-        ),
+        "separate joints, 2 N m claimed, no parameter uncertain": separate,
         "blind": scenario.compare,
     }
-    lines = [
-        row("`examples/two_link.toml`", "rms error of the joints' angles, second half [mrad]"),
-        row("---", "---"),
-    ]
+    error_of = "rms error of the joints' angles, second half [mrad]"
+    lines = [row("`examples/two_link.toml`", error_of), row("---", "---")]
     for label, observer in watching.items():
         run = simulate(msgspec.structs.replace(scenario, observer=observer, compare=None))
         error = (run.x_hat - run.x)[len(run.t) // 2 :, :2]
@@ -182,37 +201,17 @@ def closed_loop() -> list[str]:
 
 def table(count: int = 400, seed: int = 0) -> str:
     """Both tables."""
-    heads = (
-        "claimed",
-        "true",
-        "d_r",
-        "d_l",
-        "width",
-        "centre",
-        "q",
-        "NEES",
-        "NIS",
-        "rms error of width, of centre [mrad]",
-    )
     lines = [
         "## Coverage of claimed 95 % intervals: `extended` on two links\n",
-        row(*heads),
-        row(*["---"] * len(heads)),
+        row(*COLUMNS),
+        row(*["---"] * len(COLUMNS)),
     ]
     for case in CASES:
-        found = observe(case, count, seed)
-        shares = [f"{share:.3f}" for share in found.covered()]
-        width, centre = 1e3 * np.sqrt(np.mean(found.errors[:, 2:4] ** 2, axis=0))
-        lines.append(
-            row(
-                case.claimed,
-                case.true,
-                *shares,
-                f"{found.nees():.3g}",
-                f"{found.nis:.3g}",
-                f"{width:.2g}, {centre:.2g}",
-            )
-        )
+        judged = observe(case, count, seed)
+        shares = [f"{share:.3f}" for share in judged.covered()]
+        width, centre = 1e3 * np.sqrt(np.mean(judged.errors[:, 2:4] ** 2, axis=0))
+        ratios = (f"{judged.nees():.3g}", f"{judged.nis:.3g}")
+        lines.append(row(case.claimed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
     note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, "", *closed_loop(), ""])
 

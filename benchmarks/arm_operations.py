@@ -1,4 +1,4 @@
-"""Operations of a UR5's dynamics, of the filters that watch it and of the controllers that drive it, one sample of each."""
+"""Operations of one sample: of a UR5's dynamics, of its filters and of its controllers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from benchmarks.coverage import row
+from benchmarks.markdown import row
 from undeadzone import sensor
 from undeadzone.controllers import LQR, ComputedTorque, GravityPD
 from undeadzone.feedforward.targets import Target
@@ -36,80 +36,58 @@ CONTROLLERS = {
 
 
 def table() -> str:
+    """Every count."""
     if importlib.util.find_spec("adam") is None:
         return "## Operations of a six-joint arm\n\nNot counted: adam-robotics is not installed.\n"
     arm = sampled(system(Plant(arm=URDF(path=str(UR5)))), STEP, 1)
-    counts = {"forward dynamics of the links": dynamics(arm)}
-    counts |= {
-        label: watching(arm, Extended(right=[0.02, 0.15], x_std=0.02, disturbance=0.5, **options))
-        for label, options in FILTERS.items()
-    }
-    counts |= {label: driving(arm, options) for label, options in CONTROLLERS.items()}
-    lines = [row(label, str(count)) for label, count in counts.items()]
-    return "\n".join(
-        [
-            "## Operations of a six-joint arm\n",
-            row("UR5, one sample", "operations"),
-            row("---", "---"),
-            *lines,
-            "",
-        ]
-    )
+    lines = [
+        "## Operations of a six-joint arm\n",
+        row("UR5, one sample", "operations"),
+        row("---", "---"),
+        row("forward dynamics of the links", str(dynamics(arm))),
+    ]
+    for label, options in FILTERS.items():
+        claimed = Extended(right=[0.02, 0.15], x_std=0.02, disturbance=0.5, **options)
+        lines.append(row(label, str(watching(arm, claimed))))
+    for label, options in CONTROLLERS.items():
+        lines.append(row(label, str(driving(arm, options))))
+    return "\n".join([*lines, ""])
 
 
 def dynamics(arm: System) -> int:
     """Numbers of the file known, payload and friction 0."""
     assert arm.arm is not None
     q, v, u = (ca.SX.sym(name, arm.p) for name in "qvu")
-    return int(
-        ca.Function(
-            "dynamics", [q, v, u], [acceleration(arm.arm, arm.params, q, v, u)], {"cse": True}
-        ).n_instructions()
-    )
+    return _operations([q, v, u], [acceleration(arm.arm, arm.params, q, v, u)])
+
+
+def _operations(inputs: list[Any], outputs: list[Any]) -> int:
+    """Instructions of a graph."""
+    return int(ca.Function("counted", inputs, outputs, {"cse": True}).n_instructions())
 
 
 def watching(arm: System, options: Extended) -> int:
+    """Of one step of a filter."""
     where = resolve(Sensor(right=0.15, left=0.15, noise=1e-3), arm.p, STEP)
     observer = options.build(arm, where)
     numbers, params = tree.symbols(observer.params, "p")
     column, state = tree.symbols(observer.init(observer.params), "s")
     u, y = ca.SX.sym("u", arm.m), ca.SX.sym("y", arm.p)
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
-    step = ca.Function(
-        "watching",
-        [column, u, y, numbers],
-        [tree.stack(after), ca.vertcat(*estimate)],
-        {"cse": True},
-    )
-    return int(step.n_instructions())
+    return _operations([column, u, y, numbers], [tree.stack(after), ca.vertcat(*estimate)])
 
 
 def driving(arm: System, options: Any) -> int:
     """The law alone, what is planned before the run being given."""
     controller = options.build(arm)
     numbers, params = tree.symbols(controller.params, "p")
-    x, x_ref, u_ff, r, plan = (
-        ca.SX.sym(*given)
-        for given in [
-            ("x", arm.n),
-            ("x_ref", arm.n),
-            ("u_ff", arm.m),
-            ("r", arm.p),
-            ("plan", controller.planned),
-        ]
-    )
+    x, x_ref = ca.SX.sym("x", arm.n), ca.SX.sym("x_ref", arm.n)
+    u_ff, r = ca.SX.sym("u_ff", arm.m), ca.SX.sym("r", arm.p)
+    plan = ca.SX.sym("plan", controller.planned)
     none = ca.SX(0, 1)
-    _, u = controller.step(
-        params,
-        None,
-        Estimate(x, none, none, none, none, none, w=none),
-        Target(r, x_ref, u_ff, plan),
-    )
-    return int(
-        ca.Function(
-            "driving", [x, x_ref, u_ff, r, plan, numbers], [u], {"cse": True}
-        ).n_instructions()
-    )
+    estimate = Estimate(x, none, none, none, none, none, w=none)
+    _, u = controller.step(params, None, estimate, Target(r, x_ref, u_ff, plan))
+    return _operations([x, x_ref, u_ff, r, plan, numbers], [u])
 
 
 if __name__ == "__main__":

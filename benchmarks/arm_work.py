@@ -1,4 +1,4 @@
-"""The work that every simulator of arms is given, and how ours does it: many UR5 that differ in initial state and torque."""
+"""The work of every simulator of arms, and ours: UR5 that differ in initial state and torque."""
 
 from __future__ import annotations
 
@@ -23,10 +23,18 @@ MOVES = get_args(Move)
 
 
 class Work(NamedTuple):
-    """Arms of a URDF at steps of `step` [s]; states (runs x 2 N): initial q, q'; torques (runs x N), constant.
+    """What is simulated.
 
-    move: euler: q' += step * q'', then q += step * q', one evaluation of the dynamics; rk4: four; follow: RK4 under computed torque on the true state,
-    one of the inverse dynamics besides, along targets (steps x 3 x N: q, q', q'') with gains [1/s^2, 1/s].
+    Attributes:
+        path: the arm's URDF
+        move: euler: q' += step * q'', then q += step * q', one evaluation of the dynamics; rk4:
+            four; follow: RK4 under computed torque on the true state, one of the inverse dynamics
+            besides
+        step: [s]
+        states: initial q, q' (runs x 2 N)
+        torques: constant (runs x N)
+        targets: q, q', q'' to follow (steps x 3 x N)
+        gains: of computed torque [1/s^2, 1/s]
     """
 
     path: Path
@@ -39,6 +47,7 @@ class Work(NamedTuple):
 
     @property
     def steps(self) -> int:
+        """How many."""
         return len(self.targets)
 
 
@@ -46,19 +55,10 @@ def draw(move: Move, runs: int, steps: int, step: float = 1e-3) -> Work:
     """The first `runs` of random arms."""
     t = step * np.arange(steps)
     target = np.stack([0.5 * np.sin(3 * t), 1.5 * np.cos(3 * t), -4.5 * np.sin(3 * t)], axis=1)
-    starts, torques = (
-        np.random.default_rng([0, k]).normal(size=(runs, count * JOINTS))
-        for k, count in enumerate((2, 1))
-    )
-    return Work(
-        UR5,
-        move,
-        step,
-        starts,
-        torques,
-        np.ascontiguousarray(np.broadcast_to(target[..., None], (steps, 3, JOINTS))),
-        (100.0, 20.0),
-    )
+    starts = np.random.default_rng([0, 0]).normal(size=(runs, 2 * JOINTS))
+    torques = np.random.default_rng([0, 1]).normal(size=(runs, JOINTS))
+    targets = np.ascontiguousarray(np.broadcast_to(target[..., None], (steps, 3, JOINTS)))
+    return Work(UR5, move, step, starts, torques, targets, (100.0, 20.0))
 
 
 def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Callable[[], Floats]:
@@ -68,31 +68,36 @@ def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Call
         step, params=own, record=[], known_params=known_params(params, own), width=width, fused=True
     )
     inputs = work.targets.reshape(work.steps, -1)
-    return lambda: lanes.run(
-        kernel, work.states, inputs, params, None, work.torques, threads=threads
-    )[1]
+
+    def run() -> Floats:
+        _, finals = lanes.run(
+            kernel, work.states, inputs, params, None, work.torques, threads=threads
+        )
+        return finals
+
+    return run
 
 
 def virtual_machine(work: Work) -> Callable[[], Floats]:
     """Ours on CasADi's virtual machine, one arm after the other."""
     step, params, own = _graph(work)
     inputs = work.targets.reshape(work.steps, -1)
-    each = [np.concatenate([params[: own[0]], torques]) for torques in work.torques]
-    return lambda: np.stack(
-        [
-            interpret.run(step, state, inputs, numbers)[1]
-            for state, numbers in zip(work.states, each, strict=True)
-        ]
-    )
+    numbers = [np.concatenate([params[: own[0]], torques]) for torques in work.torques]
+
+    def run() -> Floats:
+        finals = []
+        for state, p in zip(work.states, numbers, strict=True):
+            finals.append(interpret.run(step, state, inputs, p)[1])
+        return np.stack(finals)
+
+    return run
 
 
 def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
     """next, out = step(s, w, p), with p and which of it are the torques."""
     body = arm(urdf.chain(work.path))
     N, first = body.size, len(body.names)
-    s, w, p = (
-        ca.SX.sym(name, size) for name, size in (("s", 2 * N), ("w", 3 * N), ("p", first + N))
-    )
+    s, w, p = ca.SX.sym("s", 2 * N), ca.SX.sym("w", 3 * N), ca.SX.sym("p", first + N)
     params, u = p[:first], p[first:]
 
     def rate(x: Any, u: Any) -> Any:
@@ -102,15 +107,13 @@ def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
         v = s[N:] + work.step * rate(s, u)[N:]
         following = ca.vertcat(s[:N] + work.step * v, v)
     else:
-        q, v, a = ca.vertsplit(w, N)
-        k_p, k_d = work.gains
-        held = (
-            torque(body, params, s[:N], s[N:], a + k_p * (q - s[:N]) + k_d * (v - s[N:]))
-            if work.move == "follow"
-            else u
-        )
+        held = u
+        if work.move == "follow":
+            q, v, a = ca.vertsplit(w, N)
+            k_p, k_d = work.gains
+            wanted = a + k_p * (q - s[:N]) + k_d * (v - s[N:])
+            held = torque(body, params, s[:N], s[N:], wanted)
         following = rk4(lambda x, _: rate(x, held), s, work.step)
-    step = ca.Function(
-        "arm", [s, w, p], [following, ca.SX(0, 1)], ["s", "w", "p"], ["next", "out"], {"cse": True}
-    )
+    names = (["s", "w", "p"], ["next", "out"])
+    step = ca.Function("arm", [s, w, p], [following, ca.SX(0, 1)], *names, {"cse": True})
     return step, np.concatenate([body.values, np.zeros(N)]), tuple(range(first, first + N))

@@ -1,4 +1,4 @@
-"""Robot arms: UR5 on the lanes engine beside Pinocchio and MuJoCo, and accuracy for random widths (arm_accuracy.py)."""
+"""Robot arms: UR5 on the lanes engine beside Pinocchio and MuJoCo, then accuracy (arm_accuracy)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks import arm_accuracy
 from benchmarks.arm_work import MOVES, Move, draw, lanes_run, virtual_machine
+from benchmarks.markdown import head, row
 from undeadzone.ensemble.batch import Batch
 
 STEPS = 100
@@ -23,11 +24,12 @@ TITLES = {
     "rk4": "RK4: forward dynamics four times a step",
     "follow": "RK4 and computed torque on the true state",
 }
-NOTE = f"""UR5, {STEPS} steps of 1 ms. The least of interleaved rounds; ours / its above 1: ours takes longer. The largest difference is
-of a final state from ours. Goals of an arm's step: ours at most 0.2 of `pin.aba` called from Python, at most 2 of the loop in
-C++. Ours is compiled for this arm; Pinocchio and MuJoCo read theirs at run time. 10^4 arms over 5 s at 1 kHz are 5e7 of them.
+NOTE = f"""UR5, {STEPS} steps of 1 ms. The least of interleaved rounds; ours / its above 1: ours
+takes longer. The largest difference is of a final state from ours. Goals of an arm's step: ours at
+most 0.2 of `pin.aba` called from Python, at most 2 of the loop in C++. Ours is compiled for this
+arm; Pinocchio and MuJoCo read theirs at run time. 10^4 arms over 5 s at 1 kHz are 5e7 of them.
 """
-HEAD = "| work | program | us per arm and step | ours / its | largest difference |\n|---|---|---|---|---|"
+HEAD = head("work", "program", "us per arm and step", "ours / its", "largest difference")
 
 
 class Entry(NamedTuple):
@@ -41,6 +43,7 @@ class Entry(NamedTuple):
 def entry(
     label: str, make: Callable[..., Callable[[], Any]], move: Move, runs: int, **options: Any
 ) -> Entry:
+    """A program made ready for so many arms, or why it cannot be."""
     try:
         return Entry(label, make(draw(move, runs, STEPS), **options), runs * STEPS)
     except ImportError as missing:
@@ -48,17 +51,18 @@ def entry(
 
 
 def rival(label: str, name: str, function: str, move: Move, runs: int, **options: Any) -> Entry:
-    def make(*given: Any, **more: Any) -> Callable[[], Any]:
-        return getattr(importlib.import_module(f"benchmarks.rivals.{name}"), function)(
-            *given, **more
-        )
+    """The same for a function of a file of `rivals`, which is imported here."""
+
+    def make(*args: Any, **kwargs: Any) -> Callable[[], Any]:
+        module = importlib.import_module(f"benchmarks.rivals.{name}")
+        return getattr(module, function)(*args, **kwargs)
 
     return entry(label, make, move, runs, **options)
 
 
 def rows(group: str, entries: list[Entry], rounds: int = 20, *, alike: bool = True) -> list[str]:
     """A row for each, the first being ours; alike: they compute the same final states."""
-    found = [one.run() if callable(one.run) else None for one in entries]
+    finals = [_final(one) for one in entries]
     best = [math.inf] * len(entries)
     for _ in range(rounds):
         for i, one in enumerate(entries):
@@ -67,18 +71,19 @@ def rows(group: str, entries: list[Entry], rounds: int = 20, *, alike: bool = Tr
                 one.run()
                 best[i] = min(best[i], (time.perf_counter() - began) / one.count)
     lines = []
-    for one, seconds, states in zip(entries, best, found, strict=True):
-        cells = (
-            [
-                f"{1e6 * seconds:.3g}",
-                f"{best[0] / seconds:.2g}",
-                _apart(found[0], states) if alike else "",
-            ]
-            if callable(one.run)
-            else [one.run, "", ""]
-        )
-        lines.append(f"| {group} | {one.label} | {' | '.join(cells)} |")
+    for one, seconds, states in zip(entries, best, finals, strict=True):
+        if callable(one.run):
+            apart = _apart(finals[0], states) if alike else ""
+            cells = [f"{1e6 * seconds:.3g}", f"{best[0] / seconds:.2g}", apart]
+        else:
+            cells = [one.run, "", ""]
+        lines.append(row(group, one.label, *cells))
     return lines
+
+
+def _final(entry: Entry) -> Any:
+    """The final states of a program, None if there is none."""
+    return entry.run() if callable(entry.run) else None
 
 
 def _apart(ours: Any, its: Any) -> str:
@@ -89,90 +94,71 @@ def _apart(ours: Any, its: Any) -> str:
     return f"{np.abs(ours[:runs] - its[:runs]).max():.0e}"
 
 
+def _threads(count: int) -> str:
+    """A number of threads in words."""
+    return f"{count} thread{'s' * (count > 1)}"
+
+
 def simulators(move: Move, threads: int) -> list[str]:
     """Whatever moves arms, on so many threads."""
+    many = "**undeadzone, lanes, 1024 arms**"
+    in_cpp = ("Pinocchio, loop in C++", "pinocchio_arm", "compiled_loop")
+    rolled = ("MuJoCo, rollout", "mujoco_arm", "prepare")
     entries = [
-        entry("**undeadzone, lanes, 1024 arms**", lanes_run, move, 1024, threads=threads),
-        rival(
-            "Pinocchio, loop in C++", "pinocchio_arm", "compiled_loop", move, 64, threads=threads
-        ),
+        entry(many, lanes_run, move, 1024, threads=threads),
+        rival(*in_cpp, move, 64, threads=threads),
     ]
     if move != "follow":
-        entries.append(
-            rival(
-                "MuJoCo, rollout", "mujoco_arm", "prepare", move, 64, rolled=True, threads=threads
-            )
-        )
+        entries.append(rival(*rolled, move, 64, rolled=True, threads=threads))
     if threads == 1:
-        entries.append(entry("**undeadzone, lanes, one arm**", lanes_run, move, 1, width=1))
-        entries.append(entry("**undeadzone, CasADi's virtual machine**", virtual_machine, move, 4))
-        entries.append(rival("Pinocchio, loop in Python", "pinocchio_arm", "prepare", move, 4))
-    if threads == 1 and move != "follow":
+        entries += _alone(move)
+    return rows(f"{TITLES[move]}, {_threads(threads)}", entries)
+
+
+def _alone(move: Move) -> list[Entry]:
+    """What moves one arm after the other."""
+    entries = [
+        entry("**undeadzone, lanes, one arm**", lanes_run, move, 1, width=1),
+        entry("**undeadzone, CasADi's virtual machine**", virtual_machine, move, 4),
+        rival("Pinocchio, loop in Python", "pinocchio_arm", "prepare", move, 4),
+    ]
+    if move != "follow":
         entries.append(rival("MuJoCo, mj_step from Python", "mujoco_arm", "prepare", move, 4))
-    if threads == 1 and move == "euler":
-        entries.append(
-            rival(
-                "Pinocchio, pin.aba from Python, the calls alone", "pinocchio_arm", "calls", move, 1
-            )
-        )
-    return rows(f"{TITLES[move]}, {threads} thread{'s' * (threads > 1)}", entries)
+    if move == "euler":
+        calls = "Pinocchio, pin.aba from Python, the calls alone"
+        entries.append(rival(calls, "pinocchio_arm", "calls", move, 1))
+    return entries
 
 
 def whole(fleet: Batch, runs: int = 512) -> list[str]:
     """The ensemble's loop with all that belongs to it, beside bare dynamics."""
-    short, method = (
-        fleet._replace(exogenous=fleet.exogenous[:STEPS]),
-        arm_accuracy.method(fleet.problem.scenario),
-    )
-    numbers, given = (
-        np.arange(runs),
-        fleet.binding.lanes(fleet.binding.draw(0, runs, fleet.layout.runs)),
-    )
+    short = fleet._replace(exogenous=fleet.exogenous[:STEPS])
+    numbers = np.arange(runs)
+    drawn = fleet.binding.lanes(fleet.binding.draw(0, runs, fleet.layout.runs))
+    method = arm_accuracy.method(fleet.problem.scenario)
     label = f"**undeadzone, lanes, {runs} arms: RK4, dead zones, noise, `{method}`, controller**"
     lines = []
     for threads in THREADS:
-        entries = [
-            Entry(label, functools.partial(short.measure, numbers, given, threads), runs * STEPS),
-            rival(
-                "Pinocchio, loop in C++, forward dynamics once a step",
-                "pinocchio_arm",
-                "compiled_loop",
-                "euler",
-                64,
-                threads=threads,
-            ),
-            rival(
-                "Pinocchio, loop in C++, RK4 and computed torque",
-                "pinocchio_arm",
-                "compiled_loop",
-                "follow",
-                64,
-                threads=threads,
-            ),
-        ]
-        if threads == 1:
-            entries.append(
-                rival(
-                    "Pinocchio, pin.aba from Python, the calls alone",
-                    "pinocchio_arm",
-                    "calls",
-                    "euler",
-                    1,
-                )
-            )
-            entries.append(
-                rival(
-                    "Pinocchio, loop in Python, RK4 and computed torque",
-                    "pinocchio_arm",
-                    "prepare",
-                    "follow",
-                    4,
-                )
-            )
-        lines += rows(
-            f"whole closed loop, {threads} thread{'s' * (threads > 1)}", entries, 10, alike=False
-        )
+        measure = functools.partial(short.measure, numbers, drawn, threads)
+        entries = [Entry(label, measure, runs * STEPS), *_bare(threads)]
+        lines += rows(f"whole closed loop, {_threads(threads)}", entries, 10, alike=False)
     return lines
+
+
+def _bare(threads: int) -> list[Entry]:
+    """Pinocchio's dynamics without anything that reads or estimates."""
+    once = ("Pinocchio, loop in C++, forward dynamics once a step", "pinocchio_arm")
+    following = ("Pinocchio, loop in C++, RK4 and computed torque", "pinocchio_arm")
+    calls = ("Pinocchio, pin.aba from Python, the calls alone", "pinocchio_arm")
+    in_python = ("Pinocchio, loop in Python, RK4 and computed torque", "pinocchio_arm")
+    entries = [
+        rival(*once, "compiled_loop", "euler", 64, threads=threads),
+        rival(*following, "compiled_loop", "follow", 64, threads=threads),
+    ]
+    if threads == 1:
+        entries.append(rival(*calls, "calls", "euler", 1))
+        entries.append(rival(*in_python, "prepare", "follow", 4))
+    return entries
 
 
 def table() -> str:
@@ -181,9 +167,9 @@ def table() -> str:
         return "## Robot arms\n\nNot measured: adam-robotics is not installed.\n"
     loop = arm_accuracy.fleet("ur5")
     assert loop is not None
-    speeds = [
-        line for move in MOVES for threads in THREADS for line in simulators(move, threads)
-    ] + whole(loop)
-    return "\n".join(
-        ["## Robot arms\n", NOTE, HEAD, *speeds, *arm_accuracy.lines(("two_link", "ur5")), ""]
-    )
+    lines = ["## Robot arms\n", NOTE, *HEAD]
+    for move in MOVES:
+        for threads in THREADS:
+            lines += simulators(move, threads)
+    lines += whole(loop)
+    return "\n".join([*lines, *arm_accuracy.lines(("two_link", "ur5")), ""])

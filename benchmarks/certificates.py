@@ -1,4 +1,7 @@
-"""Attempts to break random certified designs; `python -m benchmarks.certificates --plants 200 --trajectories 100000 --seed 0`."""
+"""Attempts to break random certified designs.
+
+`python -m benchmarks.certificates --plants 200 --trajectories 100000 --seed 0`
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,30 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.designs import random_design
+from benchmarks.markdown import head, row
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence.falsify import falsify
 
 ORDERS = range(1, 9)
+OPTIONS = {"plants": 200, "trajectories": 100_000, "switches": 60, "seed": 0}
+COLUMNS = (
+    "states",
+    "designs",
+    "certified",
+    "broken",
+    "largest rise of V in a switch, relative",
+)
 
 
-class Row(NamedTuple):
-    """One random design: states, outputs, whether it was certified, the largest rise of V in a switch relative to V, broken."""
+class Tried(NamedTuple):
+    """One random design and what became of it.
+
+    Attributes:
+        n, p: states, outputs
+        certified: whether it was certified
+        rise: the largest rise of V in a switch, relative to V; nan if it was not attacked
+        broken: whether the attack broke the certificate
+    """
 
     n: int
     p: int
@@ -25,56 +44,46 @@ class Row(NamedTuple):
     broken: bool
 
 
-def survey(plants: int, trajectories: int, switches: int, seed: int) -> list[Row]:
+def survey(plants: int, trajectories: int, switches: int, seed: int) -> list[Tried]:
     """Prove and attack `plants` designs in turn of 1 to 8 states."""
-    found = []
+    tried = []
     for k in range(plants):
-        rng = np.random.default_rng([seed, k])
-        n = ORDERS[k % len(ORDERS)]
-        p = min(n, 1 + int(rng.integers(3)))
-        certificate = certify(*random_design(rng, n, p))
-        attack = (
-            falsify(certificate.dynamics, certificate.V, trajectories, switches, seed=k)
-            if certificate.certified
-            else None
-        )
-        found.append(
-            Row(
-                n,
-                p,
-                certificate.certified,
-                attack.rise if attack else np.nan,
-                attack.broken if attack else False,
-            )
-        )
+        tried.append(_try(k, trajectories, switches, seed))
         print(f"{k + 1}/{plants}", end="\r", file=sys.stderr, flush=True)
-    return found
+    return tried
+
+
+def _try(k: int, trajectories: int, switches: int, seed: int) -> Tried:
+    """Prove and attack the k-th design."""
+    rng = np.random.default_rng([seed, k])
+    n = ORDERS[k % len(ORDERS)]
+    p = min(n, 1 + int(rng.integers(3)))
+    certificate = certify(*random_design(rng, n, p))
+    if not certificate.certified:
+        return Tried(n, p, False, np.nan, False)
+    attack = falsify(certificate.dynamics, certificate.V, trajectories, switches, seed=k)
+    return Tried(n, p, True, attack.rise, attack.broken)
 
 
 def table(plants: int = 200, trajectories: int = 100_000, switches: int = 60, seed: int = 0) -> str:
     """What became of them, by order."""
-    rows = survey(plants, trajectories, switches, seed)
+    tried = survey(plants, trajectories, switches, seed)
     lines = [
-        f"## Attempts to break certificates\n\n{trajectories} trajectories of {switches} switches on each design, 1-3 outputs, half of them sampled.\n",
-        "| states | designs | certified | broken | largest rise of V in a switch, relative |",
-        "|---|---|---|---|---|",
+        "## Attempts to break certificates\n",
+        f"{trajectories} trajectories of {switches} switches on each design, 1-3 outputs, "
+        "half of them sampled.\n",
+        *head(*COLUMNS),
     ]
-    for n in sorted({row.n for row in rows}):
-        own = [row for row in rows if row.n == n]
-        rise = max(row.rise for row in own)
-        lines.append(
-            f"| {n} | {len(own)} | {sum(row.certified for row in own)} | {sum(row.broken for row in own)} | {rise:.1e} |"
-        )
+    for n in sorted({one.n for one in tried}):
+        own = [one for one in tried if one.n == n]
+        certified, broken = sum(one.certified for one in own), sum(one.broken for one in own)
+        rise = max(one.rise for one in own)
+        lines.append(row(f"{n}", f"{len(own)}", f"{certified}", f"{broken}", f"{rise:.1e}"))
     return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in (
-        ("plants", 200),
-        ("trajectories", 100_000),
-        ("switches", 60),
-        ("seed", 0),
-    ):
+    for name, default in OPTIONS.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     print(table(**vars(parser.parse_args())))

@@ -1,4 +1,4 @@
-"""Random certified designs: stable plants of 1-8 states and 1-3 outputs with gains somewhere below the certificate's edge."""
+"""Random certified designs: stable plants with gains somewhere below the certificate's edge."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from undeadzone.support.arrays import Floats
 
 
 def random_matrices(rng: np.random.Generator, n: int, p: int, spread: float = 1.0) -> Matrices:
-    """A stable plant: real and complex poles over `spread` decades, mixed by a random change of coordinates."""
-    A, k = np.zeros((n, n)), 0
+    """A stable plant (n states, p outputs).
+
+    Real and complex poles over `spread` decades, mixed by a random change of coordinates.
+    """
+    A = np.zeros((n, n))
+    k = 0  # states that have their poles
     while k < n:
         rate, zeta = 10 ** rng.uniform(-spread / 2, spread / 2), rng.uniform(0.02, 1.0)
         if k + 1 < n and rng.random() < 0.5:
@@ -30,23 +34,26 @@ def random_matrices(rng: np.random.Generator, n: int, p: int, spread: float = 1.
 def random_design(
     rng: np.random.Generator, n: int, p: int
 ) -> tuple[Matrices, Floats, Floats, float | None]:
-    """(model, L, gamma, Ts) with a margin of 2 % to 95 % of what L = 0 would have; half of them sampled, gamma per edge or full."""
+    """(model, L, gamma, Ts) with a margin of 2 % to 95 % of what L = 0 would have.
+
+    Half of them are sampled; gamma is per edge or full.
+    """
     model = random_matrices(rng, n, p)
     Ts = float(10 ** rng.uniform(-4, 0)) if rng.random() < 0.5 else None
     if Ts is not None:
         model = zoh(model, Ts)
     R = rng.normal(size=(2 * p, 2 * p))
-    gamma = (
-        np.exp(rng.normal(size=(p, 2)))
-        if rng.random() < 0.7
-        else R @ R.T / (2 * p) + 0.1 * np.eye(2 * p)
-    )
+    if rng.random() < 0.7:
+        gamma = np.exp(rng.normal(size=(p, 2)))
+    else:
+        gamma = R @ R.T / (2 * p) + 0.1 * np.eye(2 * p)
     if Ts is not None:
         gamma = gamma * rng.uniform(0.05, 1.5) / Ts / np.linalg.norm(gamma, 2)
     L = rng.normal(size=(n, p))
-    free = margin(dynamics(model, 0 * L, gamma, Ts), np.ones(p))[0]
-    loss = (
-        margin(dynamics(model, 0 * L, np.zeros(p), Ts), np.ones(p))[0]
-        - margin(dynamics(model, L, np.zeros(p), Ts), np.ones(p))[0]
-    )
+
+    def margin_of(L: Floats, gamma: Floats) -> float:
+        return margin(dynamics(model, L, gamma, Ts), np.ones(p))[0]
+
+    free = margin_of(0 * L, gamma)
+    loss = margin_of(0 * L, np.zeros(p)) - margin_of(L, np.zeros(p))
     return model, L * free * rng.uniform(0.05, 0.98) / max(loss, 1e-3), gamma, Ts

@@ -1,4 +1,4 @@
-"""Our side of the benchmarks: the loop's graph on the lanes engine, with the same result as every rival."""
+"""Our side of the benchmarks: the loop's graph on the lanes engine, with every rival's result."""
 
 from __future__ import annotations
 
@@ -18,13 +18,8 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 WIDTHS = ("sensor.right[0]", "sensor.left[0]")
-UNITS = (
-    "sensor.slope",
-    "sensor.threshold",
-    "observer.slope",
-    "observer.threshold",
-    "scale",
-)  # 1 or 0: rivals have no such numbers
+# 1 or 0: rivals have no such numbers
+UNITS = ("sensor.slope", "sensor.threshold", "observer.slope", "observer.threshold", "scale")
 FINER = 16
 
 
@@ -38,9 +33,17 @@ def prepare(
     threads: int = 1,
     every: int = 1,
 ) -> Callable[[], Result]:
-    """known: zeros and ones of plant and observer are known when compiled, as in ensembles; else they are read at run time.
+    """The work made ready on the lanes engine.
 
-    order: 4 for RK4, more for Taylor series; every: take the rms from each so many-th step.
+    Args:
+        work: what is done
+        step: located, plain or sampled
+        order: 4 for RK4, more for Taylor series
+        width: lanes of a block
+        known: zeros and ones of plant and observer are known when compiled, as in ensembles; else
+            they are read at run time
+        threads: on which it runs
+        every: the rms is taken from each so many-th step
     """
     kernel, exogenous, params = _kernel(_with(work, step, order), width, known, every)
     states = np.hstack([work.states, np.zeros((len(work.states), 1))])
@@ -59,7 +62,7 @@ def instructions(work: Work, step: str) -> int:
 
 
 def truth(work: Work) -> Result:
-    """The result with a step so much shorter that its error does not matter (sampled: the same step)."""
+    """The result with a step so short that its error does not matter (sampled: the same step)."""
     problem = work.problem
     if problem.plant.Ts is not None:
         return prepare(work)()
@@ -72,16 +75,14 @@ def _kernel(work: Work, width: int, known: bool, every: int) -> tuple[lanes.Kern
     loop, _, shared = prepare_run(work.problem)
     shared = shared[: len(work.targets)]
     places = np.arange(len(shared))
-    exogenous = np.column_stack(
-        [shared, (places >= len(shared) - work.tail) & (places % every == 0)]
-    )
+    counted = (places >= len(shared) - work.tail) & (places % every == 0)
+    exogenous = np.column_stack([shared, counted])
     params, names = tree.pack(loop.params), tree.names(loop.params)
     indices = tuple(names.index(name) for name in WIDTHS)
-    given = {
-        i: value
-        for i, value in known_params(params, indices).items()
-        if known or names[i].startswith(UNITS)
-    }
+    constants = known_params(params, indices)
+    if not known:
+        units = [i for i in constants if names[i].startswith(UNITS)]
+        constants = {i: constants[i] for i in units}
     usual, rare = _summed(loop)
     kernel = lanes.build(
         usual,
@@ -89,7 +90,7 @@ def _kernel(work: Work, width: int, known: bool, every: int) -> tuple[lanes.Kern
         params=indices,
         record=[],
         known_exogenous=known_inputs(shared, ()),
-        known_params=given,
+        known_params=constants,
         width=width,
         fused=True,
     )
@@ -99,27 +100,24 @@ def _kernel(work: Work, width: int, known: bool, every: int) -> tuple[lanes.Kern
 def _with(work: Work, step: str, order: int) -> Work:
     """The work by another integrator."""
     scenario = work.problem.scenario
-    simulation = msgspec.structs.replace(
-        scenario.simulation, switching="plain" if step == "plain" else "located", order=order
-    )
-    return work._replace(
-        problem=work.problem._replace(
-            scenario=msgspec.structs.replace(scenario, simulation=simulation)
-        )
-    )
+    switching = "plain" if step == "plain" else "located"
+    simulation = msgspec.structs.replace(scenario.simulation, switching=switching, order=order)
+    changed = msgspec.structs.replace(scenario, simulation=simulation)
+    return work._replace(problem=work.problem._replace(scenario=changed))
 
 
 def _summed(loop: Loop) -> tuple[ca.Function, tuple[ca.Function, ...]]:
-    """The loop's step and its rare part, with a last state that sums (z - r)^2 where a last exogenous input is 1."""
+    """The loop's step and its rare part, with a last state that sums (z - r)^2.
+
+    It does so where a last exogenous input is 1.
+    """
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    s, w, p = (
-        ca.SX.sym(name, step.size1_in(i) + more)
-        for i, (name, more) in enumerate((("s", 1), ("w", 1), ("p", 0)))
-    )
-    given = (s[:-1], w[:-1], p)
-    following, out, *flag = step(*given)
+    s = ca.SX.sym("s", step.size1_in(0) + 1)
+    w = ca.SX.sym("w", step.size1_in(1) + 1)
+    p = ca.SX.sym("p", step.size1_in(2))
+    own = (s[:-1], w[:-1], p)  # what the loop itself takes
+    following, out, *flag = step(*own)
     error = tree.unpack(loop.outputs, out).z - tree.unpack(loop.instant, w).target.r
-    usual = ca.Function(
-        "summed", [s, w, p], [ca.vertcat(following, s[-1] + w[-1] * error**2), out, *flag]
-    )
-    return usual, tuple(ca.Function("rare", [s, w, p], part(*given)) for part in rare)
+    total = s[-1] + w[-1] * error**2
+    usual = ca.Function("summed", [s, w, p], [ca.vertcat(following, total), out, *flag])
+    return usual, tuple(ca.Function("rare", [s, w, p], part(*own)) for part in rare)

@@ -1,4 +1,4 @@
-"""Error against cost over step sizes and tolerances (work-precision): the paper's loop, 10 s, final states."""
+"""Error against cost over steps and tolerances: the paper's loop, 10 s, final states."""
 
 from __future__ import annotations
 
@@ -9,24 +9,35 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import ours, rivals
+from benchmarks.markdown import head, row
 from benchmarks.speed import Entry, race
 from benchmarks.workload import Result, Work, draw, final_error
 from undeadzone.report import style
 
 FIGURE = Path(__file__).with_name("precision.png")
-DURATION = 10.0
-STEPS = (8e-3, 4e-3, 2e-3, 1e-3, 0.5e-3)
-LONG_STEPS = (40e-3, 20e-3, 10e-3)
+DURATION = 10.0  # [s]
+STEPS = (8e-3, 4e-3, 2e-3, 1e-3, 0.5e-3)  # [s]
+LONG_STEPS = (40e-3, 20e-3, 10e-3)  # [s]
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 RUNS = 1024
 GOAL = 1e-9
 
+Make = Callable[[Work, float], Callable[[], Result] | None]
+
 
 class Curve(NamedTuple):
-    """A program over its settings: how it is made ready for one, its work for one, and its look."""
+    """A program over its settings.
+
+    Attributes:
+        name: of the program
+        make: makes it ready for some work and a setting
+        work: for a setting
+        settings: steps [s] or tolerances
+        colour, line: its look
+    """
 
     name: str
-    make: Callable[[Work, float], Callable[[], Result] | None]
+    make: Make
     work: Callable[[float], Work]
     settings: tuple[float, ...]
     colour: str
@@ -34,99 +45,39 @@ class Curve(NamedTuple):
 
 
 def curves() -> list[Curve]:
-    def stepped(runs: int) -> Callable[[float], Work]:
-        return lambda step: _final(draw(runs, DURATION, step=step))
-
-    def given(runs: int) -> Callable[[float], Work]:
-        return lambda tolerance: _final(draw(runs, DURATION))
-
-    def rival(
-        name: str, tolerance: str, **options: Any
-    ) -> Callable[[Work, float], Callable[[], Result] | None]:
-        return lambda work, value: rivals.prepare(name, work, **{tolerance: value}, **options)
-
+    """Every program, ours first."""
+    many, one = _stepped(RUNS), _stepped(1)
+    same_many, same_64, same_one = _same(RUNS), _same(64), _same(1)
+    blue, pink, grey, red = style.ESTIMATE, style.OTHER, style.ZONE, style.PRINTED
+    green, orange = style.REFERENCE, style.READING
+    heyoka, batches = _rival("heyoka_events", "tol"), _rival("heyoka_events", "tol", batch=True)
+    diffrax, scipy = _rival("diffrax_tsit5", "rtol"), _rival("scipy_ivp", "rtol")
+    dop853 = _rival("scipy_ivp", "rtol", method="DOP853", events=True)
+    of_many, some, events = f"{RUNS} runs", TOLERANCES[1:3], TOLERANCES[:4]
     return [
+        Curve(f"undeadzone, {of_many}", _ours(), many, STEPS, blue, "-"),
+        Curve("undeadzone, one run", _ours(width=1), one, STEPS, blue, "--"),
+        Curve(f"undeadzone, Taylor 8, {of_many}", _ours(order=8), many, LONG_STEPS, pink, "-"),
         Curve(
-            f"undeadzone, {RUNS} runs",
-            lambda work, step: ours.prepare(work),
-            stepped(RUNS),
-            STEPS,
-            style.ESTIMATE,
-            "-",
+            "undeadzone, Taylor 8, one run", _ours(order=8, width=1), one, LONG_STEPS, pink, "--"
         ),
-        Curve(
-            "undeadzone, one run",
-            lambda work, step: ours.prepare(work, width=1),
-            stepped(1),
-            STEPS,
-            style.ESTIMATE,
-            "--",
-        ),
-        Curve(
-            f"undeadzone, Taylor 8, {RUNS} runs",
-            lambda work, step: ours.prepare(work, order=8),
-            stepped(RUNS),
-            LONG_STEPS,
-            style.OTHER,
-            "-",
-        ),
-        Curve(
-            "undeadzone, Taylor 8, one run",
-            lambda work, step: ours.prepare(work, order=8, width=1),
-            stepped(1),
-            LONG_STEPS,
-            style.OTHER,
-            "--",
-        ),
-        Curve(
-            f"undeadzone, plain RK4, {RUNS} runs",
-            lambda work, step: ours.prepare(work, step="plain"),
-            stepped(RUNS),
-            STEPS,
-            style.ZONE,
-            "-",
-        ),
-        Curve(
-            f"heyoka, events, {RUNS} runs in batches",
-            rival("heyoka_events", "tol", batch=True),
-            given(RUNS),
-            TOLERANCES,
-            style.PRINTED,
-            "-",
-        ),
-        Curve(
-            "heyoka, events, one run",
-            rival("heyoka_events", "tol"),
-            given(1),
-            TOLERANCES,
-            style.PRINTED,
-            "--",
-        ),
-        Curve(
-            "diffrax, Tsit5, 64 runs",
-            rival("diffrax_tsit5", "rtol"),
-            given(64),
-            TOLERANCES[1:3],
-            style.REFERENCE,
-            "-",
-        ),
-        Curve(
-            "SciPy, RK45, one run",
-            rival("scipy_ivp", "rtol"),
-            given(1),
-            TOLERANCES[:2],
-            style.OTHER,
-            "--",
-        ),
-        Curve(
-            "SciPy, DOP853, events, one run",
-            rival("scipy_ivp", "rtol", method="DOP853", events=True),
-            given(1),
-            TOLERANCES[:4],
-            style.READING,
-            "--",
-        ),
+        Curve(f"undeadzone, plain RK4, {of_many}", _ours(step="plain"), many, STEPS, grey, "-"),
+        Curve(f"heyoka, events, {of_many} in batches", batches, same_many, TOLERANCES, red, "-"),
+        Curve("heyoka, events, one run", heyoka, same_one, TOLERANCES, red, "--"),
+        Curve("diffrax, Tsit5, 64 runs", diffrax, same_64, some, green, "-"),
+        Curve("SciPy, RK45, one run", scipy, same_one, TOLERANCES[:2], pink, "--"),
+        Curve("SciPy, DOP853, events, one run", dop853, same_one, events, orange, "--"),
     ]
+
+
+def _stepped(runs: int) -> Callable[[float], Work]:
+    """The work of so many runs with a given step [s]."""
+    return lambda step: _final(draw(runs, DURATION, step=step))
+
+
+def _same(runs: int) -> Callable[[float], Work]:
+    """The work of so many runs, the same for every tolerance."""
+    return lambda tolerance: _final(draw(runs, DURATION))
 
 
 def _final(work: Work) -> Work:
@@ -134,64 +85,71 @@ def _final(work: Work) -> Work:
     return work._replace(tail=1)
 
 
+def _ours(**options: Any) -> Make:
+    """Our program; the work has the step."""
+    return lambda work, step: ours.prepare(work, **options)
+
+
+def _rival(name: str, tolerance: str, **options: Any) -> Make:
+    """A rival; tolerance: what it calls its setting."""
+    return lambda work, value: rivals.prepare(name, work, **{tolerance: value}, **options)
+
+
 def table(rounds: int = 5) -> str:
     """The error and cost of each, and the cost at an error of `GOAL`."""
-    found = {curve: _points(curve, rounds) for curve in curves()}
-    _draw(found)
-    heads = f"| program | largest error: us per run and second simulated | us at {GOAL:g} |\n|---|---|---|"
+    points = {curve: _points(curve, rounds) for curve in curves()}
+    _draw(points)
+    costs = "largest error: us per run and second simulated"
     lines = [
-        f"| {curve.name} | {', '.join(f'{error:.0e}: {1e6 * cost:.3g}' for error, cost in points)} | {_at_goal(points)} |"
-        for curve, points in found.items()
+        "## Precision\n",
+        f"![error against cost]({FIGURE.name})\n",
+        *head("program", costs, f"us at {GOAL:g}"),
     ]
-    return "\n".join(
-        ["## Precision\n", f"![error against cost]({FIGURE.name})\n", heads, *lines, ""]
-    )
+    for curve, each in points.items():
+        cells = [f"{error:.0e}: {1e6 * cost:.3g}" for error, cost in each]
+        lines.append(row(curve.name, ", ".join(cells), _at_goal(each)))
+    return "\n".join([*lines, ""])
 
 
 def _points(curve: Curve, rounds: int) -> list[tuple[float, float]]:
-    """(largest error of a final state, seconds per run and second simulated) for each setting; none where it is not installed."""
-    works = [curve.work(setting) for setting in curve.settings]
-    entries = [
-        Entry(curve.name, curve.make(work, setting), work)
-        for work, setting in zip(works, curve.settings, strict=True)
-    ]
-    timed = race(entries, rounds, final_error)
-    return [
-        (one.error, one.seconds / entry.work.step)
-        for one, entry in zip(timed, entries, strict=True)
-        if one is not None
-    ]
+    """(largest error of a final state, seconds per run and second simulated) for each setting.
+
+    None where the program is not installed.
+    """
+    entries = []
+    for setting in curve.settings:
+        work = curve.work(setting)
+        entries.append(Entry(curve.name, curve.make(work, setting), work))
+    points = []
+    for entry, timed in zip(entries, race(entries, rounds, final_error), strict=True):
+        if timed is not None:
+            points.append((timed.error, timed.seconds / entry.work.step))
+    return points
 
 
 def _at_goal(points: list[tuple[float, float]]) -> str:
-    """The cost at an error of `GOAL`, between the points about it on logarithmic axes, or that of the first point below."""
-    if not points or min(error for error, _ in points) > GOAL:
-        return "not reached" if points else "not installed"
+    """The cost at an error of `GOAL`.
+
+    Between the points about it on logarithmic axes, or that of the first point below.
+    """
+    if not points:
+        return "not installed"
+    if min(error for error, _ in points) > GOAL:
+        return "not reached"
     errors, costs = np.log(np.array(sorted(points))).T
     return f"{1e6 * np.exp(np.interp(np.log(GOAL), errors, costs)):.3g}"
 
 
-def _draw(found: dict[Curve, list[tuple[float, float]]]) -> None:
+def _draw(points: dict[Curve, list[tuple[float, float]]]) -> None:
+    """Write the figure."""
     figure, axes = style.sheet([["precision"]], "Error against cost", width=8.0, height=5.0)
     panel = axes["precision"]
-    for curve, points in found.items():
-        if points:
-            error, cost = np.array(points).T
-            panel.loglog(
-                cost,
-                error,
-                curve.line,
-                color=curve.colour,
-                marker="o",
-                markersize=4,
-                label=curve.name,
-            )
+    for curve, each in points.items():
+        if each:
+            error, cost = np.array(each).T
+            look: Any = {"color": curve.colour, "marker": "o", "markersize": 4}
+            panel.loglog(cost, error, curve.line, label=curve.name, **look)
     panel.margins(x=0.05)
-    style.finish(
-        panel,
-        "The paper's loop, final states",
-        "largest error",
-        "seconds per run and second simulated",
-        legend=2,
-    )
+    title, x_label = "The paper's loop, final states", "seconds per run and second simulated"
+    style.finish(panel, title, "largest error", x_label, legend=2)
     style.write(figure, FIGURE)

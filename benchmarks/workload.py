@@ -1,4 +1,4 @@
-"""The work that every engine is given: the paper's loop for many runs that differ in widths and initial state."""
+"""The work of every engine: the paper's loop for runs that differ in widths and initial state."""
 
 from __future__ import annotations
 
@@ -28,11 +28,20 @@ PAPER = uz.Scenario(
 class Work(NamedTuple):
     """Numbers of a problem with one input and one output; the observer has the plant's true model.
 
-    A, B, C, L, gamma: of the plant and the observer (per step if sampled); u = u_ff - K (x^ - x_ref); limit: of widths;
-    targets (steps x 3 x (1 + n + 1)): r, x_ref, u_ff at the start, middle and end of each step [s] (sampled: 3 times the
-    start's); wave, omega: r and v = u_ff + K x_ref are wave @ [cos(omega t), sin(omega t)], for solvers that choose their
-    own instants; states (runs x (2 n + 2)): initial x, x^, d_r^, d_l^; widths (runs x 2): true d_r, d_l; tail: steps at
-    the end over which the rms of z - r is taken, at their starts.
+    Attributes:
+        problem: the problem itself
+        A, B, C: of the plant (per step if sampled)
+        L, gamma: of the observer (per step if sampled)
+        K: of the controller, u = u_ff - K (x^ - x_ref)
+        limit: of widths
+        step: [s]
+        targets: r, x_ref, u_ff at the start, middle and end of each step (sampled: 3 times the
+            start's) (steps x 3 x (1 + n + 1))
+        wave, omega: r and v = u_ff + K x_ref are wave @ [cos(omega t), sin(omega t)], for solvers
+            that choose their own instants
+        states: initial x, x^, d_r^, d_l^ (runs x (2 n + 2))
+        widths: true d_r, d_l (runs x 2)
+        tail: steps at the end over which the rms of z - r is taken, at their starts
     """
 
     problem: Problem
@@ -60,15 +69,13 @@ class Result(NamedTuple):
 
 
 def scenario(n: int) -> uz.Scenario:
-    """The paper's loop for n = 2; for other orders its plant is replaced by n equal lags in a row."""
+    """The paper's loop for n = 2; for other orders n equal lags in a row are its plant."""
     if n == 2:
         return PAPER
-    lags = uz.Plant(
-        A=6.0 * (np.eye(n, k=-1) - np.eye(n)), B=6.0 * np.eye(n)[:, :1], C=np.eye(n)[-1:]
-    )
-    return msgspec.structs.replace(
-        PAPER, plant=lags, observer=msgspec.structs.replace(PAPER.observer, L=None)
-    )
+    A = 6.0 * (np.eye(n, k=-1) - np.eye(n))
+    lags = uz.Plant(A=A, B=6.0 * np.eye(n)[:, :1], C=np.eye(n)[-1:])
+    observer = msgspec.structs.replace(PAPER.observer, L=None)
+    return msgspec.structs.replace(PAPER, plant=lags, observer=observer)
 
 
 def draw(
@@ -80,10 +87,18 @@ def draw(
     time: Time = "continuous",
     seed: int = 0,
 ) -> Work:
-    """Random widths and initial states for `runs` runs of `duration` [s], the first of them the paper's own.
+    """Random widths and initial states of runs, the first of them the paper's own.
 
-    They are such that no estimated width reaches 0 or d_M (for n = 2): projection there is one more switch, which
-    no solver here locates.
+    They are such that no estimated width reaches 0 or d_M (for n = 2): projection there is one more
+    switch, which no solver here locates.
+
+    Args:
+        runs: how many
+        duration: of each [s]
+        n: order of the plant
+        step: [s]
+        time: continuous or sampled
+        seed: of widths and states
     """
     simulation = uz.Simulation(duration=duration, step=step, time=time)
     problem = resolve_scenario(msgspec.structs.replace(scenario(n), simulation=simulation))
@@ -91,20 +106,31 @@ def draw(
     observer, steps = problem.observer.params, problem.steps
     loop, _, exogenous = prepare(problem)
     instants = exogenous[:steps].reshape(steps, -1, tree.size(loop.instant))[:, :, : n + 2]
-    x0, widths = (
-        np.random.default_rng([seed, 0]).normal(0.0, 0.1, (runs, n)),
-        np.random.default_rng([seed, 1]).uniform(0.5, 2.0, (runs, 2)),
-    )
+    x0 = np.random.default_rng([seed, 0]).normal(0.0, 0.1, (runs, n))
+    widths = np.random.default_rng([seed, 1]).uniform(0.5, 2.0, (runs, 2))
     states = np.hstack([x0, np.zeros((runs, n)), np.full((runs, 2), 0.2)])
     states[0, :n], widths[0] = problem.x0, 1.0
     K, exo = problem.controller.params.K, problem.reference
-    Pi, Gamma = steady_state(problem.model, exo, problem.tracked)
-    quarter = 0.25 / problem.scenario.reference.frequency
+    Pi, Gamma = steady_state(problem.model, exo, problem.tracked)  # x_ref = Pi w, u_ff = Gamma w
+    quarter = 0.25 / problem.scenario.reference.frequency  # [s] of a period
     wave = np.vstack([exo.Q, Gamma + K @ Pi]) @ exo.state(np.array([0.0, quarter])).T
     return Work(
-        problem, A, B[:, 0], C[0], observer.L[:, 0], K[0], float(observer.gamma[0]), float(observer.limit[0]), step,
-        np.ascontiguousarray(np.broadcast_to(instants, (steps, 3, n + 2))), wave, np.pi / 2 / quarter, states, widths, max(1, steps // 10),
-    )  # fmt: skip
+        problem=problem,
+        A=A,
+        B=B[:, 0],
+        C=C[0],
+        L=observer.L[:, 0],
+        K=K[0],
+        gamma=float(observer.gamma[0]),
+        limit=float(observer.limit[0]),
+        step=step,
+        targets=np.ascontiguousarray(np.broadcast_to(instants, (steps, 3, n + 2))),
+        wave=wave,
+        omega=np.pi / 2 / quarter,
+        states=states,
+        widths=widths,
+        tail=max(1, steps // 10),
+    )
 
 
 def grid(work: Work) -> Floats:
@@ -113,13 +139,14 @@ def grid(work: Work) -> Floats:
     return np.arange(steps - work.tail, steps + 1) * work.step
 
 
-def final_error(found: Result, true: Result) -> float:
+def final_error(result: Result, true: Result) -> float:
     """The largest error of a final state in the runs that both have."""
-    runs = min(len(found.states), len(true.states))
-    return float(np.abs(found.states[:runs] - true.states[:runs]).max())
+    runs = min(len(result.states), len(true.states))
+    return float(np.abs(result.states[:runs] - true.states[:runs]).max())
 
 
-def error(found: Result, true: Result) -> float:
+def error(result: Result, true: Result) -> float:
     """The largest error of a final state or an rms in the runs that both have."""
-    runs = min(len(found.rms), len(true.rms))
-    return max(final_error(found, true), float(np.abs(found.rms[:runs] - true.rms[:runs]).max()))
+    runs = min(len(result.rms), len(true.rms))
+    of_rms = float(np.abs(result.rms[:runs] - true.rms[:runs]).max())
+    return max(final_error(result, true), of_rms)

@@ -26,8 +26,9 @@ from undeadzone.cli import group
 from undeadzone.cli.check import plain
 from undeadzone.errors import UndeadzoneError
 from undeadzone.report.gains_page import figures, gains_page
+from undeadzone.report.locus_figures import root_locus
 from undeadzone.report.proof_figures import courses as courses_figure
-from undeadzone.report.proof_figures import nyquist, root_locus
+from undeadzone.report.proof_figures import nyquist
 from undeadzone.report.trade_figures import ellipses
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.assessment import Assessment, assess, attack

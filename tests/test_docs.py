@@ -1,4 +1,4 @@
-"""What the documentation shows is run: Python blocks, console blocks with their numbers, pages written by a command."""
+"""What the documentation shows is run: blocks of Python, consoles with their numbers, pages."""
 
 from __future__ import annotations
 
@@ -21,11 +21,18 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
 def blocks(kind: str) -> list[tuple[str, str]]:
-    return [
-        (f"{page.name}:{i}", text)
-        for page in PAGES
-        for i, text in enumerate(re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S))
-    ]
+    """Name and text of every fenced block of a kind."""
+    named = []
+    for page in PAGES:
+        texts = re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S)
+        named += [(f"{page.name}:{i}", text) for i, text in enumerate(texts)]
+    return named
+
+
+def methods() -> list[str]:
+    """The names of all observers and controllers."""
+    options = [*get_args(ObserverOptions), *get_args(ControllerOptions)]
+    return [option.__struct_config__.tag for option in options]
 
 
 @pytest.mark.parametrize(("name", "code"), blocks("python"))
@@ -54,16 +61,17 @@ def compared(command: str, expected: list[str], folder: Path) -> None:
         timeout=300,
     )
     shown = done.stdout.rstrip("\n").split("\n")
-    assert [NUMBER.sub("#", line) for line in shown] == [
-        NUMBER.sub("#", line) for line in expected
-    ], done.stderr
-    for a, b in zip(
-        NUMBER.findall("\n".join(shown)), NUMBER.findall("\n".join(expected)), strict=True
-    ):
-        tolerance = (
-            0.02 if abs(float(b)) > 1e-7 else 10.0
-        )  # an integration error is known to its order of magnitude
-        assert abs(float(a) - float(b)) <= tolerance * abs(float(b)) + 1e-12
+    words = [NUMBER.sub("#", line) for line in shown]
+    assert words == [NUMBER.sub("#", line) for line in expected], done.stderr
+    for a, b in zip(numbers(shown), numbers(expected), strict=True):
+        # an integration error is known to its order of magnitude
+        tolerance = 0.02 if abs(b) > 1e-7 else 10.0
+        assert abs(a - b) <= tolerance * abs(b) + 1e-12
+
+
+def numbers(lines: list[str]) -> list[float]:
+    """All numbers in lines of text."""
+    return [float(number) for number in NUMBER.findall("\n".join(lines))]
 
 
 def test_scenario_page_is_up_to_date() -> None:
@@ -81,14 +89,7 @@ def test_links_point_to_files(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        options.__struct_config__.tag
-        for catalogue in (ObserverOptions, ControllerOptions)
-        for options in get_args(catalogue)
-    ],
-)
+@pytest.mark.parametrize("method", methods())
 def test_every_method_has_its_page(method: str) -> None:
     page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
     assert page.startswith(f"# {method}\n")

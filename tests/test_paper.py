@@ -1,10 +1,11 @@
-"""The paper's audit: its numbers against closed forms, its verdicts against its numbers, its files against what they promise."""
+"""The paper's audit: numbers against closed forms, verdicts against numbers, files whole."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
 import importlib
+import itertools
 import json
 import subprocess
 import sys
@@ -17,13 +18,23 @@ import pytest
 from undeadzone.controllers import PD
 from undeadzone.observers import Printed
 from undeadzone.paper import Paper, audit, measures, write
-from undeadzone.paper.claims import TEXTS, Claim
+from undeadzone.paper.claim_texts import TEXTS
+from undeadzone.paper.claims import Claim
 from undeadzone.paper.equations import EQUATIONS, FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING, SIGNED
-from undeadzone.paper.example import ALPHA, READINGS, D, printed
+from undeadzone.paper.example import (
+    ALPHA,
+    L_POLES,
+    L_PRINTED,
+    READINGS,
+    D,
+    printed,
+    repaired,
+)
+from undeadzone.paper.figures import mathtext
 from undeadzone.paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
-from undeadzone.paper.trials import measure
-from undeadzone.plants.build import system
+from undeadzone.paper.trials import measure, operations, pole_error
+from undeadzone.plants.build import matrices, system
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.simulation.run import Run
@@ -120,9 +131,8 @@ def test_repaired_V_never_rises_beyond_the_stated_integration_error(paper: Paper
 
 def test_rate_agrees_with_the_fall_of_V(five: Run) -> None:
     half = five.t.size // 2
-    assert measures.rate(five) == pytest.approx(
-        np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half]), rel=0.01
-    )
+    of_V = np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half])
+    assert measures.rate(five) == pytest.approx(of_V, rel=0.01)
 
 
 def test_repaired_is_the_example_that_ships(five: Run) -> None:
@@ -131,14 +141,10 @@ def test_repaired_is_the_example_that_ships(five: Run) -> None:
 
 
 def test_every_variant_is_run_once(paper: Paper) -> None:
-    assert (
-        len({outcome.variant for outcome in paper.variants})
-        == len(paper.variants)
-        == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
-    )
-    assert {(item.plant, item.start) for item in paper.counts} == {
-        (plant, start) for plant in READINGS for start in STARTS
-    }
+    assert len(paper.variants) == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
+    assert len({outcome.variant for outcome in paper.variants}) == len(paper.variants)
+    counted = {(item.plant, item.start) for item in paper.counts}
+    assert counted == set(itertools.product(READINGS, STARTS))
     assert all(item.total == 48 for item in paper.counts)
 
 
@@ -156,11 +162,9 @@ def test_variants_with_unknown_widths_move_them_only_where_the_observer_is_fed(
     paper: Paper,
 ) -> None:
     for outcome in paper.variants:
-        if (
-            outcome.variant.start == "from rest, d^(0) = 0"
-            and outcome.variant.plant != "unity DC gain"
-        ):
-            assert outcome.moves_widths == outcome.variant.feeds_input
+        variant = outcome.variant
+        if variant.start == "from rest, d^(0) = 0" and variant.plant != "unity DC gain":
+            assert outcome.moves_widths == variant.feeds_input
 
 
 def test_outcomes_are_consistent(paper: Paper) -> None:
@@ -177,9 +181,8 @@ def test_a_variant_in_the_shared_graph_equals_its_own_loop(paper: Paper, index: 
     run = simulate(_alone(outcome), check_step=False)
     if outcome.diverged_at is None:
         assert outcome.peak == pytest.approx(float(np.abs(run.z).max()), rel=1e-9)
-        assert outcome.steady == pytest.approx(
-            float(np.abs(run.z[run.t > DURATION - 4.0 + STEP / 2]).max()), rel=1e-9
-        )
+        last = run.z[run.t > DURATION - 4.0 + STEP / 2]
+        assert outcome.steady == pytest.approx(float(np.abs(last).max()), rel=1e-9)
     else:
         assert np.abs(run.u[run.t < outcome.diverged_at - STEP / 2]).max() < 1e6
 
@@ -234,22 +237,11 @@ def test_verdict_follows_from_numbers_and_limit(
 
 def test_the_claims_that_matter_come_out_as_derived(paper: Paper) -> None:
     verdicts = {claim.text.id: claim.verdict for claim in paper.claims}
-    assert {
-        verdicts[name]
-        for name in (
-            "lyapunov",
-            "state-1",
-            "state-2",
-            "reading-tracked",
-            "widths",
-            "tracking",
-            "cancelled",
-            "bounded",
-        )
-    } == {"holds after repair"}
-    assert {verdicts[name] for name in ("implied", "cancelled-in-total", "compared")} == {
-        "does not hold"
-    }
+    repaired_claims = ("lyapunov", "state-1", "state-2", "reading-tracked", "widths", "tracking")
+    for name in (*repaired_claims, "cancelled", "bounded"):
+        assert verdicts[name] == "holds after repair", name
+    for name in ("implied", "cancelled-in-total", "compared"):
+        assert verdicts[name] == "does not hold", name
 
 
 def test_measures_see_what_they_should(five: Run) -> None:
@@ -269,14 +261,34 @@ def test_measures_see_what_they_should(five: Run) -> None:
     dying = dataclasses.replace(five, d_hat=1.0 + np.exp(-0.3 * five.t)[:, None] * [1.0, -0.5])
     assert measures.rate(dying) == pytest.approx(0.3, rel=1e-3)
     gone = dataclasses.replace(five, d_hat=five.d_hat * 1e30)
-    assert np.isinf(
-        [
-            measures.width_error(gone),
-            measures.largest_width(gone),
-            measures.rise(gone),
-            measures.steep_share(gone),
-        ]
-    ).all()
+    assert np.isinf(measures.width_error(gone))
+    assert np.isinf(measures.largest_width(gone))
+    assert np.isinf(measures.rise(gone))
+    assert np.isinf(measures.steep_share(gone))
+
+
+def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
+    linear = matrices(printed(1.0).plant)
+    assert pole_error(linear, L_POLES) < 1e-12
+    assert pole_error(linear, L_PRINTED) > 1.0
+
+
+def test_operations_of_observers_are_counted() -> None:
+    assert 0 < operations(printed(5.0)) < 1000
+    assert 0 < operations(repaired(5.0)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "symbols"),
+    [
+        ("reading y", "reading $y_{}$"),
+        ("state x1", "state $x_{1}$"),
+        ("error x^1 - x1", r"error $\hat{x}_{1}$ - $x_{1}$"),
+        ("widths d^", r"widths $\hat{d}_{}$"),
+    ],
+)
+def test_symbols_in_titles(words: str, symbols: str) -> None:
+    assert mathtext(words) == symbols
 
 
 def test_every_equation_is_placed_where_something_is() -> None:
@@ -297,9 +309,8 @@ def test_progress_is_told_of_work_done(told: list[int], paper: Paper) -> None:
 
 def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Path]) -> None:
     names = {path.name for path in written}
-    assert {f"figure_{number}.png" for number in FIGURES} | {
-        f"figure_{number}_2sin.png" for number in FIGURES
-    } <= names
+    for number in FIGURES:
+        assert {f"figure_{number}.png", f"figure_{number}_2sin.png"} <= names
     assert {"paper.json", "variants.csv", "report.html", "silence.png"} <= names
     assert {path.name for path in written[0].parent.iterdir()} == names
     for path in written:
@@ -313,11 +324,9 @@ def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Pa
 
 
 def test_without_figures_only_numbers_are_written(paper: Paper, tmp_path: Path) -> None:
-    assert (
-        {path.name for path in write(paper, tmp_path, figures=False)}
-        == {"paper.json", "variants.csv"}
-        == {path.name for path in tmp_path.iterdir()}
-    )
+    written = write(paper, tmp_path, figures=False)
+    assert {path.name for path in written} == {"paper.json", "variants.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == {"paper.json", "variants.csv"}
 
 
 def test_nothing_is_drawn_before_it_is_asked_for() -> None:

@@ -6,19 +6,38 @@ import dataclasses
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from scenes import scene
-from undeadzone.errors import FileError
-from undeadzone.report.figures import overview, plot
+from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.ensemble.result import Ensemble
+from undeadzone.ensemble.run_ensemble import run_ensemble
+from undeadzone.errors import FileError, InputError
+from undeadzone.observers import Certified
+from undeadzone.report.animation import TILT, face_seen
+from undeadzone.report.arena_figures import cell, envelope
+from undeadzone.report.arm_figures import joint_rows, offset
+from undeadzone.report.ensemble_figures import bin_edges
+from undeadzone.report.ensemble_page import figures as ensemble_figures
+from undeadzone.report.figures import overview, plot, rows_below, rows_beside
 from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table
+from undeadzone.report.proof_figures import nyquist, proof_of
 from undeadzone.report.style import png, sheet, write
+from undeadzone.report.trade_figures import ELLIPSE, ellipse
+from undeadzone.report.tune_figures import history
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.files import write_text
+from undeadzone.synthesis.assessment import assess
+from undeadzone.synthesis.design import design as find_design
+from undeadzone.tuning.result import Tuned
+from undeadzone.tuning.tune import tune
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
 VOID = {"meta", "img", "link", "br", "hr", "input"}
@@ -172,3 +191,172 @@ def test_an_unwritable_path_is_a_file_error(tmp_path: Path, run: Run) -> None:
         write_text(page("t"), tmp_path / "file" / "page.html")
     with pytest.raises(FileError, match="cannot write"):
         plot(run, tmp_path / "file" / "figure.png")
+
+
+# --- plot: any result
+
+
+SAMPLED = {"time": "sampled", "step": 1e-2}
+
+
+@pytest.fixture(scope="module")
+def ensemble() -> Ensemble:
+    vary = {"runs": 16, "sensor.right": {"uniform": [0.5, 1.5]}}
+    return run_ensemble(scene(ensemble=vary, simulation=SAMPLED))
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return find_design(scene(), "rate")
+
+
+@pytest.fixture(scope="module")
+def tuned() -> Tuned:
+    search = {"runs": 4, "held_out": 4, "budget": 4, "observer.gamma": {"between": [1.0, 20.0]}}
+    return tune(scene(tune=search, simulation=SAMPLED))
+
+
+def title(figure: Figure) -> str:
+    return figure.get_suptitle()
+
+
+@pytest.mark.parametrize("kind", ["run", "ensemble", "design", "tuned"])
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_plot_writes_any_result(
+    kind: str, suffix: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    result = request.getfixturevalue(kind)
+    path = plot(result, str(tmp_path / f"figure{suffix}"))
+    assert path == tmp_path / f"figure{suffix}"
+    assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("kind", ["run", "ensemble", "design", "tuned"])
+def test_plot_without_a_path_returns_the_figure(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    figure = plot(request.getfixturevalue(kind))
+    assert isinstance(figure, Figure)
+    assert png(figure).startswith(b"\x89PNG")
+    assert not list(tmp_path.iterdir())
+
+
+def test_plot_draws_what_the_report_shows_first(
+    run: Run, ensemble: Ensemble, design: Design, tuned: Tuned
+) -> None:
+    assert title(plot(run)) == title(overview(run))
+    first = next(iter(ensemble_figures(ensemble, ensemble.summary()).values()))
+    assert png(plot(ensemble)) == png(first)
+    observer = Certified(L=design.L, gamma=design.gamma, width_max=3.0)
+    gains = assess(resolve_scenario(msgspec.structs.replace(scene(), observer=observer))).gains
+    assert gains is not None
+    assert title(plot(design)) == title(nyquist(gains))
+    curves = [figure.axes[0].lines[-2].get_xydata() for figure in (plot(design), nyquist(gains))]
+    np.testing.assert_allclose(curves[0], curves[1], rtol=1e-9)
+    assert png(plot(tuned)) == png(history(tuned))
+
+
+def test_a_lost_ensemble_is_drawn_over_time_or_refused(ensemble: Ensemble) -> None:
+    metrics = ensemble.metrics | {"diverged": np.ones(ensemble.info.runs)}
+    lost = dataclasses.replace(ensemble, metrics=metrics)
+    assert "over time" in title(plot(lost))
+    with pytest.raises(InputError, match="every run of this ensemble diverged"):
+        plot(dataclasses.replace(lost, bands=None))
+
+
+@pytest.mark.parametrize("wrong", [None, "run.npz", 3.0, {"z": [1.0]}, np.zeros(3)])
+def test_plot_of_anything_else_says_what_it_expects(wrong: Any, tmp_path: Path) -> None:
+    expected = f"expected a Run, an Ensemble, a Design or a Tuned, found {type(wrong).__name__}"
+    with pytest.raises(InputError, match=expected):
+        plot(wrong, tmp_path / "figure.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_proof_of_a_design_holds(design: Design) -> None:
+    proof = proof_of(design)
+    assert proof.certified
+    assert proof.check.proved
+    assert proof.margin == design.margin
+    broken = msgspec.structs.replace(design, P=(-np.array(design.P)).tolist())
+    assert not proof_of(broken).certified
+
+
+# --- The small parts of figures
+
+
+def test_panels_of_a_run() -> None:
+    assert rows_below(1, True) == [
+        ["output 0"] * 6,
+        ["error 0"] * 2 + ["widths 0"] * 2 + ["V"] * 2,
+    ]
+    assert rows_below(2, True)[3] == ["error 1"] * 3 + ["widths 1"] * 3
+    assert rows_below(1, False)[1] == ["error 0"] * 3 + ["widths 0"] * 3
+    rows = rows_beside(3, True)
+    assert rows[0] == ["output 0"] * 6 + ["error 0"] * 3 + ["widths 0"] * 3
+    assert rows[-1] == ["V"] * 12
+    assert len(rows_beside(3, False)) == 3
+
+
+@pytest.mark.parametrize(
+    ("joints", "rows"),
+    [
+        (1, [["0"]]),
+        (2, [["0", "1"]]),
+        (4, [["0", "1", "2"], ["3", ".", "."]]),
+        (6, [["0", "1", "2"], ["3", "4", "5"]]),
+    ],
+)
+def test_panels_of_joints(joints: int, rows: list[list[str]]) -> None:
+    assert joint_rows(joints) == rows
+
+
+def test_an_offset_is_a_constant_difference() -> None:
+    q = np.linspace(0.0, 1.0, 5)
+    assert offset(q + 0.25, q) == pytest.approx(0.25)
+    assert offset(q, 2 * q) is None
+
+
+def test_bins_hold_all_values_on_the_scale_that_suits_them() -> None:
+    even, decades, alike = np.linspace(1.0, 2.0, 1000), np.geomspace(1e-3, 1.0, 1000), np.ones(50)
+    for values, logarithmic in ((even, False), (decades, True), (alike, False)):
+        edges, found = bin_edges(values)
+        assert found == logarithmic
+        assert edges[0] <= values[0]
+        assert values[-1] <= edges[-1]
+        assert (np.diff(edges) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(np.nan, "–"), (12.3, "12"), (9.96, "10"), (1.23, "1.2"), (0.123, ".12"), (-0.123, "−.12")],
+)
+def test_regrets_in_three_places(value: float, text: str) -> None:
+    assert cell(value) == text
+
+
+def test_an_envelope_lies_on_its_values() -> None:
+    size = np.abs(np.sin(np.arange(1000.0)))
+    assert (envelope(size) >= size).all()
+    assert np.isinf(envelope(np.array([0.0, np.nan]), parts=1)).all()
+
+
+def test_the_ellipse_holds_the_deviations() -> None:
+    right, left, correlation = 0.3, 0.2, 0.5
+    both = 2 * correlation * right * left
+    std = {
+        "right": right,
+        "left": left,
+        "width": float(np.sqrt(right**2 + left**2 + both)),
+        "centre": float(np.sqrt(right**2 + left**2 - both)),
+    }
+    x, y = ellipse(std)
+    reach = [np.abs(x).max(), np.abs(y).max(), np.abs(x + y).max(), np.abs(x - y).max()]
+    np.testing.assert_allclose(reach, ELLIPSE * np.array([*std.values()]), rtol=1e-3)
+
+
+def test_a_face_turned_to_the_eye_is_seen_whole() -> None:
+    eye = np.array([0.0, -np.cos(TILT), np.sin(TILT)])
+    assert face_seen(eye, 0.0) == pytest.approx(1.0)
+    assert face_seen(np.array([1.0, 0.0, 0.0]), 0.0) == pytest.approx(0.0)
+    assert face_seen(np.array([1.0, 0.0, 0.0]), np.pi / 2) == pytest.approx(np.cos(TILT))

@@ -1,4 +1,7 @@
-"""Other programs for the same work, a file each: prepare(work, **options) -> a function that does it and returns its `Result`."""
+"""Other programs for the same work, a file each.
+
+prepare(work, **options) -> a function that does it and returns its `Result`.
+"""
 
 from __future__ import annotations
 

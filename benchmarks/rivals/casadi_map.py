@@ -14,15 +14,10 @@ from benchmarks.workload import Result, Work
 
 def prepare(work: Work) -> Callable[[], Result]:
     n, steps, runs = len(work.B), len(work.targets), len(work.states)
-    state, given = (
-        ca.SX.sym("state", 2 * n + 5),
-        ca.SX.sym("given", 5),
-    )  # s, the sum of (z - r)^2, d_r, d_l; v at three instants, r, 1 in the tail
-    s, total, d = (
-        ca.vertsplit(state[: 2 * n + 2]),
-        state[2 * n + 2],
-        ca.vertsplit(state[2 * n + 3 :]),
-    )
+    state = ca.SX.sym("state", 2 * n + 5)  # s, the sum of (z - r)^2, d_r, d_l
+    given = ca.SX.sym("given", 5)  # v at three instants, r, 1 in the tail
+    s, d = ca.vertsplit(state[: 2 * n + 2]), ca.vertsplit(state[2 * n + 3 :])
+    total = state[2 * n + 2]
 
     def clip(width: Any) -> Any:
         return ca.fmax(ca.fmin(width, work.limit), 0.0)
@@ -32,22 +27,16 @@ def prepare(work: Work) -> Callable[[], Result]:
         return rate(work, s, (z > d[0], z < -d[1]), d, v, clip)
 
     after = rk4(move, s, ca.vertsplit(given[:3]), work.step)
-    following = ca.vertcat(
-        *after[: 2 * n],
-        *map(clip, after[2 * n :]),
-        total + given[4] * (dot(work.C, s[:n]) - given[3]) ** 2,
-        *d,
-    )
-    many = (
-        ca.Function("step", [state, given], [following], {"cse": True})
-        .fold(steps)
-        .map("many", "serial", runs, [1], [])
-    )
+    error = dot(work.C, s[:n]) - given[3]
+    widths = map(clip, after[2 * n :])
+    following = ca.vertcat(*after[: 2 * n], *widths, total + given[4] * error**2, *d)
+    step = ca.Function("step", [state, given], [following], {"cse": True})
+    many = step.fold(steps).map("many", "serial", runs, [1], [])
     start = np.hstack([work.states, np.zeros((runs, 1)), work.widths]).T
     tail = np.arange(steps) >= steps - work.tail
-    inputs = np.column_stack(
-        [work.targets[:, :, -1] + work.targets[:, :, 1:-1] @ work.K, work.targets[:, 0, 0], tail]
-    ).T
+    r = work.targets[:, 0, 0]
+    v = work.targets[:, :, -1] + work.targets[:, :, 1:-1] @ work.K
+    inputs = np.column_stack([v, r, tail]).T
 
     def run() -> Result:
         final = many(start, inputs).full().T

@@ -17,18 +17,19 @@ jax.config.update("jax_enable_x64", True)
 
 
 def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
-    """rtol = None: constant steps."""
+    """The work made ready; rtol = None: constant steps."""
     n, end = len(work.B), len(work.targets) * work.step
-    constant = rtol is None
-    controller = (
-        diffrax.ConstantStepSize() if constant else diffrax.PIDController(rtol=rtol, atol=rtol)
-    )
-    found = diffrax.SaveAt(
-        subs=[
-            diffrax.SubSaveAt(t1=True),
-            diffrax.SubSaveAt(ts=grid(work)[:-1], fn=lambda t, s, d: dot(work.C, s[:n])),
-        ]
-    )
+    if rtol is None:
+        controller = diffrax.ConstantStepSize()
+    else:
+        controller = diffrax.PIDController(rtol=rtol, atol=rtol)
+
+    def output(t: Any, s: Any, d: Any) -> Any:
+        return dot(work.C, s[:n])
+
+    last = diffrax.SubSaveAt(t1=True)
+    outputs = diffrax.SubSaveAt(ts=grid(work)[:-1], fn=output)
+    kept = diffrax.SaveAt(subs=[last, outputs])
 
     def move(t: Any, s: Any, d: Any) -> list[Any]:
         z = dot(work.C, s[:n])
@@ -37,12 +38,20 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
 
     def one(s: Any, d: Any) -> Any:
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(move), diffrax.Tsit5(), 0.0, end, work.step, list(s), d, saveat=found, stepsize_controller=controller, max_steps=None,
-        )  # fmt: skip
-        states, z = solution.ys
-        return jnp.concatenate(states), jnp.sqrt(
-            jnp.mean((z - work.targets[-work.tail :, 0, 0]) ** 2)
+            terms=diffrax.ODETerm(move),
+            solver=diffrax.Tsit5(),
+            t0=0.0,
+            t1=end,
+            dt0=work.step,
+            y0=list(s),
+            args=d,
+            saveat=kept,
+            stepsize_controller=controller,
+            max_steps=None,
         )
+        states, z = solution.ys
+        errors = z - work.targets[-work.tail :, 0, 0]
+        return jnp.concatenate(states), jnp.sqrt(jnp.mean(errors**2))
 
     many = jax.jit(jax.vmap(one))
     return lambda: Result(*map(np.asarray, many(work.states, work.widths)))

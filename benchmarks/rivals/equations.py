@@ -12,9 +12,8 @@ from benchmarks.workload import Work
 
 def dot(row: Sequence[float], x: Sequence[Any]) -> Any:
     """row @ x without the terms that are 0."""
-    return functools.reduce(
-        operator.add, (float(a) * b for a, b in zip(row, x, strict=True) if a != 0)
-    )
+    terms = [float(a) * b for a, b in zip(row, x, strict=True) if a != 0]
+    return functools.reduce(operator.add, terms)
 
 
 def rate(
@@ -25,23 +24,26 @@ def rate(
     v: Any,
     clip: Callable[[Any], Any] = lambda width: width,
 ) -> list[Any]:
-    """s' of s = [x, x^, d_r^, d_l^] for u = v - K x^; on: 1 on the (right, left) side, else 0; d: true d_r, d_l; clip: to [0, d_M]."""
+    """s' of s = [x, x^, d_r^, d_l^] for u = v - K x^.
+
+    Args:
+        work: has the numbers
+        s: the states
+        on: 1 on the (right, left) side, else 0
+        d: true d_r, d_l
+        v: u_ff + K x_ref
+        clip: a width to [0, d_M]
+    """
     n = len(work.B)
-    x, x_hat, (right, left) = s[:n], s[n : 2 * n], (clip(width) for width in s[2 * n :])
-    e = (
-        (on[0] + on[1]) * (dot(work.C, x) - dot(work.C, x_hat))
-        - on[0] * (d[0] - right)
-        + on[1] * (d[1] - left)
-    )
+    x, x_hat = s[:n], s[n : 2 * n]
+    right, left = (clip(width) for width in s[2 * n :])
+    z_error = dot(work.C, x) - dot(work.C, x_hat)
+    e = (on[0] + on[1]) * z_error - on[0] * (d[0] - right) + on[1] * (d[1] - left)
     u = v - dot(work.K, x_hat)
-    plant = [
-        dot(row, x) + float(b) * u if b else dot(row, x)
-        for row, b in zip(work.A, work.B, strict=True)
-    ]
-    observer = [
-        dot(row, x_hat) + float(b) * u + float(gain) * e
-        for row, b, gain in zip(work.A, work.B, work.L, strict=True)
-    ]
+    plant, observer = [], []
+    for row, b, gain in zip(work.A, work.B, work.L, strict=True):
+        plant.append(dot(row, x) + float(b) * u if b else dot(row, x))
+        observer.append(dot(row, x_hat) + float(b) * u + float(gain) * e)
     return [*plant, *observer, -work.gamma * on[0] * e, work.gamma * on[1] * e]
 
 
@@ -57,4 +59,5 @@ def rk4(
     k2 = move(ahead(0.5, k1), v[1])
     k3 = move(ahead(0.5, k2), v[1])
     k4 = move(ahead(1.0, k3), v[2])
-    return ahead(1 / 6, [a + 2 * b + 2 * c + e for a, b, c, e in zip(k1, k2, k3, k4, strict=True)])
+    slopes = zip(k1, k2, k3, k4, strict=True)
+    return ahead(1 / 6, [a + 2 * b + 2 * c + e for a, b, c, e in slopes])

@@ -1,4 +1,7 @@
-"""MuJoCo: the arm read from its URDF, contacts and joint limits off, the same integrators: mj_step from Python, or its threaded rollout."""
+"""MuJoCo: the arm read from its URDF, contacts and joint limits off, the same integrators.
+
+mj_step from Python, or the threaded rollout.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,17 @@ INTEGRATORS = {"euler": mujoco.mjtIntegrator.mjINT_EULER, "rk4": mujoco.mjtInteg
 
 
 def prepare(work: Work, *, rolled: bool = False, threads: int = 1) -> Callable[[], Floats]:
-    """rolled: by `mujoco.rollout`, which keeps every state, on that many threads; else a call of mj_step per step."""
+    """The work made ready.
+
+    Args:
+        work: what is done
+        rolled: by `mujoco.rollout`, which keeps every state; else a call of mj_step per step
+        threads: of the rollout
+    """
     model = mujoco.MjModel.from_xml_path(str(work.path))
     model.opt.timestep, model.opt.integrator = work.step, INTEGRATORS[work.move]
-    model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    )
+    bits = mujoco.mjtDisableBit
+    model.opt.disableflags |= bits.mjDSBL_CONSTRAINT | bits.mjDSBL_CONTACT
     runs, N = work.torques.shape
     data = [mujoco.MjData(model) for _ in range(threads)]
 

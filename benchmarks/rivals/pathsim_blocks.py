@@ -20,23 +20,21 @@ def prepare(work: Work) -> Callable[[], Result]:
         (y, u), x = given, s[:n]
         right, left = np.clip(s[n:], 0.0, work.limit)
         e = y + right * (y > 0) - left * (y < 0) - work.C @ x if y else 0.0
-        return np.concatenate(
-            [
-                work.A @ x + work.B * u + work.L * e,
-                [-work.gamma * (y > 0) * e, work.gamma * (y < 0) * e],
-            ]
-        )
+        x_rate = work.A @ x + work.B * u + work.L * e
+        return np.concatenate([x_rate, [-work.gamma * (y > 0) * e, work.gamma * (y < 0) * e]])
+
+    def beyond(z: float, d: Floats) -> float:
+        return z - min(max(z, -d[1]), d[0])
+
+    def aim(t: float) -> float:
+        angle = work.omega * t
+        return work.wave[1, 0] * math.cos(angle) + work.wave[1, 1] * math.sin(angle)
 
     def one(s: Floats, d: Floats) -> tuple[Floats, float]:
         plant = ODE(lambda x, u, t: work.A @ x + work.B * u, s[:n])
         observer = ODE(observe, s[n:])
-        sensor = Function(lambda *x: (z := work.C @ x) - min(max(z, -d[1]), d[0]))
-        target = Source(
-            lambda t: (
-                work.wave[1, 0] * math.cos(work.omega * t)
-                + work.wave[1, 1] * math.sin(work.omega * t)
-            )
-        )
+        sensor = Function(lambda *x: beyond(work.C @ x, d))
+        target = Source(aim)
         controller = Function(lambda v, *x_hat: v - work.K @ x_hat)
         scope = Scope(t_wait=end - (work.tail + 0.5) * work.step)
         links = [
@@ -50,14 +48,12 @@ def prepare(work: Work) -> Callable[[], Result]:
         Simulation(blocks, links, dt=work.step, Solver=RK4, log=False).run(end, adaptive=False)
         _, path = scope.read()
         errors = work.C @ np.array(path)[:, : work.tail] - work.targets[-work.tail :, 0, 0]
-        return np.concatenate([plant.engine.get(), observer.engine.get()]), math.sqrt(
-            np.mean(errors**2)
-        )
+        states = np.concatenate([plant.engine.get(), observer.engine.get()])
+        return states, math.sqrt(np.mean(errors**2))
 
     def run() -> Result:
-        states, rms = zip(
-            *(one(s, d) for s, d in zip(work.states, work.widths, strict=True)), strict=True
-        )
+        runs = [one(s, d) for s, d in zip(work.states, work.widths, strict=True)]
+        states, rms = zip(*runs, strict=True)
         return Result(np.array(states), np.array(rms))
 
     return run

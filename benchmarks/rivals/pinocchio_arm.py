@@ -1,4 +1,7 @@
-"""Pinocchio: its ABA called from Python, or a loop over it in C++ (pinocchio_arm.cpp), compiled for this CPU when first asked for."""
+"""Pinocchio: its ABA called from Python, or a loop over it in C++ (pinocchio_arm.cpp).
+
+The loop is compiled for this CPU when first asked for.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +22,17 @@ from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.support.arrays import Floats
 
 SOURCE = Path(__file__).with_name("pinocchio_arm.cpp")
-HEADERS = (
-    Path(pin.__file__).parents[4] / "include",
-    Path(ca.__file__).with_name("include") / "eigen3",
-)  # CasADi brings Eigen's
+EIGEN = Path(ca.__file__).with_name("include") / "eigen3"  # comes with CasADi
+HEADERS = (Path(pin.__file__).parents[4] / "include", EIGEN)
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-fopenmp", "-shared", "-fPIC", "-w")
-SIZES = ("LIST_SIZE=30", "VECTOR_SIZE=30")
-BOOST = (
-    *(f"-DBOOST_MPL_LIMIT_{size}" for size in SIZES),
+BOOST = (  # Pinocchio's own
+    "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
+    "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
     "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
     "-DBOOST_FUSION_INVOKE_MAX_ARITY=12",
-)  # Pinocchio's own
+)
+
+AXES = ("JointModelRX", "JointModelRY", "JointModelRZ")
 
 
 def prepare(work: Work) -> Callable[[], Floats]:
@@ -41,20 +44,20 @@ def prepare(work: Work) -> Callable[[], Floats]:
     def rate(x: Floats, u: Floats) -> Floats:
         return np.concatenate([x[N:], pin.aba(model, data, x[:N], x[N:], u)])
 
+    def runge_kutta(x: Floats, u: Floats, target: Floats) -> Floats:
+        return rk4(lambda x, _: rate(x, u), x, h)
+
     def follow(x: Floats, u: Floats, target: Floats) -> Floats:
         q, v, a = target
-        held = pin.rnea(model, data, x[:N], x[N:], a + k_p * (q - x[:N]) + k_d * (v - x[N:]))
+        wanted = a + k_p * (q - x[:N]) + k_d * (v - x[N:])
+        held = pin.rnea(model, data, x[:N], x[N:], wanted)
         return rk4(lambda x, _: rate(x, held), x, h)
 
     def euler(x: Floats, u: Floats, target: Floats) -> Floats:
         v = x[N:] + h * pin.aba(model, data, x[:N], x[N:], u)
         return np.concatenate([x[:N] + h * v, v])
 
-    move = {
-        "euler": euler,
-        "rk4": lambda x, u, target: rk4(lambda x, _: rate(x, u), x, h),
-        "follow": follow,
-    }[work.move]
+    move = {"euler": euler, "rk4": runge_kutta, "follow": follow}[work.move]
 
     def run() -> Floats:
         finals = work.states.copy()
@@ -82,7 +85,7 @@ def calls(work: Work) -> Callable[[], None]:
 
 
 def compiled_loop(work: Work, *, threads: int = 1) -> Callable[[], Floats]:
-    """The loop in C++. Raises ImportError with the compiler's message where it cannot be compiled."""
+    """The loop in C++. Raises ImportError with the compiler's message where it fails."""
     model = pin.buildModelFromUrdf(str(work.path))
     rows = np.array([_row(model, i) for i in range(1, model.njoints)])
     gravity, gains = model.gravity.linear.copy(), np.array(work.gains)
@@ -90,11 +93,10 @@ def compiled_loop(work: Work, *, threads: int = 1) -> Callable[[], Floats]:
 
     def run() -> Floats:
         finals = work.states.copy()
-        joints, g, targets, k, states, torques = (
-            ctypes.c_void_p(array.ctypes.data)
-            for array in (rows, gravity, work.targets, gains, finals, work.torques)
-        )
-        runs, steps = (ctypes.c_long(count) for count in (len(finals), work.steps))
+        arrays = (rows, gravity, work.targets, gains, finals, work.torques)
+        pointers = (ctypes.c_void_p(array.ctypes.data) for array in arrays)
+        joints, g, targets, k, states, torques = pointers
+        runs, steps = ctypes.c_long(len(finals)), ctypes.c_long(work.steps)
         library.run(
             joints,
             g,
@@ -114,22 +116,17 @@ def compiled_loop(work: Work, *, threads: int = 1) -> Callable[[], Floats]:
 
 
 def _row(model: Any, i: int) -> Floats:
-    """A joint as the C++ loop takes it: axis, placement, mass, centre, inertia. Raises ImportError for a joint that it does not know."""
+    """A joint as the C++ loop takes it: axis, placement, mass, centre, inertia.
+
+    Raises ImportError for a joint that it does not know.
+    """
     kind = model.joints[i].shortname()
-    if kind not in (known := ["JointModelRX", "JointModelRY", "JointModelRZ"]):
+    if kind not in AXES:
         raise ImportError(f"the C++ loop has no {kind}")
     place, body = model.jointPlacements[i], model.inertias[i]
+    placement = (place.rotation.ravel(), place.translation)
     inertia = body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.concatenate(
-        [
-            [known.index(kind)],
-            place.rotation.ravel(),
-            place.translation,
-            [body.mass],
-            body.lever,
-            inertia,
-        ]
-    )
+    return np.concatenate([[AXES.index(kind)], *placement, [body.mass], body.lever, inertia])
 
 
 @functools.cache
@@ -148,8 +145,7 @@ def _compiled(N: int) -> ctypes.CDLL:
         except FileNotFoundError:
             raise ImportError("g++ not found") from None
         except subprocess.CalledProcessError as failed:
-            message = next(
-                (line for line in failed.stderr.splitlines() if "error" in line), failed.stderr
-            )
+            errors = [line for line in failed.stderr.splitlines() if "error" in line]
+            message = errors[0] if errors else failed.stderr
             raise ImportError(f"g++: {message.partition('error: ')[2] or message:.80}") from failed
         return ctypes.CDLL(str(library))

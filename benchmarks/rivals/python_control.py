@@ -1,4 +1,7 @@
-"""python-control: plant, sensor, observer and controller as blocks of an interconnected system, `input_output_response`, run by run."""
+"""python-control: plant, sensor, observer, controller as blocks of an interconnected system.
+
+Run by run, by `input_output_response`.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,11 @@ def prepare(work: Work, *, rtol: float = 1e-6) -> Callable[[], Result]:
         return z - np.clip(z, -d["left"], d["right"])
 
     def observe(t: float, s: Floats, given: Floats, d: Floats) -> Floats:
-        (y, u), x, right, left = given, s[:n], given[0] > 0, given[0] < 0
+        y, u = given
+        x, right, left = s[:n], y > 0, y < 0
         e = y + s[n] * right - s[n + 1] * left - work.C @ x if y else 0.0
-        return np.concatenate(
-            [work.A @ x + work.B * u + work.L * e, [-work.gamma * right * e, work.gamma * left * e]]
-        )
+        x_rate = work.A @ x + work.B * u + work.L * e
+        return np.concatenate([x_rate, [-work.gamma * right * e, work.gamma * left * e]])
 
     def control_law(t: float, s: Floats, x_hat: Floats, d: Floats) -> Floats:
         return work.wave[1] @ (math.cos(work.omega * t), math.sin(work.omega * t)) - work.K @ x_hat
@@ -43,17 +46,16 @@ def prepare(work: Work, *, rtol: float = 1e-6) -> Callable[[], Result]:
     loop = control.interconnect([plant, sensor, observer, controller], outputs="z", inputs=None)
 
     def one(s: Floats, d: Floats) -> Floats:
-        given = {"right": d[0], "left": d[1]}
-        found = control.input_output_response(
-            loop, times, 0.0, s, params=given, solve_ivp_kwargs={"rtol": rtol, "atol": rtol}
+        widths, tolerances = {"right": d[0], "left": d[1]}, {"rtol": rtol, "atol": rtol}
+        response = control.input_output_response(
+            loop, times, 0.0, s, params=widths, solve_ivp_kwargs=tolerances
         )
-        return found.states
+        return response.states
 
     def run() -> Result:
         paths = np.stack([one(s, d) for s, d in zip(work.states, work.widths, strict=True)])
-        errors = (
-            np.einsum("j,ijk->ik", work.C, paths[:, :n, 1:-1]) - work.targets[-work.tail :, 0, 0]
-        )
+        z = np.einsum("j,ijk->ik", work.C, paths[:, :n, 1:-1])
+        errors = z - work.targets[-work.tail :, 0, 0]
         return Result(paths[:, :, -1], np.sqrt((errors**2).mean(axis=1)))
 
     return run

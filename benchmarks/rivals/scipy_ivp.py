@@ -1,4 +1,7 @@
-"""SciPy's `solve_ivp`, run by run: as it comes, or stopped and restarted at each change of side (events)."""
+"""SciPy's `solve_ivp`, run by run.
+
+As it comes, or stopped and restarted at each change of side (events).
+"""
 
 from __future__ import annotations
 
@@ -33,35 +36,31 @@ def prepare(
         return solve_ivp(move, (0.0, end), s, args=(d, None), t_eval=times, **options).y
 
     def switched(s: Floats, d: Floats) -> Floats:
-        t, on, parts = 0.0, sides(s, d), []
+        t, on = 0.0, sides(s, d)
+        parts = []
         while t < end:
             edges = [
                 _edge(lambda s: output(s) - d[0], 1 - 2 * on[0]),
                 _edge(lambda s: output(s) + d[1], 2 * on[1] - 1),
             ]
-            found = solve_ivp(
-                move, (t, end), s, args=(d, on), t_eval=times[times > t], events=edges, **options
-            )
-            if len(found.t):
-                parts.append(found.y)
-            right, left = (part.size > 0 for part in found.t_events)
+            ahead = times[times > t]
+            part = solve_ivp(move, (t, end), s, args=(d, on), t_eval=ahead, events=edges, **options)
+            if len(part.t):
+                parts.append(part.y)
+            right, left = (instants.size > 0 for instants in part.t_events)
             if not (right or left):
                 break
             first = 0 if right else 1
-            t, s = found.t_events[first][0], found.y_events[first][0]
+            t, s = part.t_events[first][0], part.y_events[first][0]
             on = (1 - on[0] if right else on[0], 1 - on[1] if left else on[1])
         return np.hstack(parts)
 
     def run() -> Result:
-        paths = np.stack(
-            [
-                (switched if events else smooth)(s, d.tolist())
-                for s, d in zip(work.states, work.widths, strict=True)
-            ]
-        )
-        errors = (
-            np.einsum("j,ijk->ik", work.C, paths[:, :n, :-1]) - work.targets[-work.tail :, 0, 0]
-        )
+        solve = switched if events else smooth
+        pairs = zip(work.states, work.widths, strict=True)
+        paths = np.stack([solve(s, d.tolist()) for s, d in pairs])
+        z = np.einsum("j,ijk->ik", work.C, paths[:, :n, :-1])
+        errors = z - work.targets[-work.tail :, 0, 0]
         return Result(paths[:, :, -1], np.sqrt((errors**2).mean(axis=1)))
 
     return run

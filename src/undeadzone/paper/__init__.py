@@ -1,4 +1,7 @@
-"""The paper's example as printed and repaired: its variants, facts, figures 3-8, its claims judged, its equations placed."""
+"""The paper's example as printed and as repaired.
+
+The audit holds its variants, facts, figures 3-8, its claims judged and its equations placed.
+"""
 
 from undeadzone.paper.audit import Paper, audit
 from undeadzone.paper.report import write

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,14 @@ Progress = Callable[[int], None]
 
 
 class Paper(NamedTuple):
-    """Everything that the audit found."""
+    """Everything that the audit found.
+
+    Attributes:
+        evidence: the runs on which claims are judged
+        variants: what each variant of the example as printed does
+        facts: numbers beside their closed forms
+        claims: the paper's claims judged
+    """
 
     evidence: Evidence
     variants: list[Outcome]
@@ -33,7 +40,10 @@ class Paper(NamedTuple):
         return count(self.variants)
 
     def summary(self) -> dict[str, Any]:
-        """All numbers, ready for JSON; `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair."""
+        """All numbers, ready for JSON.
+
+        `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
+        """
         five, two = self.evidence.repaired
         return {
             "printed": _printed(self.evidence.printed[RESTING][0]),
@@ -52,24 +62,29 @@ class Paper(NamedTuple):
 
 
 def audit(progress: Progress | None = None) -> Paper:
-    """Run the example in every variant and repaired, and judge the claims; progress is told of steps done."""
+    """Run the example in every variant and repaired, and judge the claims.
+
+    Args:
+        progress: called with the number of steps just done
+    """
     evidence = gather(progress)
     return Paper(evidence, run_variants(progress), facts(), judge(evidence))
 
 
+SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
+
+
 def _printed(run: Run) -> dict[str, Any]:
+    """The numbers of a run as printed."""
     steady = run.t >= run.t[-1] - LAST
-    return {
+    numbers = {
         "max_abs_z": float(np.abs(run.z[steady]).max()),
         "peak_abs_z": float(np.abs(run.z).max()),
         "max_abs_y": float(np.abs(run.y).max()),
-        **{
-            name: value
-            for name, value in run.summary().items()
-            if name in ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
-        },
     }
+    return numbers | {name: value for name, value in run.summary().items() if name in SHOWN}
 
 
 def _repaired(run: Run) -> dict[str, Any]:
+    """The numbers of a repaired run."""
     return {**run.summary(), "rate": rate(run)}

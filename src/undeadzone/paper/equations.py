@@ -1,4 +1,7 @@
-"""The paper's equations (1)-(42) and figures 3-8: what each is, where it lives in the code, as printed or corrected, and why."""
+"""The paper's equations (1)-(42) and figures 3-8.
+
+Each equation is listed with what it is, where it lives in the code, as printed or corrected, why.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,15 @@ Status = Literal["as printed", "corrected", "not used"]
 
 
 class Equation(NamedTuple):
-    """One equation: its number, what it is, the object that holds it (None: nowhere), its status and the reason."""
+    """One equation of the paper.
+
+    Attributes:
+        number: its number
+        what: what it is
+        where: the object of this package that holds it; None: nowhere
+        status: whether it is used as printed, corrected, or not at all
+        reason: why
+    """
 
     number: int
     what: str
@@ -245,7 +256,11 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     ),
 )
 
-EQUATIONS: Final = tuple(
-    Equation(number, what, where and f"undeadzone.{where}", status, reason)
-    for number, what, where, status, reason in _TABLE
-)
+
+def _equation(number: int, what: str, where: str | None, status: Status, reason: str) -> Equation:
+    """A row of the table with the whole name of its object."""
+    name = None if where is None else f"undeadzone.{where}"
+    return Equation(number, what, name, status, reason)
+
+
+EQUATIONS: Final = tuple(_equation(*row) for row in _TABLE)

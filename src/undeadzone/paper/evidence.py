@@ -1,4 +1,7 @@
-"""The runs on which the paper's claims are judged: as printed, repaired, and repaired off its nominal conditions."""
+"""The runs on which the paper's claims are judged.
+
+They are the example as printed, repaired, and both off their nominal conditions.
+"""
 
 from __future__ import annotations
 
@@ -43,22 +46,39 @@ class Pair(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Runs by what they show; V of those as printed is (30)."""
+    """Runs by what they show; V of those as printed is (30).
 
-    printed: dict[str, tuple[Run, ...]]  # by how they start; r = 5 sin and 2 sin
-    repaired: tuple[Run, ...]  # r = 5 sin and 2 sin
-    sampled: Run  # repaired, at 100 Hz
+    Attributes:
+        printed: by how they start; r = 5 sin and 2 sin
+        repaired: r = 5 sin and 2 sin
+        sampled: repaired, at 100 Hz
+        noisy: with noise on y
+        mismatched: with wrong models
+        disturbed: with a disturbance at the input
+        scaled: with slope m = 2.5
+        silent: d^(0) is wrong and z never leaves the zone; here as printed starts from rest
+        blind: Luenberger's observer with the same L takes y for z
+        slow: the repaired observer with the paper's poles, L = (12, 15), for 100 s
+    """
+
+    printed: dict[str, tuple[Run, ...]]
+    repaired: tuple[Run, ...]
+    sampled: Run
     noisy: Pair
     mismatched: Pair
     disturbed: Pair
-    scaled: Pair  # slope m = 2.5
-    silent: Pair  # d^(0) is wrong and z never leaves the zone; here as printed starts from rest
-    blind: Run  # Luenberger's observer with the same L takes y for z
-    slow: Run  # the repaired observer with the paper's poles, L = (12, 15), for 100 s
+    scaled: Pair
+    silent: Pair
+    blind: Run
+    slow: Run
 
 
 def gather(progress: Callable[[int], None] | None = None) -> Evidence:
-    """Run them all; progress is told of steps done. Only nominal runs are repeated with half the step."""
+    """Run them all. Only nominal runs are repeated with half the step.
+
+    Args:
+        progress: called with the number of steps just done
+    """
     begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
 
     def run(scenario: Scenario, check_step: bool = False) -> Run:
@@ -69,20 +89,23 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
 
     def pair(*variations: dict[str, Any]) -> Pair:
         return Pair(
-            tuple(change(begun, **v) for v in variations),
-            tuple(change(nominal, **v) for v in variations),
+            tuple(change(begun, **variation) for variation in variations),
+            tuple(change(nominal, **variation) for variation in variations),
         )
 
+    def as_printed(check_step: bool, *scenarios: Scenario) -> tuple[Run, ...]:
+        return tuple(with_printed_V(run(scenario, check_step)) for scenario in scenarios)
+
+    resting = [printed(amplitude) for amplitude in AMPLITUDES]
+    outside = [printed(amplitude, x1=STARTED) for amplitude in AMPLITUDES]
+    signed = printed(5.0, x1=STARTED, signed_left=True)
     unaware = msgspec.structs.replace(begun.observer, widths0=0.0)
+    paper_poles = Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0)
     return Evidence(
         printed={
-            RESTING: tuple(
-                with_printed_V(run(printed(amplitude), check_step=True)) for amplitude in AMPLITUDES
-            ),
-            BEGUN: tuple(
-                with_printed_V(run(printed(amplitude, x1=STARTED))) for amplitude in AMPLITUDES
-            ),
-            SIGNED: (with_printed_V(run(printed(5.0, x1=STARTED, signed_left=True))),),
+            RESTING: as_printed(True, *resting),
+            BEGUN: as_printed(False, *outside),
+            SIGNED: as_printed(False, signed),
         },
         repaired=tuple(run(repaired(amplitude), check_step=True) for amplitude in AMPLITUDES),
         sampled=change(nominal, simulation=Simulation(time="sampled", step=1e-2)),
@@ -91,14 +114,11 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
         disturbed=pair({"disturbance": Sine(amplitude=DISTURBANCE, frequency=0.3)}),
         scaled=pair({"sensor": Sensor(right=D, left=D, slope=SLOPE)}),
         silent=Pair(
-            (change(printed(5.0), observer=unaware),), (change(nominal, reference=reference(0.5)),)
+            (change(printed(5.0), observer=unaware),),
+            (change(nominal, reference=reference(0.5)),),
         ),
         blind=change(nominal, observer=Luenberger(L=L_REPAIRED)),
-        slow=change(
-            nominal,
-            observer=Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0),
-            simulation=Simulation(duration=100.0),
-        ),
+        slow=change(nominal, observer=paper_poles, simulation=Simulation(duration=100.0)),
     )
 
 

@@ -29,7 +29,14 @@ STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is
 
 
 class Fact(NamedTuple):
-    """A number as measured and in closed form; where: the plant's reading and equation it belongs to."""
+    """A number as measured and in closed form.
+
+    Attributes:
+        where: the reading of the plant and the equation that it belongs to
+        what: what it is
+        measured: as the code computes it
+        closed_form: as theory has it
+    """
 
     where: str
     what: str
@@ -43,34 +50,36 @@ class Fact(NamedTuple):
 
 
 def facts() -> list[Fact]:
-    """All of them: poles and gains of (40), gains of (34) as printed, the answer to r as a force, the certificate of (12, 15)."""
+    """All of them.
+
+    Poles and gains of (40), gains of (34) as printed, the certificate of (12, 15), the answer to r
+    as a force.
+    """
     plants = {name: matrices(reading.plant) for name, reading in READINGS.items()}
-    return [
-        *(fact for name, linear in plants.items() for fact in _poles(name, linear)),
-        *_riccati(plants["omega_n = 1"]),
-        *_certificate(plants["omega_n = 1"]),
-        *(fact for amplitude in AMPLITUDES for fact in _responses(amplitude)),
-    ]
+    rows = []
+    for name, linear in plants.items():
+        rows += _poles(name, linear)
+    rows += _riccati(plants["omega_n = 1"])
+    rows += _certificate(plants["omega_n = 1"])
+    for amplitude in AMPLITUDES:
+        rows += _responses(amplitude)
+    return rows
 
 
 def _poles(name: str, linear: Matrices) -> list[Fact]:
     """The rightmost and leftmost pole of A - L C with (40), and the gains that (-4, -10) need."""
-    (a0, a1), (l1, l2) = -linear.A[1], L_PRINTED
+    a0, a1 = -linear.A[1]  # of the plant's polynomial s^2 + a1 s + a0
+    l1, l2 = L_PRINTED
     roots = _quadratic(a1 + l1, a0 + a1 * l1 + l2)
     poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
-    need = observer_gain(linear, POLES, None).ravel()
-    total, product = -sum(POLES), POLES[0] * POLES[1]
-    wanted = (total - a1, product - a0 - a1 * (total - a1))
-    lines = zip(
-        ("rightmost pole of A - L C, (40)", "leftmost pole of A - L C, (40)"),
-        poles[::-1],
-        roots,
-        strict=True,
-    )
-    gains = zip(("l1 for poles -4, -10", "l2 for poles -4, -10"), need, wanted, strict=True)
+    placed = observer_gain(linear, POLES, None).ravel()
+    p, q = -sum(POLES), POLES[0] * POLES[1]  # of the wanted polynomial s^2 + p s + q
+    wanted = (p - a1, q - a0 - a1 * (p - a1))
     return [
-        Fact(name, what, float(measured), float(closed))
-        for what, measured, closed in (*lines, *gains)
+        Fact(name, "rightmost pole of A - L C, (40)", float(poles[1]), float(roots[0])),
+        Fact(name, "leftmost pole of A - L C, (40)", float(poles[0]), float(roots[1])),
+        Fact(name, "l1 for poles -4, -10", float(placed[0]), float(wanted[0])),
+        Fact(name, "l2 for poles -4, -10", float(placed[1]), float(wanted[1])),
     ]
 
 
@@ -83,8 +92,9 @@ def _quadratic(b: float, c: float) -> tuple[float, float]:
 def _riccati(linear: Matrices) -> list[Fact]:
     """K of (34) as printed, with A - L C at (-4, -10), used for control: it destabilises.
 
-    In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the Riccati loop's polynomial
-    s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2), f^2 - 2 g = p^2 - 2 q + 2 alpha, where A - L C has s^2 + p s + q.
+    In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
+    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
+    f^2 - 2 g = p^2 - 2 q + 2 alpha, where A - L C has s^2 + p s + q.
     """
     A, B, C = linear
     K = paper_riccati(A - np.array([L_POLES]).T @ C, B, ALPHA, np.eye(2)).K
@@ -103,14 +113,15 @@ def _riccati(linear: Matrices) -> list[Fact]:
 
 
 def _certificate(linear: Matrices) -> list[Fact]:
-    """min Re(1 + G(jw)), G = C (sI - A)^-1 L for L = (12, 15), and whether the certificate's search agrees on its sign.
+    """min Re(1 + G(jw)) for L = (12, 15), and whether the certificate's search agrees on its sign.
 
-    G = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
+    G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
     """
     A, _, C = linear
     L = np.array([L_POLES]).T
-    w = np.linspace(0.0, 20.0, 20001)
-    sampled = 1 + (C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)).real.ravel()
+    w = np.linspace(0.0, 20.0, 20001)  # [rad/s]
+    G = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)
+    sampled = 1 + G.real.ravel()
     a, b = 2 * L_POLES[0] + L_POLES[1], L_POLES[0]
     # Re G = (a + (2 b - a) v) / (1 + v)^2; its derivative vanishes at v = (2 b - 3 a) / (2 b - a).
     v = (2 * b - 3 * a) / (2 * b - a)
@@ -125,45 +136,38 @@ def _certificate(linear: Matrices) -> list[Fact]:
 
 
 def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
-    """(t [s], z by reading of the plant) from rest with u = amplitude sin 2 pi t: r as a force, k_p = k_d = 0."""
+    """The answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
+
+    Returns:
+        Instants t [s], and z at them by reading of the plant.
+    """
     problem = resolve_scenario(printed(amplitude))
     loop, state, exogenous = prepare(problem)
     law: Any = loop.params.controller
     silent = loop.params._replace(controller=law._replace(k_p=0.0 * law.k_p, k_d=0.0 * law.k_d))
-    found = {}
+    outputs = {}
     for name, reading in READINGS.items():
-        here = loop._replace(params=silent._replace(plant=system(reading.plant).params))
-        found[name] = run_loop(here, state, exogenous).z[:, 0]
-    return np.arange(problem.steps + 1) * problem.scenario.simulation.step, found
+        driven = loop._replace(params=silent._replace(plant=system(reading.plant).params))
+        outputs[name] = run_loop(driven, state, exogenous).z[:, 0]
+    return np.arange(problem.steps + 1) * problem.scenario.simulation.step, outputs
 
 
 def _responses(amplitude: float) -> list[Fact]:
     """Steady amplitude (and peak from rest where both poles are equal) with u = r."""
-    found = []
+    rows = []
     t, outputs = forced(amplitude)
     for name, z in outputs.items():
         A, B, _ = matrices(READINGS[name].plant)
-        (a0, a1), force = -A[1], amplitude * B[1, 0]
+        a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0
+        force = amplitude * B[1, 0]
         where = f"{name}, u = {amplitude:g} sin 2 pi t"
-        steady = force / np.hypot(a0 - OMEGA**2, a1 * OMEGA)
-        found.append(
-            Fact(
-                where,
-                "steady amplitude of z",
-                float(np.abs(z[t >= t[-1] - STEADY]).max()),
-                float(steady),
-            )
-        )
+        last = float(np.abs(z[t >= t[-1] - STEADY]).max())
+        steady = float(force / np.hypot(a0 - OMEGA**2, a1 * OMEGA))
+        rows.append(Fact(where, "steady amplitude of z", last, steady))
         if np.isclose(a1**2, 4 * a0):
-            found.append(
-                Fact(
-                    where,
-                    "peak of |z| from rest",
-                    float(np.abs(z).max()),
-                    float(np.abs(_from_rest(force, a1 / 2, t)).max()),
-                )
-            )
-    return found
+            peak = float(np.abs(_from_rest(force, a1 / 2, t)).max())
+            rows.append(Fact(where, "peak of |z| from rest", float(np.abs(z).max()), peak))
+    return rows
 
 
 def _from_rest(force: float, w: float, t: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Figures 3-8 of the paper, as printed beside repaired, with V(t) under each; and why the sensor stays silent."""
+"""Figures 3-8 of the paper as printed beside repaired, and why the sensor stays silent."""
 
 from __future__ import annotations
 
@@ -32,10 +32,17 @@ if TYPE_CHECKING:
 
 EARLY: Final = 6.0  # [s] shown where two oscillating signals lie on each other
 DASHED: Final = (0, (4, 2))
+_COLOURS: Final = (PRINTED, ESTIMATE, REFERENCE, READING)  # of the readings of the plant
 
 
 class Trio(NamedTuple):
-    """The runs of one reference: as printed from rest, as printed started outside the zone, repaired."""
+    """The runs of one reference.
+
+    Attributes:
+        resting: as printed, from rest
+        begun: as printed, started outside the zone
+        repaired: as repaired
+    """
 
     resting: Run
     begun: Run
@@ -70,41 +77,42 @@ _LINES: Final = {
 
 
 def figure(number: int, runs: Trio, reference: str) -> Figure:
-    """One of figures 3-8 for a reference given in words."""
+    """One of figures 3-8, V(t) below it.
+
+    Args:
+        number: of the figure
+        runs: that it shows
+        reference: of these runs, in words
+    """
     lines = _LINES[number]
     sketch, panels = sheet(
         [["printed", "repaired"], ["V printed", "V repaired"]],
-        f"Figure {number}: {_mathtext(FIGURES[number])}, {reference}",
+        f"Figure {number}: {mathtext(FIGURES[number])}, {reference}",
     )
-    _signals(panels["printed"], lines, runs.begun)
-    _from_rest(panels["printed"], runs.resting, lines[0].value)
-    finish(
-        panels["printed"],
-        f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}",
-        ", ".join(line.name for line in lines),
-    )
+    axes = panels["printed"]
+    _signals(axes, lines, runs.begun)
+    _from_rest(axes, runs.resting, lines[0].value)
+    start = f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}"
+    finish(axes, start, ", ".join(line.name for line in lines))
     _signals(panels["repaired"], lines, runs.repaired)
     finish(panels["repaired"], "Repaired")
-    panels["V printed"].plot(
-        runs.begun.t, _V(runs.begun), color=TRUTH, label="started outside the zone"
-    )
-    _from_rest(panels["V printed"], runs.resting, _V)
-    finish(panels["V printed"], "V of (30), as printed", "V")
+    axes = panels["V printed"]
+    axes.plot(runs.begun.t, _V(runs.begun), color=TRUTH, label="started outside the zone")
+    _from_rest(axes, runs.resting, _V)
+    finish(axes, "V of (30), as printed", "V")
     plot_magnitude(panels["V repaired"], runs.repaired.t, _V(runs.repaired), TRUTH, "V")
     finish(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
     return sketch
 
 
-def _mathtext(words: str) -> str:
-    """x^1 and y^ with their hats on."""
-    return re.sub(
-        r"([a-z])\^(\d?)",
-        r"$\\hat{\1}_{\2}$",
-        re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words),
-    )
+def mathtext(words: str) -> str:
+    """Words with x1 and y as symbols, and x^1 and y^ with their hats on."""
+    plain = re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words)
+    return re.sub(r"([a-z])\^(\d?)", r"$\\hat{\1}_{\2}$", plain)
 
 
 def _V(run: Run) -> Floats:
+    """V of a run; nan where it has none."""
     return np.full(run.t.size, np.nan) if run.V is None else run.V
 
 
@@ -116,13 +124,9 @@ def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
     if widths:
         axes.axhline(D, color=TRUTH, linewidth=3.0, alpha=0.25, label="truth")
     for line in lines:
-        axes.plot(
-            run.t[shown],
-            line.value(run)[shown],
-            color=line.colour,
-            label=line.name,
-            linestyle=DASHED if paired and line is lines[1] else "-",
-        )
+        t, value = run.t[shown], line.value(run)[shown]
+        dashes = DASHED if paired and line is lines[1] else "-"
+        axes.plot(t, value, color=line.colour, label=line.name, linestyle=dashes)
 
 
 def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
@@ -132,31 +136,25 @@ def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
 
 
 def silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
-    """What u = r = 5 sin 2 pi t as a force does from rest: z by reading of the plant, and the small ones again larger."""
-    sketch, panels = sheet(
-        [["all", "all", "inside"]],
-        "Why the sensor says nothing: 5 sin 2πt as a force, from rest",
-        height=3.0,
-    )
+    """What u = r = 5 sin 2 pi t as a force does from rest, the small answers again larger.
+
+    Args:
+        t: instants [s]
+        outputs: z at these instants, by reading of the plant
+    """
+    title = "Why the sensor says nothing: 5 sin 2πt as a force, from rest"
+    sketch, panels = sheet([["all", "all", "inside"]], title, height=3.0)
+    everything, inside = panels["all"], panels["inside"]
     early = t <= EARLY
-    for name, axes in panels.items():
-        shade_zone(axes, D, D)
-        for (reading, z), colour in zip(
-            outputs.items(), (PRINTED, ESTIMATE, REFERENCE, READING), strict=True
-        ):
-            if name == "all" or np.abs(z).max() < D:
-                axes.plot(
-                    t[early],
-                    z[early],
-                    color=colour,
-                    label=reading.replace("omega_n", r"$\omega_n$").replace(" pi", "π"),
-                )
-    panels["inside"].set_ylim(-D / 2, D / 2)
-    finish(
-        panels["all"],
-        "Only with unity DC gain does the output leave the dead zone",
-        "output z",
-        legend=5,
-    )
-    finish(panels["inside"], "The three others, enlarged", legend=0)
+    shade_zone(everything, D, D)
+    shade_zone(inside, D, D)
+    for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
+        name = reading.replace("omega_n", r"$\omega_n$").replace(" pi", "π")
+        everything.plot(t[early], z[early], color=colour, label=name)
+        if np.abs(z).max() < D:
+            inside.plot(t[early], z[early], color=colour, label=name)
+    inside.set_ylim(-D / 2, D / 2)
+    leaves = "Only with unity DC gain does the output leave the dead zone"
+    finish(everything, leaves, "output z", legend=5)
+    finish(inside, "The three others, enlarged", legend=0)
     return sketch

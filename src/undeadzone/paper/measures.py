@@ -1,4 +1,4 @@
-"""What the paper plots and claims, measured on a `Run` of one output: y^ of (17), V of (30), errors, rates."""
+"""What the paper plots and claims, measured on a `Run` of one output."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ def width_errors(run: Run) -> Floats:
 
 
 def with_printed_V(run: Run) -> Run:
-    """The run with V of (30) for sigma = 1; the scalar C P C' stands for the n x n matrix P beside the scalar y~."""
+    """The run with V of (30) for sigma = 1.
+
+    The scalar C P C' stands for the n x n matrix P beside the scalar y~.
+    """
     A, B, C = matrices(printed(1.0).plant)
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
-    V = (
-        run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
-        + (width_errors(run) ** 2).sum(axis=1) / 2
-    )
-    return dataclasses.replace(run, V=V)
+    of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
+    of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
+    return dataclasses.replace(run, V=of_reading + of_widths)
 
 
 def rms(values: Floats) -> float:
     """Root mean square; infinite where the values diverge."""
     with np.errstate(over="ignore", invalid="ignore"):
-        found = float(np.sqrt(np.mean(np.square(values))))
-    return found if found < LIMIT else np.inf
+        size = float(np.sqrt(np.mean(np.square(values))))
+    return size if size < LIMIT else np.inf
 
 
 def reading_error(run: Run) -> float:
@@ -73,7 +74,7 @@ def tracking_error(run: Run) -> float:
 
 
 def inverse_error(run: Run) -> float:
-    """rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 if there are none."""
+    """rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 without any."""
     outside = np.flatnonzero(run.side[:, 0])[-round(LAST / run.info.step) :]
     return rms((run.z_inverse - run.z)[outside]) if outside.size else 0.0
 
@@ -84,7 +85,12 @@ def total_inverse_error(run: Run) -> float:
 
 
 def indicator_error(run: Run, sharpness: float) -> float:
-    """Largest difference of the smooth indicators (8)-(10) of y from those of the true branch of z."""
+    """Largest difference of the smooth indicators (8)-(10) of y from the true branch of z.
+
+    Args:
+        run: of one output
+        sharpness: k_s of tanh(k_s y)
+    """
     where = zone(run.z, *np.array(run.info.widths))
     right, left = indicators(run.y, sharpness)
     return _largest(np.hstack([right - (where > 0), left - (where < 0)]))
@@ -96,7 +102,10 @@ def side_error(run: Run) -> float:
 
 
 def steep_share(run: Run, slope: float = 0.1) -> float:
-    """Share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s]; infinite if the run diverges."""
+    """Share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s].
+
+    Infinite if the run diverges.
+    """
     if run.diverged_at is not None:
         return np.inf
     error = (run.x_hat - run.x)[-round(5.0 / run.info.step) :, 0]
@@ -104,24 +113,28 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
 
 
 def rise(run: Run) -> float:
-    """Largest increase of V above an earlier value, relative to its largest; infinite if the run diverges."""
-    return (
-        np.inf
-        if run.diverged_at is not None or run.largest_rise_of_V is None
-        else run.largest_rise_of_V
-    )
+    """Largest increase of V above an earlier value, relative to its largest.
+
+    Infinite if the run diverges.
+    """
+    if run.diverged_at is not None or run.largest_rise_of_V is None:
+        return np.inf
+    return run.largest_rise_of_V
 
 
 def rate(run: Run) -> float:
-    """Rate [1/s] at which |d^ - d| falls, from its largest values in a second at half time and in the last second."""
-    size, second = np.abs(width_errors(run)).max(axis=1), round(1.0 / run.info.step)
+    """Rate [1/s] at which |d^ - d| falls.
+
+    From its largest values in the last second and in one at half time.
+    """
+    size = np.abs(width_errors(run)).max(axis=1)
+    second = round(1.0 / run.info.step)  # in samples
     half = size.size // 2
-    return float(
-        np.log(size[half - second : half].max() / size[-second:].max())
-        / (run.t[-1] - run.t[half - 1])
-    )
+    ratio = size[half - second : half].max() / size[-second:].max()
+    return float(np.log(ratio) / (run.t[-1] - run.t[half - 1]))
 
 
 def _largest(values: Floats) -> float:
-    found = float(np.abs(values).max())
-    return found if found < LIMIT else np.inf
+    """The largest size; infinite where the values diverge."""
+    size = float(np.abs(values).max())
+    return size if size < LIMIT else np.inf

@@ -1,8 +1,8 @@
 """Every variant of the example as printed: what leaves the dead zone, what moves d^, what diverges.
 
-A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD law (the two halves
-of (42) contradict each other) and the sign convention of d_l: 48 for each plant and start. The loop's graph is built
-once; plant, gains and signs are its run-time parameters.
+A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD
+law (the two halves of (42) contradict each other) and the sign convention of d_l: 48 for each plant
+and start. The loop's graph is built once; plant, gains and signs are its run-time parameters.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from undeadzone.observers import Printed
 from undeadzone.paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
 from undeadzone.plants.build import system
 from undeadzone.plants.system import System
-from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Simulation
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import prepare, run_loop
@@ -41,27 +41,46 @@ STARTS: Final = {
 }
 
 DEFINITION: Final = (
-    "per plant and start: L in {(-1.25, -1.62), its negative, the one that places -4, -10} x observer with or without B u x sign of sigma "
-    f"x sign of the PD law x sign of d_l in (25) = 48; diverged: a signal beyond {LIMIT:g}; steady: over the last {LAST:g} s of {DURATION:g} s"
+    "per plant and start: L in {(-1.25, -1.62), its negative, the one that places -4, -10} "
+    "x observer with or without B u x sign of sigma x sign of the PD law x sign of d_l in (25) "
+    f"= 48; diverged: a signal beyond {LIMIT:g}; steady: over the last {LAST:g} s "
+    f"of {DURATION:g} s"
 )
 
 
 class Variant(NamedTuple):
-    """One choice of everything that the paper leaves open or contradicts."""
+    """One choice of everything that the paper leaves open or contradicts.
+
+    Attributes:
+        plant: one of `READINGS`
+        start: one of `STARTS`
+        L: one of `GAINS`
+        feeds_input: whether the observer has B u
+        sigma: its sign
+        pd_sign: +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
+        left_sign: -1: (25) with d_l > 0; +1: with a signed d_l < 0
+    """
 
     plant: str
     start: str
     L: str
     feeds_input: bool
     sigma: float
-    pd_sign: (
-        float  # +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
-    )
-    left_sign: float  # -1: (25) with d_l > 0; +1: with a signed d_l < 0
+    pd_sign: float
+    left_sign: float
 
 
 class Outcome(NamedTuple):
-    """What a variant did: max |z| over the last 4 s (None: diverged) and over all, and three facts."""
+    """What a variant did.
+
+    Attributes:
+        variant: which one
+        steady: max |z| over the last 4 s; None: diverged
+        peak: max |z| over all, up to where it diverged
+        leaves_zone: whether z leaves the dead zone
+        moves_widths: whether d^ moves
+        diverged_at: when a signal leaves +-LIMIT [s]; None: never
+    """
 
     variant: Variant
     steady: float | None
@@ -83,57 +102,64 @@ class Count(NamedTuple):
 
 
 def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]:
-    """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t; progress is told of steps done."""
-    problem = resolve_scenario(
-        msgspec.structs.replace(printed(5.0), simulation=Simulation(duration=DURATION, step=STEP))
-    )
+    """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t.
+
+    Args:
+        progress: called with the number of steps just done
+    """
+    simulation = Simulation(duration=DURATION, step=STEP)
+    problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=simulation))
     loop, _, exogenous = prepare(problem)
-    found = []
+    outcomes = []
     for plant, name in product(READINGS, GAINS):
-        model = system(READINGS[plant].plant)
-        L = gain(name, model)
-        observer, law = (
-            Printed(L=L, alpha=ALPHA).build(model, problem.sensor),
-            PD(L=L, alpha=ALPHA).build(model),
-        )
-        built = loop._replace(
-            params=loop.params._replace(
-                plant=model.params, observer=observer.params, controller=law.params
-            )
-        )
-        for start, feeds_input, sigma, pd_sign, left_sign in product(
-            STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)
-        ):
+        with_gains = _with_gains(loop, problem, plant, name)
+        for choice in product(STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)):
+            start, feeds_input, sigma, pd_sign, left_sign = choice
             variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
-            here, state = _with_signs(built, variant)
-            found.append(_judge(variant, run_loop(here, state, exogenous, progress)))
-    return found
+            with_signs, state = _with_signs(with_gains, variant)
+            signal = run_loop(with_signs, state, exogenous, progress)
+            outcomes.append(_judge(variant, signal))
+    return outcomes
 
 
 def gain(name: str, model: System) -> Floats:
     """L by name: (40), its negative, or the one that places the poles of (40) for this plant."""
-    return (
-        observer_gain(model.linear, POLES, None)
-        if name == "placed"
-        else np.array(L_PRINTED) * (1.0 if name == "printed" else -1.0)
-    )
+    if name == "placed":
+        return observer_gain(model.linear, POLES, None)
+    return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
 
 
 def count(outcomes: Iterable[Outcome]) -> list[Count]:
     """The outcomes counted per plant and start, in the order they came."""
     groups: dict[tuple[str, str], list[Outcome]] = {}
     for outcome in outcomes:
-        groups.setdefault((outcome.variant.plant, outcome.variant.start), []).append(outcome)
-    return [
-        Count(
-            *key,
-            total=len(group),
-            leave_zone=sum(o.leaves_zone for o in group),
-            move_widths=sum(o.moves_widths for o in group),
-            diverge=sum(o.diverged_at is not None for o in group),
-        )
-        for key, group in groups.items()
-    ]
+        key = outcome.variant.plant, outcome.variant.start
+        groups.setdefault(key, []).append(outcome)
+    return [_count(*key, group) for key, group in groups.items()]
+
+
+def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
+    """The outcomes of one plant and start counted."""
+    return Count(
+        plant,
+        start,
+        total=len(outcomes),
+        leave_zone=sum(outcome.leaves_zone for outcome in outcomes),
+        move_widths=sum(outcome.moves_widths for outcome in outcomes),
+        diverge=sum(outcome.diverged_at is not None for outcome in outcomes),
+    )
+
+
+def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
+    """The loop with a reading of the plant and the gains L of that name."""
+    model = system(READINGS[plant].plant)
+    L = gain(name, model)
+    observer = Printed(L=L, alpha=ALPHA).build(model, problem.sensor)
+    law = PD(L=L, alpha=ALPHA).build(model)
+    params = loop.params._replace(
+        plant=model.params, observer=observer.params, controller=law.params
+    )
+    return loop._replace(params=params)
 
 
 def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
@@ -146,27 +172,26 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
         left_sign=np.float64(variant.left_sign),
     )
     law = law._replace(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d)
+    params = loop.params._replace(observer=observer, controller=law)
+    widths = np.array([width])
     state = loop.state._replace(
         plant=np.array([x1, 0.0]),
-        observer=loop.state.observer._replace(right=np.array([width]), left=np.array([width])),
+        observer=loop.state.observer._replace(right=widths, left=widths),
     )
-    return loop._replace(params=loop.params._replace(observer=observer, controller=law)), tree.pack(
-        state
-    )
+    return loop._replace(params=params), tree.pack(state)
 
 
 def _judge(variant: Variant, signal: Outputs) -> Outcome:
     """The outcome, from the signals up to where one of them leaves +-LIMIT."""
-    largest = np.abs(np.hstack(signal)).max(axis=1)
+    largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))
     end = int(bad[0]) if bad.size else largest.size
-    z, widths = (
-        np.abs(signal.z[:end, 0]),
-        np.hstack([signal.estimate.right, signal.estimate.left])[:end],
-    )
+    z = np.abs(signal.z[:end, 0])
+    widths = np.hstack([signal.estimate.right, signal.estimate.left])[:end]
+    steady = float(z[-round(LAST / STEP) :].max())
     return Outcome(
         variant,
-        steady=None if bad.size else float(z[-round(LAST / STEP) :].max()),
+        steady=None if bad.size else steady,
         peak=float(z.max()),
         leaves_zone=bool(z.max() > D),
         moves_widths=bool(np.abs(widths - widths[0]).max() > MOVED),

@@ -15,14 +15,23 @@ from undeadzone.support.files import replacing, write_text
 def write(
     paper: Paper, folder: Path, figures: bool = True, progress: Progress | None = None
 ) -> list[Path]:
-    """Write paper.json, variants.csv and, where wanted, figures 3-8 for both references and report.html. Raises FileError.
+    """Write paper.json and variants.csv, and figures 3-8 and report.html where wanted.
 
-    progress is told of each figure written.
+    Args:
+        paper: the audit
+        folder: where the files go; created if needed
+        figures: whether figures and report are written, too
+        progress: called with 1 for each figure written
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        FileError: a file cannot be written
     """
+    numbers = json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n"
     written = [
-        write_text(
-            json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n", folder / "paper.json"
-        ),
+        write_text(numbers, folder / "paper.json"),
         _write_variants(paper.variants, folder / "variants.csv"),
     ]
     if figures:
@@ -32,6 +41,7 @@ def write(
 
 
 def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
+    """Write a line for each variant and what it did."""
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*Variant._fields, *Outcome._fields[1:]])

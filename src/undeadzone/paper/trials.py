@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -23,7 +24,11 @@ from undeadzone.simulation.run import Run
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
-Numbers = dict[str, tuple[dict[str, float], float]]
+Measure: TypeAlias = Callable[[Run], float]
+Measured: TypeAlias = tuple[dict[str, float], float]  # as printed by case, as repaired
+Numbers: TypeAlias = dict[str, Measured]  # by the claim's id
+
+SHARPNESS = 100.0  # k_s of tanh(k_s y), (8)
 
 
 def measure(evidence: Evidence) -> Numbers:
@@ -37,71 +42,94 @@ def measure(evidence: Evidence) -> Numbers:
     }
 
 
-def _worst(measure: Callable[[Run], float], runs: Iterable[Run]) -> float:
+def _worst(measure: Measure, runs: Iterable[Run]) -> float:
+    """The largest value of a quantity among runs."""
     return max(measure(run) for run in runs)
 
 
-def _cases(measure: Callable[[Run], float], evidence: Evidence) -> dict[str, float]:
+def _cases(measure: Measure, evidence: Evidence) -> dict[str, float]:
+    """The largest value of a quantity for each way to start the example as printed."""
     return {case: _worst(measure, runs) for case, runs in evidence.printed.items()}
 
 
-def _pair(measure: Callable[[Run], float], pair: Pair) -> tuple[dict[str, float], float]:
+def _pair(measure: Measure, pair: Pair) -> Measured:
+    """A quantity on runs under the same conditions."""
     return _one(_worst(measure, pair.printed)), _worst(measure, pair.repaired)
 
 
 def _one(value: float) -> dict[str, float]:
+    """A value of the example as printed that has one case only."""
     return {"": value}
 
 
 def _sensor(e: Evidence) -> Numbers:
+    """Claims on the dead zone itself."""
     z = np.linspace(-5.0, 5.0, 1001)
     z = z[np.abs(z) > D]
-    y, side, sat = deadzone(z, D, D), zone(z, D, D), float(np.abs(saturation(z, D, D)).max())
-    printed_form, corrected = z - D * (side < 0) - D * (side > 0), z - offset(side, D, D)
+    y, side = deadzone(z, D, D), zone(z, D, D)
+    printed_form = z - D * (side < 0) - D * (side > 0)  # (11) with chi_bar = [chi_r, chi_l]
+    corrected = z - offset(side, D, D)
+    taken_off = float(np.abs(saturation(z, D, D)).max())
+    smooth = _worst(_smooth_indicator_error, e.printed[RESTING])
+    slope_printed = m.difference(e.printed[BEGUN][0], e.scaled.printed[0])
+    slope_repaired = m.difference(e.repaired[0], e.scaled.repaired[0])
     return {
-        "decomposition": (
-            _one(float(np.abs(y - printed_form).max())),
-            float(np.abs(y - corrected).max()),
-        ),
-        "width-bound": (_one(sat - abs(D - D)), max(0.0, sat - bound(D, D))),
-        "indicators": (
-            _one(_worst(lambda run: m.indicator_error(run, 100.0), e.printed[RESTING])),
-            _worst(m.side_error, e.repaired),
-        ),
-        "unit-slope": (
-            _one(m.difference(e.printed[BEGUN][0], e.scaled.printed[0])),
-            m.difference(e.repaired[0], e.scaled.repaired[0]),
-        ),
+        "decomposition": (_one(_largest(y - printed_form)), _largest(y - corrected)),
+        "width-bound": (_one(taken_off - abs(D - D)), max(0.0, taken_off - bound(D, D))),
+        "indicators": (_one(smooth), _worst(m.side_error, e.repaired)),
+        "unit-slope": (_one(slope_printed), slope_repaired),
     }
+
+
+def _largest(values: Floats) -> float:
+    """The largest size among values."""
+    return float(np.abs(values).max())
+
+
+def _smooth_indicator_error(run: Run) -> float:
+    """The largest error of the smooth indicators as printed."""
+    return m.indicator_error(run, SHARPNESS)
 
 
 def _gains(linear: Matrices) -> Numbers:
-    A, B, C = linear
-
-    def closed(L: Iterable[float]) -> Floats:
-        return A - np.reshape(np.asarray(L), (2, 1)) @ C
-
-    def off(L: Iterable[float]) -> float:
-        return float(np.abs(np.sort(np.linalg.eigvals(closed(L))) - np.sort(POLES)).max())
-
-    def rightmost(drift: Floats) -> float:
-        return float(
-            np.linalg.eigvals(A - B @ paper_riccati(drift, B, ALPHA, np.eye(2)).K).real.max()
-        )
-
+    """Claims on the gains (40) and (42)."""
+    placed = observer_gain(linear, POLES, None).ravel()
+    destabilising = _rightmost(linear, _closed(linear, L_POLES))
     return {
-        "observer-poles": (_one(off(L_PRINTED)), off(observer_gain(linear, POLES, None).ravel())),
-        "riccati-gain": (_one(rightmost(closed(L_POLES))), rightmost(A)),
+        "observer-poles": (_one(pole_error(linear, L_PRINTED)), pole_error(linear, placed)),
+        "riccati-gain": (_one(destabilising), _rightmost(linear, linear.A)),
     }
 
 
+def _closed(linear: Matrices, L: Iterable[float]) -> Floats:
+    """A - L C of a plant of order 2."""
+    return linear.A - np.reshape(np.asarray(L), (2, 1)) @ linear.C
+
+
+def pole_error(linear: Matrices, L: Iterable[float]) -> float:
+    """The largest distance [1/s] of a pole of A - L C from where the paper wants it."""
+    poles = np.sort(np.linalg.eigvals(_closed(linear, L)))
+    return float(np.abs(poles - np.sort(POLES)).max())
+
+
+def _rightmost(linear: Matrices, drift: Floats) -> float:
+    """The rightmost pole [1/s] of A - B K, K by the Riccati equation (34) with `drift` for A."""
+    K = paper_riccati(drift, linear.B, ALPHA, np.eye(2)).K
+    return float(np.linalg.eigvals(linear.A - linear.B @ K).real.max())
+
+
 def _observer(e: Evidence) -> Numbers:
+    """Claims on what the observer and its loop do."""
     blind = m.state_error(e.blind, 0)
-    tests: dict[str, Callable[[Run], float]] = {
-        "switching": lambda run: m.state_error(run, 0) / blind,
+
+    def relative_to_blind(run: Run) -> float:
+        return m.state_error(run, 0) / blind
+
+    tests: dict[str, Measure] = {
+        "switching": relative_to_blind,
         "reading-tracked": m.reading_error,
-        "state-1": lambda run: m.state_error(run, 0),
-        "state-2": lambda run: m.state_error(run, 1),
+        "state-1": _error_of_x1,
+        "state-2": _error_of_x2,
         "displacements": m.steep_share,
         "widths": m.width_error,
         "adaptation-bounded": m.largest_width,
@@ -109,57 +137,62 @@ def _observer(e: Evidence) -> Numbers:
         "cancelled-in-total": m.total_inverse_error,
         "tracking": m.tracking_error,
     }
-    return {
-        **{name: (_cases(test, e), _worst(test, e.repaired)) for name, test in tests.items()},
-        "implied": _pair(m.width_error, e.silent),
-        "lyapunov": (_cases(m.rise, e), _worst(m.rise, (*e.repaired, e.sampled))),
-    }
+    numbers = {name: (_cases(test, e), _worst(test, e.repaired)) for name, test in tests.items()}
+    numbers["implied"] = _pair(m.width_error, e.silent)
+    numbers["lyapunov"] = (_cases(m.rise, e), _worst(m.rise, (*e.repaired, e.sampled)))
+    return numbers
+
+
+def _error_of_x1(run: Run) -> float:
+    """rms of x^1 - x1 over the last 2 s."""
+    return m.state_error(run, 0)
+
+
+def _error_of_x2(run: Run) -> float:
+    """rms of x^2 - x2 over the last 2 s."""
+    return m.state_error(run, 1)
 
 
 def _robust(e: Evidence) -> Numbers:
-    def diverges(run: Run) -> float:
-        return float(run.diverged_at is not None)
-
-    disturbed = (e.noisy, e.mismatched, e.disturbed)
+    """Claims on bounded signals and on robustness."""
+    off_nominal = (*e.noisy.repaired, *e.mismatched.repaired, *e.disturbed.repaired)
+    bounded = _worst(_diverges, (*e.repaired, e.sampled, *off_nominal))
     return {
-        "bounded": (
-            _cases(diverges, e),
-            _worst(
-                diverges,
-                (*e.repaired, e.sampled, *(run for pair in disturbed for run in pair.repaired)),
-            ),
-        ),
-        **{
-            name: _pair(m.width_error, pair)
-            for name, pair in zip(
-                ("robust-noise", "robust-model", "robust-disturbance"), disturbed, strict=True
-            )
-        },
+        "bounded": (_cases(_diverges, e), bounded),
+        "robust-noise": _pair(m.width_error, e.noisy),
+        "robust-model": _pair(m.width_error, e.mismatched),
+        "robust-disturbance": _pair(m.width_error, e.disturbed),
     }
+
+
+def _diverges(run: Run) -> float:
+    """1 where a run diverges, else 0."""
+    return float(run.diverged_at is not None)
 
 
 def _paper(e: Evidence) -> Numbers:
-    def missing(*words: str) -> tuple[dict[str, float], float]:
-        count = float(
-            sum(not any(word in caption for caption in FIGURES.values()) for word in words)
-        )
-        return _one(count), count
-
+    """Claims on cost and on what the paper says it compared."""
     return {
-        "practical": (_one(_operations(printed(5.0))), _operations(repaired(5.0))),
+        "practical": (_one(operations(printed(5.0))), operations(repaired(5.0))),
         "slow-or-unstable": (_one(m.rate(e.slow)), m.rate(e.repaired[0])),
-        "compared": missing("fuzzy", "neural", "sliding mode"),
-        "manipulator": missing("manipulator"),
-        "effort": missing("control effort"),
+        "compared": _missing("fuzzy", "neural", "sliding mode"),
+        "manipulator": _missing("manipulator"),
+        "effort": _missing("control effort"),
     }
 
 
-def _operations(scenario: Scenario) -> float:
-    """Arithmetic operations of one step of the observer alone."""
+def _missing(*words: str) -> Measured:
+    """How many of these words no caption of a figure holds; nothing can repair that."""
+    captions = "\n".join(FIGURES.values())
+    count = float(sum(word not in captions for word in words))
+    return _one(count), count
+
+
+def operations(scenario: Scenario) -> float:
+    """Arithmetic operations of one step of a scenario's observer alone."""
     model = system(scenario.plant)
-    observer = graph_of(
-        scenario.observer.build(model, resolve(scenario.sensor, model.p, scenario.simulation.step))
-    )
+    sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
+    observer = graph_of(scenario.observer.build(model, sensor))
     p_column, p = tree.symbols(observer.params, "p")
     s_column, s = tree.symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
@@ -171,6 +204,5 @@ def _operations(scenario: Scenario) -> float:
         {"cse": True},
     )
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    return float(
-        sum(function.instruction_id(k) not in moves for k in range(function.n_instructions()))
-    )
+    instructions = [function.instruction_id(k) for k in range(function.n_instructions())]
+    return float(sum(instruction not in moves for instruction in instructions))

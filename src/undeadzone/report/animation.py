@@ -1,4 +1,7 @@
-"""An arm in motion: a drawing that plays inside a page, without anything fetched, or as a GIF or MP4 file."""
+"""An arm in motion: a drawing that plays inside a page, or a GIF or MP4 file.
+
+The page fetches nothing for it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import json
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,67 +22,86 @@ from undeadzone.support.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
 
 MOVIES = (".gif", ".mp4")
 SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
-SIDEWAYS = (
-    0.5,
-    0.9,
-    -0.9,
-    -0.5,
-)  # [rad] from the direction of its path to what lies to the right in the drawing
+SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from an arm's path to what lies right in the drawing
 TRAIL = 2.0  # [s] of the tip's way that a file shows
+
+_STYLE = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
+_CANVAS = (
+    f'<canvas width="880" height="520" style="{_STYLE}" role="img" '
+    'aria-label="The arm in motion"></canvas>'
+)
+_CONTROLS = (
+    '<p><button type="button">pause</button> '
+    '<input type="range" min="0" value="0" step="1" aria-label="time" '
+    'style="width:60%;vertical-align:middle"> <output class="note"></output></p>'
+)
+
+
+class Arm(NamedTuple):
+    """An arm that is shown: name, colour, and where its joints are (frames x points x 3) [m]."""
+
+    name: str
+    colour: str
+    poses: Floats
 
 
 def animated(run: Run, rival: Run | None = None) -> Html:
-    """A canvas that plays the arm, and a rival's in another colour, on the tip's path; spatial arms turn under the mouse."""
+    """A canvas that plays the arm on the tip's path, and a rival's in another colour.
+
+    Arms in space turn under the mouse.
+    """
+    arms = _arms(run, rival)
+    extent = float(np.ptp(arms[-1].poses[:, :, :2], axis=(0, 1)).max())  # [m] of the run's own arm
+    grid = _spacing(extent)
+    data = _script_data(run, arms, grid)
     script = files("undeadzone.report").joinpath("animation.js").read_text(encoding="utf-8")
-    shown = _arms(run, rival)
-    arms = [{"colour": colour, "frames": _rounded(poses)} for _, colour, poses in shown]
-    spatial, path, grid = (
-        _spatial(run),
-        _path(run),
-        _spacing(np.ptp(shown[-1][2][:, :, :2], axis=(0, 1)).max()),
-    )
+    call = f"play(document.currentScript.parentElement, {data});"
+    legend = _legend(arms, grid, _spatial(run))
+    inner = f"{_CANVAS}{_CONTROLS}{legend}<script>{script}\n{call}</script>"
+    return Html(f'<div class="arm">{inner}</div>')
+
+
+def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
+    """What animation.js is given: JSON that cannot close the script; grid [m]: between lines."""
+    spatial = _spatial(run)
     data = {
         "rate": FRAMES,
-        "arms": arms,
-        "path": _rounded(path),
+        "arms": [{"colour": arm.colour, "frames": _rounded(arm.poses)} for arm in arms],
+        "path": _rounded(_path(run)),
         "pathColour": REFERENCE,
         "spatial": spatial,
         "turn": _turn(run),
         "tilt": TILT if spatial else np.pi / 2,
         "grid": grid,
     }
-    style = (
-        "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
-    )
-    canvas = f'<canvas width="880" height="520" style="{style}" role="img" aria-label="The arm in motion"></canvas>'
-    slider = '<input type="range" min="0" value="0" step="1" aria-label="time" style="width:60%;vertical-align:middle">'
-    controls = (
-        f'<p><button type="button">pause</button> {slider} <output class="note"></output></p>'
-    )
-    names = [(name, colour) for name, colour, _ in reversed(shown)] + [
-        ("path of the tip", REFERENCE)
-    ]
-    keys = "&ensp;".join(
-        f'<span style="color:{colour}">&#9632;</span> {html(name)}' for name, colour in names
-    )
-    legend = f'<p class="note">{keys}&ensp;grid {grid:g} m{"; drag to turn" * spatial}</p>'
-    told = json.dumps(data).replace("<", "\\u003c")
-    return Html(
-        f'<div class="arm">{canvas}{controls}{legend}<script>{script}\nplay(document.currentScript.parentElement, {told});</script></div>'
-    )
+    return json.dumps(data).replace("<", "\\u003c")
+
+
+def _legend(arms: list[Arm], grid: float, spatial: bool) -> str:
+    """The names of arms and path in their colours, and the distance of the grid's lines [m]."""
+    names = [(arm.name, arm.colour) for arm in reversed(arms)]
+    names.append(("path of the tip", REFERENCE))
+    keys = []
+    for name, colour in names:
+        keys.append(f'<span style="color:{colour}">&#9632;</span> {html(name)}')
+    hint = "; drag to turn" if spatial else ""
+    return f'<p class="note">{"&ensp;".join(keys)}&ensp;grid {grid:g} m{hint}</p>'
 
 
 def require_movie(path: Path) -> None:
     """Raise FileError where an animation of that name cannot be written."""
-    if path.suffix.lower() not in MOVIES:
+    suffix = path.suffix.lower()
+    if suffix not in MOVIES:
         raise FileError(
-            f"{path}: cannot write an animation with this name; it must end in {' or '.join(MOVIES)}"
+            f"{path}: cannot write an animation with this name; "
+            f"it must end in {' or '.join(MOVIES)}"
         )
-    if path.suffix.lower() == ".mp4":
+    if suffix == ".mp4":
         from matplotlib.animation import FFMpegWriter
 
         if not FFMpegWriter.isAvailable():
@@ -91,74 +113,112 @@ def require_movie(path: Path) -> None:
 def movie(
     run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] | None = None
 ) -> Path:
-    """Write the motion as `.gif`, or as `.mp4` where ffmpeg is installed; progress: told of frames done. Raises FileError, InputError."""
+    """Write the motion as `.gif`, or as `.mp4` where ffmpeg is installed.
+
+    Args:
+        run: of an arm
+        rival: another run of it, shown beside it
+        path: the file
+        progress: called with 1 for each frame done
+
+    Raises:
+        FileError: the file cannot be written
+        InputError: the plant is no arm
+    """
     require_movie(path)
     if run.poses is None:
         raise InputError("animation: this plant is no arm; leave the option out")
     from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+
+    arms = _arms(run, rival)
+    stage = _stage(run, arms)
+    _draw(stage, arms, 0)
+    stage.figure.draw_without_rendering()
+    stage.figure.set_layout_engine("none")  # laid out once, for all frames
+
+    def count_frame(frame: int, total: int) -> None:
+        if progress is not None:
+            progress(1)
+
+    length = max(len(arm.poses) for arm in arms)
+    form: Any = PillowWriter if path.suffix.lower() == ".gif" else FFMpegWriter
+    with replacing(path) as temporary:
+        motion = FuncAnimation(
+            stage.figure,
+            lambda frame: _draw(stage, arms, frame),
+            frames=range(0, length, SKIPPED),
+        )
+        writer = form(fps=FRAMES / SKIPPED)
+        motion.save(temporary, writer=writer, dpi=80, progress_callback=count_frame)
+    return path
+
+
+class Stage(NamedTuple):
+    """A figure on which arms move: a line and a trail of the tip for each arm, and its title."""
+
+    figure: Figure
+    axes: Any
+    lines: list[Any]
+    trails: list[Any]
+    spatial: bool
+    title: str
+
+
+def _stage(run: Run, arms: list[Arm]) -> Stage:
+    """The figure with the path and its limits, and lines that hold no points yet."""
     from matplotlib.figure import Figure
 
     spatial = _spatial(run)
-    shown = slice(None, 3 if spatial else 2)
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d" if spatial else None)
-    axes.plot(
-        *_path(run)[:, shown].T, color=REFERENCE, linewidth=4, alpha=0.4, label="path of the tip"
-    )
-    arms = _arms(run, rival)
-
-    def drawn(**style: Any) -> list[Any]:
-        return [
-            axes.plot([], [], *[[]] * spatial, color=colour, **style)[0] for _, colour, _ in arms
-        ]
-
-    lines, trails = drawn(marker="o", markersize=4, linewidth=3), drawn(linewidth=1.2, alpha=0.7)
-    for line, (name, _, _) in zip(lines, arms, strict=True):
-        line.set_label(name)
-    every = np.vstack([_path(run), *(poses.reshape(-1, 3) for _, _, poses in arms)])[:, shown]
-    middle, reach = (
-        (every.min(axis=0) + every.max(axis=0)) / 2,
-        0.53 * float(np.ptp(every, axis=0).max()),
-    )
-    for name, centre in zip("xyz", middle, strict=False):
-        getattr(axes, f"set_{name}lim")(centre - reach, centre + reach)
-        getattr(axes, f"set_{name}label")(f"{name} [m]")
-    axes.locator_params(nbins=5)
-    axes.set_aspect("equal")
+    dimensions = 3 if spatial else 2
+    path = _path(run)[:, :dimensions]
+    axes.plot(*path.T, color=REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
+    empty: list[list[float]] = [[]] * dimensions
+    lines, trails = [], []
+    for arm in arms:
+        lines += axes.plot(*empty, color=arm.colour, marker="o", markersize=4, linewidth=3)
+    for arm in arms:
+        trails += axes.plot(*empty, color=arm.colour, linewidth=1.2, alpha=0.7)
+    for line, arm in zip(lines, arms, strict=True):
+        line.set_label(arm.name)
+    points = [arm.poses.reshape(-1, 3)[:, :dimensions] for arm in arms]
+    _limit(axes, np.vstack([path, *points]))
     if spatial:
         axes.view_init(elev=np.degrees(TILT), azim=np.degrees(-_turn(run)) - 90)
         axes.set_box_aspect((1, 1, 1), zoom=1.15)
     axes.grid(visible=True, alpha=0.4)
     axes.legend(loc="upper left", fontsize=8.5)
+    return Stage(figure, axes, lines, trails, spatial, run.info.title)
 
-    def draw(frame: int) -> list[Artist]:
-        for line, trail, (_, _, poses) in zip(lines, trails, arms, strict=True):
-            now = min(frame, len(poses) - 1)
-            for part, points in (
-                (line, poses[now]),
-                (trail, poses[max(0, now - round(TRAIL * FRAMES)) : now + 1, -1]),
-            ):
-                part.set_data(*points[:, :2].T)
-                if spatial:
-                    part.set_3d_properties(points[:, 2])
-        axes.set_title(f"{run.info.title}, t = {frame / FRAMES:.2f} s", fontsize=9)
-        return [*lines, *trails]
 
-    draw(0)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # laid out once, for all frames
-    form: Any = PillowWriter if path.suffix.lower() == ".gif" else FFMpegWriter
-    with replacing(path) as temporary:
-        motion = FuncAnimation(
-            figure, draw, frames=range(0, max(len(poses) for _, _, poses in arms), SKIPPED)
-        )
-        motion.save(
-            temporary,
-            writer=form(fps=FRAMES / SKIPPED),
-            dpi=80,
-            progress_callback=lambda frame, total: progress(1) if progress is not None else None,
-        )
-    return path
+def _limit(axes: Any, points: Floats) -> None:
+    """Equally scaled axes that hold all points, with their labels."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, reach = (low + high) / 2, 0.53 * float(np.ptp(points, axis=0).max())
+    for name, centre in zip("xyz", middle, strict=False):
+        getattr(axes, f"set_{name}lim")(centre - reach, centre + reach)
+        getattr(axes, f"set_{name}label")(f"{name} [m]")
+    axes.locator_params(nbins=5)
+    axes.set_aspect("equal")
+
+
+def _draw(stage: Stage, arms: list[Arm], frame: int) -> list[Artist]:
+    """Move every arm to where it is in a frame, with the last way of its tip."""
+    for line, trail, arm in zip(stage.lines, stage.trails, arms, strict=True):
+        now = min(frame, len(arm.poses) - 1)
+        before = max(0, now - round(TRAIL * FRAMES))
+        _move(line, arm.poses[now], stage.spatial)
+        _move(trail, arm.poses[before : now + 1, -1], stage.spatial)
+    stage.axes.set_title(f"{stage.title}, t = {frame / FRAMES:.2f} s", fontsize=9)
+    return [*stage.lines, *stage.trails]
+
+
+def _move(line: Any, points: Floats, spatial: bool) -> None:
+    """Give a line new points (N x 3)."""
+    line.set_data(*points[:, :2].T)
+    if spatial:
+        line.set_3d_properties(points[:, 2])
 
 
 def frames(run: Run) -> int:
@@ -166,48 +226,61 @@ def frames(run: Run) -> int:
     return 0 if run.poses is None else -(-len(run.poses) // SKIPPED)
 
 
-def _arms(run: Run, rival: Run | None) -> list[tuple[str, str, Floats]]:
-    """Name, colour and poses of each arm that is shown, up to where it diverged; the run's own last, above the other."""
-    found = [] if rival is None else [(rival, PRINTED)]
-    shown = []
-    for one, colour in [*found, (run, ESTIMATE)]:
-        assert one.poses is not None
-        end = len(one.poses) if one.diverged_at is None else max(1, int(one.diverged_at * FRAMES))
-        shown.append((one.name, colour, one.poses[:end]))
-    return shown
+def _arms(run: Run, rival: Run | None) -> list[Arm]:
+    """The arms shown, each up to where it diverged; the run's own last, above the other."""
+    own = _arm(run, ESTIMATE)
+    return [own] if rival is None else [_arm(rival, PRINTED), own]
+
+
+def _arm(run: Run, colour: str) -> Arm:
+    """The arm of a run, up to where it diverged."""
+    assert run.poses is not None
+    end = len(run.poses)
+    if run.diverged_at is not None:
+        end = max(1, int(run.diverged_at * FRAMES))
+    return Arm(run.name, colour, run.poses[:end])
 
 
 def _path(run: Run) -> Floats:
-    """Where the tip should be, in three coordinates, FRAMES per second."""
+    """Where the tip should be (frames x 3) [m]."""
     assert run.tip_r is not None
     thin = run.tip_r[:: max(1, round(1 / FRAMES / run.info.step))]
     return np.pad(thin, ((0, 0), (0, 3 - thin.shape[1])))
 
 
 def _spatial(run: Run) -> bool:
+    """Whether the arm moves in space, not in a plane."""
     return run.tip is not None and run.tip.shape[1] == 3
 
 
 def _turn(run: Run) -> float:
-    """By how much [rad] an arm in space is turned about z: its path lies beside its base, and its face is seen."""
+    """By how much [rad] an arm in space is turned about z.
+
+    Its path lies beside its base, and of the ways to have it so the one that shows most of the
+    path's face is chosen.
+    """
     assert run.poses is not None
     if not _spatial(run):
         return 0.0
     path = _path(run)
-    x, y, _ = path.mean(axis=0) - run.poses[0, 0]
-    normal = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][-1]
+    middle = path.mean(axis=0)
+    x, y, _ = middle - run.poses[0, 0]
+    normal = np.linalg.svd(path - middle, full_matrices=False)[2][-1]  # of the plane of the path
+    turns = [sideways - float(np.arctan2(y, x)) for sideways in SIDEWAYS]
+    return max(turns, key=lambda turn: face_seen(normal, turn))
 
-    def seen(turn: float) -> float:
-        eye = -np.cos(TILT) * np.sin(turn), -np.cos(TILT) * np.cos(turn), np.sin(TILT)
-        return abs(float(normal @ eye))
 
-    return max((sideways - float(np.arctan2(y, x)) for sideways in SIDEWAYS), key=seen)
+def face_seen(normal: Floats, turn: float) -> float:
+    """How much of a plane's face is seen after a turn [rad] about z: 1 all, 0 nothing."""
+    eye = -np.cos(TILT) * np.sin(turn), -np.cos(TILT) * np.cos(turn), np.sin(TILT)
+    return abs(float(normal @ eye))
 
 
 def _spacing(size: float) -> float:
-    """1, 2 or 5 times a power of ten: the distance [m] of some five to ten lines over a size [m]."""
+    """The distance [m] of some five to ten lines over a size [m]: 1, 2 or 5 times 10^k."""
     power = 10.0 ** np.floor(np.log10(max(size, 1e-3) / 5))
-    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= size / 5 + 1e-12))
+    fitting = [factor for factor in (1, 2, 5) if factor * power <= size / 5 + 1e-12]
+    return float(power * max(fitting))
 
 
 def _rounded(values: Floats) -> list[object]:

@@ -1,10 +1,10 @@
-"""The page of the arena: who leads and by how much, where each method fails, what it costs, and by which rules."""
+"""The page of the arena: who leads, where each method fails, what it costs, and by which rules."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.arena.contest import Contest
 from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, Row, regrets
@@ -18,170 +18,186 @@ from undeadzone.support.files import write_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+CAPTIONS: Final = {
+    "leaderboard": "Dots: median over the scenarios; squares: the worst of them; bars: 95 % "
+    "intervals. Grey names are lines to compare with.",
+    "scenarios": "Mean over the seeds.",
+    "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
+    "observer.",
+    "cost": "Measured on the virtual machine, or in Python where a method computes there.",
+}
+NOTE: Final = (
+    "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on "
+    "the same scenario and seed. Width, centre: median errors of d_r + d_l and d_r − d_l relative "
+    "to d_r + d_l, where readings can tell. Coverage: of claimed 95 % intervals of the widths. "
+    "Cost: of a step, in those of the naive observer."
+)
+RULES: Final = (
+    "A run counts by J, the rms of z − r of the tracked outputs over its last "
+    f"{100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
+    f"(J − J_full) / (J_naive − J_full) with the J of {FRAME[0]} and {FRAME[1]} on the same "
+    f"scenario and seed. It is at most {CAP:g}, which a diverged run counts. A method that is not "
+    f"applicable counts {REFUSED:g} there: what is left is the naive observer.",
+    "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios "
+    "and seeds; that of the worst resamples seeds alone.",
+    "A method is told the believed model, the sensor but for its widths, and what the scenario "
+    "declares: ranges of the widths and rough claims, never the truth. The lines full_state and "
+    "oracle are told the true state and the true widths.",
+    "Numbers were tuned on other scenarios, with the same budget for all.",
+)
+HEAD: Final = (
+    "method",
+    "median regret",
+    "",
+    "behind the best",
+    "",
+    "worst regret",
+    "",
+    "where",
+    "rms z − r",
+    "rms z − z^",
+    "width",
+    "centre",
+    "coverage",
+    "settled",
+    "rms u",
+    "cost",
+    "diverged",
+    "n/a",
+)
+
 
 def write_arena(contest: Contest, runs: Sequence[Trace], folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder; runs: `traces.traced`. Raises FileError."""
-    written = {
-        name: write(figure, folder / f"{name}.png")
-        for name, figure in figures(contest, runs).items()
-    }
-    text = arena_page(contest, {name: path.read_bytes() for name, path in written.items()})
-    return [*written.values(), write_text(text, folder / "report.html")]
+    """Write the figures as PNG and report.html to a folder. Raises FileError.
+
+    Args:
+        contest: what is shown
+        runs: of some methods, as `traces.traced` gives them
+        folder: where the files go; created if needed
+
+    Returns:
+        The paths of the files.
+    """
+    written, images = [], {}
+    for name, figure in figures(contest, runs).items():
+        path = write(figure, folder / f"{name}.png")
+        written.append(path)
+        images[name] = path.read_bytes()
+    return [*written, write_text(arena_page(contest, images), folder / "report.html")]
 
 
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
-    """The figures by name."""
-    return {
+    """The figures by name; runs: of some methods, as `traces.traced` gives them."""
+    drawn = {
         "leaderboard": places(contest.rows, _runs(contest)),
         "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
-        **({"trajectories": traces(runs)} if runs else {}),
-        "cost": costs(contest.rows),
     }
+    if runs:
+        drawn["trajectories"] = traces(runs)
+    drawn["cost"] = costs(contest.rows)
+    return drawn
 
 
-def arena_page(contest: Contest, images: dict[str, bytes]) -> str:
+def arena_page(contest: Contest, images: Mapping[str, bytes]) -> str:
     """The page; images: PNGs by the names of `figures`."""
-
-    def shown(name: str, caption: str) -> Html:
-        return picture(images[name], caption) if name in images else Html("")
-
+    shown = dict.fromkeys(CAPTIONS, Html(""))
+    for name, image in images.items():
+        shown[name] = picture(image, CAPTIONS[name])
+    leaderboard = table(HEAD, [_cells(row) for row in contest.rows])
+    rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
     return page(
         "The arena",
         _verdict(contest),
-        section(
-            "Leaderboard",
-            shown(
-                "leaderboard",
-                "Dots: median over the scenarios; squares: the worst of them; bars: 95 % intervals. Grey names are lines to compare with.",
-            ),
-            table(_HEAD, [_cells(row) for row in contest.rows]),
-            paragraph(
-                "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on the same scenario and seed. Width, centre: median "
-                "errors of d_r + d_l and d_r − d_l relative to d_r + d_l, where readings can tell. Coverage: of claimed 95 % intervals of the widths. Cost: of "
-                "a step, in those of the naive observer.",
-                "note",
-            ),
-        ),
-        section(
-            "Scenario by scenario", shown("scenarios", "Mean over the seeds."), _settings(contest)
-        ),
-        section(
-            "What it looks like",
-            shown(
-                "trajectories",
-                "The best, the worst that never diverged, the paper's as printed, the naive observer.",
-            ),
-        ),
-        section(
-            "What it costs",
-            shown(
-                "cost",
-                "Measured on the virtual machine, or in Python where a method computes there.",
-            ),
-        ),
-        section("Rules", *map(paragraph, _RULES), _refusals(contest), _numbers(contest)),
+        section("Leaderboard", shown["leaderboard"], leaderboard, paragraph(NOTE, "note")),
+        section("Scenario by scenario", shown["scenarios"], _settings(contest)),
+        section("What it looks like", shown["trajectories"]),
+        section("What it costs", shown["cost"]),
+        section("Rules", *rules),
     )
-
-
-_HEAD = (
-    "method", "median regret", "", "behind the best", "", "worst regret", "", "where",
-    "rms z − r", "rms z − z^", "width", "centre", "coverage", "settled", "rms u", "cost", "diverged", "n/a",
-)  # fmt: skip
 
 
 def _cells(row: Row) -> tuple[Any, ...]:
-    def interval(ends: tuple[float, float]) -> str:
-        return f"({ends[0]:.3f} to {ends[1]:.3f})"
+    """The row of a method, as `HEAD` names its cells; lines to compare with are grey."""
+    name: str | Html = row.method
+    if row.reference:
+        name = Html(f'<span class="note">{row.method}</span>')
+    regret = (_rounded(row.median_regret), _interval(row.median_interval))
+    behind = (_rounded(row.behind), _interval(row.behind_interval))
+    worst = (_rounded(row.worst_regret), _interval(row.worst_interval), row.worst_scenario)
+    errors = (row.tracking, row.estimation, row.width, row.centre)
+    others = (row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)
+    return (name, *regret, *behind, *worst, *map(_rounded, errors), *map(_rounded, others))
 
-    def rounded(value: float | None) -> float | None:
-        return None if value is None else float(f"{value:.3g}")
 
-    return (
-        row.method if not row.reference else Html(f'<span class="note">{row.method}</span>'),
-        rounded(row.median_regret), interval(row.median_interval), rounded(row.behind), interval(row.behind_interval),
-        rounded(row.worst_regret), interval(row.worst_interval), row.worst_scenario,
-        *map(rounded, (row.tracking, row.estimation, row.width, row.centre, row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)),
-    )  # fmt: skip
+def _interval(ends: tuple[float, float]) -> str:
+    """An interval in parentheses."""
+    return f"({ends[0]:.3f} to {ends[1]:.3f})"
+
+
+def _rounded(value: float | None) -> float | None:
+    """A number to three digits."""
+    return None if value is None else float(f"{value:.3g}")
 
 
 def _runs(contest: Contest) -> str:
-    numbers = {
-        "method": len(contest.rows),
-        "scenario": len(contest.scenarios),
-        "run": len(contest.seeds),
-    }
-    return (
-        ", ".join(f"{count} {what}{'s' * (count > 1)}" for what, count in numbers.items()) + " each"
-    )
+    """How many methods, scenarios and runs there are."""
+    parts = [
+        _count(len(contest.rows), "method"),
+        _count(len(contest.scenarios), "scenario"),
+        _count(len(contest.seeds), "run"),
+    ]
+    return ", ".join(parts) + " each"
+
+
+def _count(number: int, what: str) -> str:
+    """A number of things: "1 run", "2 runs"."""
+    return f"{number} {what}{'s' * (number > 1)}"
 
 
 def _verdict(contest: Contest) -> Html:
+    """Who leads, by how much, and whose worst regret is least."""
     if not contest.contestants:
         return paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
-    text = (
-        f"{_runs(contest)}. Least median regret: {first.method}, {first.median_regret:.3f} ({first.median_interval[0]:.3f} to {first.median_interval[1]:.3f}); "
-        f"its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
-    )
+    regret = f"{first.median_regret:.3f} {_interval(first.median_interval)}"
+    text = f"{_runs(contest)}. Least median regret: {first.method}, {regret}"
+    text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
-        text += f" Next: {rest[0].method}, {rest[0].median_regret:.3f}; on the same scenario it is {rest[0].behind:.3f} behind in the median"
-        text += f" ({rest[0].behind_interval[0]:.3f} to {rest[0].behind_interval[1]:.3f})."
+        second = rest[0]
+        behind = f"{second.behind:.3f} behind in the median {_interval(second.behind_interval)}"
         steady = min(contest.contestants, key=lambda row: row.worst_regret)
+        text += f" Next: {second.method}, {second.median_regret:.3f}"
+        text += f"; on the same scenario it is {behind}."
         text += f" Least worst regret: {steady.method}, {steady.worst_regret:.3f}."
     return paragraph(text)
 
 
-_RULES = (
-    f"A run counts by J, the rms of z − r of the tracked outputs over its last {100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
-    f"(J − J_full) / (J_naive − J_full) with the J of {FRAME[0]} and {FRAME[1]} on the same scenario and seed. It is at most {CAP:g}, which a diverged run "
-    f"counts. A method that is not applicable counts {REFUSED:g} there: what is left is the naive observer.",
-    "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios and seeds; that of the worst resamples seeds alone.",
-    "A method is told the believed model, the sensor but for its widths, and what the scenario declares: ranges of the widths and rough claims, never "
-    "the truth. The lines full_state and oracle are told the true state and the true widths.",
-    "Numbers were tuned on other scenarios, with the same budget for all.",
-)
-
-
 def _settings(contest: Contest) -> Html:
+    """The scenarios: widths, noise and step."""
     rows = []
-    for title, scenario in contest.scenarios.items():
+    for name, scenario in contest.scenarios.items():
         sensor = scenario.sensor
-        rows.append(
-            (
-                title,
-                scenario.title,
-                str(sensor.right),
-                str(sensor.left),
-                str(sensor.noise),
-                f"{scenario.simulation.step:g} s",
-            )
-        )
+        widths = (str(sensor.right), str(sensor.left))
+        step = f"{scenario.simulation.step:g} s"
+        rows.append((name, scenario.title, *widths, str(sensor.noise), step))
     return folded("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
 
 
 def _refusals(contest: Contest) -> Html:
-    rows = list(
-        dict.fromkeys(
-            (result.method, result.scenario, result.reason)
-            for result in contest.results
-            if result.worth is None
-        )
-    )
-    return folded(
-        f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}",
-        table(("method", "scenario", "why"), rows),
-    )
+    """The scenarios to which a method does not apply, with the reasons, each once."""
+    refused = [result for result in contest.results if result.worth is None]
+    reasons = [(result.method, result.scenario, result.reason) for result in refused]
+    rows = list(dict.fromkeys(reasons))
+    title = f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}"
+    return folded(title, table(("method", "scenario", "why"), rows))
 
 
-def _numbers(contest: Contest) -> Html:
-    rows = [
-        (
-            row.method,
-            ", ".join(
-                f"{address} {value:.4g}"
-                for address, value in contest.numbers.get(row.method, {}).items()
-            ),
-        )
-        for row in contest.rows
-    ]
-    return folded("Tuned numbers", table(("method", "knobs"), [row for row in rows if row[1]]))
+def _tuned_numbers(contest: Contest) -> Html:
+    """The tuned numbers of every method that has some."""
+    rows = []
+    for row in contest.rows:
+        knobs = contest.numbers.get(row.method, {})
+        if knobs:
+            words = [f"{address} {value:.4g}" for address, value in knobs.items()]
+            rows.append((row.method, ", ".join(words)))
+    return folded("Tuned numbers", table(("method", "knobs"), rows))

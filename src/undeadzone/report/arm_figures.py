@@ -1,4 +1,7 @@
-"""Figures of an arm's run: the tip and its path, errors, torques, and each joint in its phase plane; beside a rival's where there is one."""
+"""Figures of an arm's run: its tip, its errors, its torques, and each joint in its phase plane.
+
+A rival's tip and errors stand beside them where there is a rival.
+"""
 
 from __future__ import annotations
 
@@ -31,85 +34,93 @@ COLUMNS = 3  # joints in a row
 LEGEND: Any = {"frameon": False, "fontsize": 8.5}
 BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
 
+PLANAR = [["x-y", "error"], ["x-y", "torque"]]
+SPATIAL = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
+PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
+
 
 def tip(run: Run, rival: Run | None = None) -> Figure:
-    """The tip on its path in each plane that it moves in, its distance from the path, and the torques."""
+    """The tip on its path in each plane it moves in, its distance from the path, the torques."""
     assert run.tip is not None
     spatial = run.tip.shape[1] == 3
-    rows = (
-        [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
-        if spatial
-        else [["x-y", "error"], ["x-y", "torque"]]
-    )
-    figure, panels = sheet(rows, f"{run.info.title}: the tip", height=3.2)
-    for name, plane in (("x-y", (0, 1)), ("x-z", (0, 2)))[: 1 + spatial]:
-        _plane(panels[name], run, rival, plane, f" in {name}" if spatial else "")
+    title = f"{run.info.title}: the tip"
+    if spatial:
+        figure, panels = sheet(SPATIAL, title, height=3.2)
+        for name, plane in PLANES.items():
+            _plane(panels[name], run, rival, plane, f" in {name}")
+    else:
+        figure, panels = sheet(PLANAR, title, height=3.2)
+        _plane(panels["x-y"], run, rival, PLANES["x-y"], "")
     figure.legend(*panels["x-y"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
-    for one, colour in _both(run, rival):
-        assert one.tip is not None
-        assert one.tip_r is not None
-        plot_magnitude(
-            panels["error"],
-            one.t[one.shown],
-            np.linalg.norm(one.tip - one.tip_r, axis=1)[one.shown],
-            colour,
-            one.name,
-        )
-    finish(panels["error"], "Distance of the tip from where it should be", label("distance", "m"))
-    for i, name in enumerate(_inputs(run)):
-        panels["torque"].plot(
-            run.t[run.shown],
-            run.u[run.shown, i],
-            color=COLOURS[i % len(COLOURS)],
-            linewidth=0.9,
-            label=name,
-        )
-    finish(panels["torque"], "Torques", label("u", run.unit("u")), legend=3)
+    _distances(panels["error"], run, rival)
+    _torques(panels["torque"], run)
     return figure
 
 
+def _distances(axes: Axes, run: Run, rival: Run | None) -> None:
+    """The distance of each tip from its path."""
+    for one, colour in _both(run, rival):
+        assert one.tip is not None
+        assert one.tip_r is not None
+        distance = np.linalg.norm(one.tip - one.tip_r, axis=1)
+        plot_magnitude(axes, one.t[one.shown], distance[one.shown], colour, one.name)
+    finish(axes, "Distance of the tip from where it should be", label("distance", "m"))
+
+
+def _torques(axes: Axes, run: Run) -> None:
+    """The torque of each motor."""
+    t = run.t[run.shown]
+    motors = run.info.joints[: run.u.shape[1]]  # names of the joints that have one
+    for i, name in enumerate(motors):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(t, run.u[run.shown, i], color=colour, linewidth=0.9, label=name)
+    finish(axes, "Torques", label("u", run.unit("u")), legend=3)
+
+
 def phase(run: Run) -> Figure:
-    """Position and velocity of each joint, truth and estimate, over its dead zone where it lies in the position."""
-    joints = len(run.info.joints)
-    cells = [f"{i}" if i < joints else "." for i in range(-(-joints // COLUMNS) * COLUMNS)]
-    rows = [cells[first : first + COLUMNS][:joints] for first in range(0, joints, COLUMNS)]
+    """Position and velocity of each joint, truth and estimate.
+
+    The dead zone is shown where it lies in the position.
+    """
+    rows = joint_rows(len(run.info.joints))
     figure, panels = sheet(rows, f"{run.info.title}: phase planes", height=2.8)
     for i, name in enumerate(run.info.joints):
-        axes = panels[f"{i}"]
-        _zone(axes, run, i)
-        for x, colour, width, dashes, what in (
-            (run.x, TRUTH, 1.3, "-", "truth"),
-            (run.x_hat, ESTIMATE, 0.9, (0, (4, 2)), "estimate"),
-        ):
-            axes.plot(
-                x[run.shown, i],
-                x[run.shown, joints + i],
-                color=colour,
-                linewidth=width,
-                linestyle=dashes,
-                label=what,
-            )
-        axes.set_xlim(*_range(run.x[run.shown, i]))
-        axes.set_ylim(*_range(run.x[run.shown, joints + i]))
-        finish(
-            axes,
-            name,
-            label("q'", run.unit(f"x[{joints + i}]")),
-            label("q", run.unit(f"x[{i}]")),
-            legend=0,
-        )
+        _phase_plane(panels[f"{i}"], run, i, name)
     figure.legend(*panels["0"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
     return figure
 
 
-def _inputs(run: Run) -> list[str]:
-    """The names of the joints that have a motor."""
-    return run.info.joints[: run.u.shape[1]]
+def joint_rows(joints: int) -> list[list[str]]:
+    """The panels of joints, some in a row; a dot is an empty place after the last one."""
+    columns = min(COLUMNS, joints)
+    rows = []
+    for first in range(0, joints, COLUMNS):
+        row = [f"{i}" for i in range(first, min(first + columns, joints))]
+        rows.append(row + ["."] * (columns - len(row)))
+    return rows
+
+
+def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
+    """Velocity over position of joint i, truth and estimate."""
+    velocity = len(run.info.joints) + i  # its place in x
+    q, q_rate = run.x[run.shown, i], run.x[run.shown, velocity]
+    q_hat, q_hat_rate = run.x_hat[run.shown, i], run.x_hat[run.shown, velocity]
+    _zone(axes, run, i)
+    axes.plot(q, q_rate, color=TRUTH, linewidth=1.3, linestyle="-", label="truth")
+    axes.plot(
+        q_hat, q_hat_rate, color=ESTIMATE, linewidth=0.9, linestyle=(0, (4, 2)), label="estimate"
+    )
+    axes.set_xlim(*_range(q))
+    axes.set_ylim(*_range(q_rate))
+    upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{i}]")
+    finish(axes, name, label("q'", upwards), label("q", to_the_right), legend=0)
 
 
 def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
     """Each run with its colour."""
-    return [(run, ESTIMATE)] + ([] if rival is None else [(rival, PRINTED)])
+    if rival is None:
+        return [(run, ESTIMATE)]
+    return [(run, ESTIMATE), (rival, PRINTED)]
 
 
 def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
@@ -119,15 +130,12 @@ def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], wher
     axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
-        half = slice(one.t.size // 2 if one.diverged_at is None else 0, one.shown.stop)
-        axes.plot(*one.tip[half][:, plane].T, color=colour, linewidth=1.1, label=one.name)
-    finish(
-        axes,
-        f"The tip{where}, last half of the run",
-        label("xyz"[plane[1]], "m"),
-        label("xyz"[plane[0]], "m"),
-        legend=0,
-    )
+        first = one.t.size // 2 if one.diverged_at is None else 0
+        points = one.tip[first : one.shown.stop][:, plane]
+        axes.plot(*points.T, color=colour, linewidth=1.1, label=one.name)
+    to_the_right, upwards = (label("xyz"[coordinate], "m") for coordinate in plane)
+    title = f"The tip{where}, last half of the run"
+    finish(axes, title, upwards, to_the_right, legend=0)
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -139,17 +147,18 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def _zone(axes: Axes, run: Run, i: int) -> None:
     """The dead zone of a joint whose position is read: where it lies in q."""
-    if (
-        i < run.z.shape[1]
-        and (offset := _offset(run.x[run.shown, i], run.z[run.shown, i])) is not None
-    ):
-        right, left = run.info.widths[2 * i : 2 * i + 2]
-        axes.axvspan(
-            offset - left, offset + right, color=ZONE, alpha=0.18, linewidth=0, label="dead zone"
-        )
+    if i >= run.z.shape[1]:
+        return
+    silent_at = offset(run.x[run.shown, i], run.z[run.shown, i])
+    if silent_at is None:
+        return
+    right, left = run.info.widths[2 * i : 2 * i + 2]
+    ends = silent_at - left, silent_at + right
+    axes.axvspan(*ends, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
-def _offset(q: Floats, z: Floats) -> float | None:
+def offset(q: Floats, z: Floats) -> float | None:
     """q - z where that is a constant: the position at which the sensor reads 0."""
     gap = q - z
-    return float(gap[0]) if np.ptp(gap) <= 1e-9 * (1 + np.abs(gap).max()) else None
+    constant = np.ptp(gap) <= 1e-9 * (1 + np.abs(gap).max())
+    return float(gap[0]) if constant else None

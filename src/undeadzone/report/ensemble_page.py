@@ -1,4 +1,7 @@
-"""The page of an ensemble: how often it settles, how large the errors get, what decides, and which runs are the worst."""
+"""The page of an ensemble: how often it settles, how large errors get, what decides.
+
+The worst runs are listed with the numbers by which each can be run again.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
-from undeadzone.report.ensemble_figures import (
-    WORDS,
-    distributions,
-    influence,
-    over_time,
-    tornado,
-    words,
-)
+from undeadzone.errors import InputError
+from undeadzone.report.ensemble_figures import WORDS, distributions, over_time, words
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
+from undeadzone.report.sensitivity_figures import influence, tornado
 from undeadzone.report.style import label, write
 from undeadzone.support.files import write_text
 
@@ -25,14 +23,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAPTIONS: Final = {
-    "distributions": "Above: how the runs are distributed. Below: the share of runs beyond each value, within its 95 % interval. Runs that diverged are left "
-    "out; a run that did not settle stays beyond any settling time.",
-    "over_time": "At each instant the median of the recorded runs and what 90 % and 98 % of them keep to. A band is not the course of any one run. Runs that "
-    "diverged count as infinitely far off.",
-    "tornado": "Left: what each entry adds, all others held, by ranks. Right: the share of the variance that vanishes if the entry is known; beyond the "
-    "dashed line it is more than chance. Whiskers: 95 % intervals.",
-    "influence": "Each dot is a run. A run whose error lies at the median is marked for comparison with the worst.",
+    "distributions": "Above: how the runs are distributed. Below: the share of runs beyond each "
+    "value, within its 95 % interval. Runs that diverged are left out; a run that did not settle "
+    "stays beyond any settling time.",
+    "over_time": "At each instant the median of the recorded runs and what 90 % and 98 % of them "
+    "keep to. A band is not the course of any one run. Runs that diverged count as infinitely far "
+    "off.",
+    "tornado": "Left: what each entry adds, all others held, by ranks. Right: the share of the "
+    "variance that vanishes if the entry is known; beyond the dashed line it is more than chance. "
+    "Whiskers: 95 % intervals.",
+    "influence": "Each dot is a run. A run whose error lies at the median is marked for comparison "
+    "with the worst.",
 }
+COLUMNS: Final = {"mean": "mean", "median": "median", "p95": "95 %", "p99": "99 %"}
 
 
 def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
@@ -46,161 +49,175 @@ def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
+def first_of_ensemble(result: Ensemble) -> Figure:
+    """The first of `figures`. Raises InputError where every run diverged and none was recorded."""
+    if not result.diverged[result.independent].all():
+        return distributions(result)
+    figure = over_time(result)
+    if figure is None:
+        raise InputError("plot: every run of this ensemble diverged, and none was recorded")
+    return figure
+
+
 def write_ensemble(result: Ensemble, summary: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder; summary: the result's. Raises FileError."""
-    written = {
-        name: write(figure, folder / f"{name}.png")
-        for name, figure in figures(result, summary).items()
-    }
-    text = ensemble_page(
-        result, summary, {name: path.read_bytes() for name, path in written.items()}
-    )
-    return [*written.values(), write_text(text, folder / "report.html")]
+    """Write the figures as PNG and report.html to a folder. Raises FileError.
+
+    Args:
+        result: what is shown
+        summary: the result's
+        folder: where the files go; created if needed
+
+    Returns:
+        The paths of the files.
+    """
+    written, images = [], {}
+    for name, figure in figures(result, summary).items():
+        path = write(figure, folder / f"{name}.png")
+        written.append(path)
+        images[name] = path.read_bytes()
+    text = ensemble_page(result, summary, images)
+    return [*written, write_text(text, folder / "report.html")]
 
 
 def ensemble_page(result: Ensemble, summary: Mapping[str, Any], images: Mapping[str, bytes]) -> str:
     """The page of an ensemble; images: PNGs by the names of `figures`."""
-    shown = {
-        name: picture(images[name], caption) if name in images else Html("")
-        for name, caption in CAPTIONS.items()
-    }
+    shown = dict.fromkeys(CAPTIONS, Html(""))
+    for name, image in images.items():
+        shown[name] = picture(image, CAPTIONS[name])
     parts = [section("Distributions", *_distributions(result, summary), shown["distributions"])]
     if "over_time" in images:
         parts.append(section("Over time", shown["over_time"]))
     if result.varied:
-        parts.append(
-            section("What decides", *_sensitivities(summary), shown["tornado"], shown["influence"])
-        )
+        decisive = [*_sensitivities(summary), shown["tornado"], shown["influence"]]
+        parts.append(section("What decides", *decisive))
     parts.append(section("The worst runs", *_worst(result, summary)))
     parts.append(section("What was asked", *_asked(result)))
     return page(f"Ensemble: {result.info.title}", _verdict(result, summary), *parts)
 
 
 def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
+    """How many runs settle and diverge, and what 99 % of the errors keep to."""
     settled, diverged = summary["settled"], summary["diverged"]
     parts = [
         tag("span", f"{result.info.runs:,} runs"),
-        tag(
-            "span",
-            f"{_percent(settled)} settle",
-            "yes" if settled["value"] == 1 else "mid" if settled["value"] > 0.9 else "no",
-        ),
-        tag(
-            "span",
-            f"{_percent(diverged)} diverge"
-            if diverged["value"]
-            else f"none diverged (at most {100 * diverged['high']:.2g} % do)",
-            _good(not diverged["value"]),
-        ),
+        tag("span", f"{_percent(settled)} settle", _settled_style(settled["value"])),
     ]
+    if diverged["value"]:
+        parts.append(tag("span", f"{_percent(diverged)} diverge", "no"))
+    else:
+        most = f"{100 * diverged['high']:.2g}"
+        parts.append(tag("span", f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
         worst = summary["metrics"][MAIN]["p99"]
-        unit = "" if result.unit(MAIN) == "1" else f" {result.unit(MAIN)}"
-        parts.append(
-            tag(
-                "span",
-                f"{WORDS[MAIN]} at most {worst['value']:.4g}{unit} in 99 % of the runs that did not diverge",
-            )
-        )
+        limit = f"{WORDS[MAIN]} at most {worst['value']:.4g}"
+        if result.unit(MAIN) != "1":
+            limit += f" {result.unit(MAIN)}"
+        parts.append(tag("span", f"{limit} in 99 % of the runs that did not diverge"))
     return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
 
 
-def _good(good: bool) -> str:
-    return "yes" if good else "no"
+def _settled_style(share: float) -> str:
+    """The class of a share of runs that settle."""
+    if share == 1:
+        return "yes"
+    return "mid" if share > 0.9 else "no"
 
 
 def _percent(share: Mapping[str, float]) -> str:
+    """A share with its interval."""
     return f"{100 * share['value']:.4g} % ({100 * share['low']:.4g} to {100 * share['high']:.4g})"
 
 
 def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
+    """The table of metrics and errors of the widths, with a note."""
     if not summary["metrics"]:
         return [paragraph("Every run diverged.", "no")]
-    columns = ("mean", "median", "p95", "p99")
-    rows = [
-        (
-            label(words(name), result.unit(name)).replace(" ", "\u00a0"),
-            *(_bounded(name, found[column], _interval(found[column])) for column in columns),
-            _bounded(name, found["max"], found["max"]["value"]),
-        )
-        for name, found in summary["metrics"].items()
-        if not name.startswith(("d_right[", "d_left["))
-    ]
-    beyond = summary["metrics"][MAIN]["max"]["beyond"]
-    head = ("", "mean", "median", "95 %", "99 %", "largest")
-    return [
-        table(head, rows),
-        paragraph(
-            f"In parentheses: 95 % intervals; a dash is a value that these runs do not bound. At most {100 * beyond:.2g} % of all runs lie beyond the largest "
-            "value found, with 95 % confidence. Runs that diverged are counted above and averaged nowhere.",
-            "note",
-        ),
-    ]
-
-
-def _bounded(name: str, found: Mapping[str, float | None], shown: Any) -> Any:
-    """A settling time without a bound in words."""
-    return "never" if name == "settling_time" and found["value"] is None else shown
-
-
-def _interval(found: Mapping[str, float | None]) -> Html:
-    """The interval stands on a line of its own, unbroken."""
-    value, low, high = (
-        "–" if found[key] is None else f"{found[key]:.4g}" for key in ("value", "low", "high")
+    rows = []
+    for name, values in summary["metrics"].items():
+        if not name.startswith(("d_right[", "d_left[")):
+            rows.append(_distribution(name, values, result.unit(name)))
+    beyond = 100 * summary["metrics"][MAIN]["max"]["beyond"]
+    note = (
+        "In parentheses: 95 % intervals; a dash is a value that these runs do not bound. "
+        f"At most {beyond:.2g} % of all runs lie beyond the largest value found, "
+        "with 95 % confidence. Runs that diverged are counted above and averaged nowhere."
     )
-    return Html(
-        value
-        if value == low == high
-        else f'{value}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>'
-    )
+    return [table(("", *COLUMNS.values(), "largest"), rows), paragraph(note, "note")]
+
+
+def _distribution(name: str, values: Mapping[str, Any], unit: str) -> tuple[Any, ...]:
+    """The row of a metric."""
+    cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
+    largest = _bounded(name, values["max"], values["max"]["value"])
+    return (label(words(name), unit).replace(" ", "\u00a0"), *cells, largest)
+
+
+def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
+    """The cell of a value; of a settling time without a bound, words."""
+    if name == "settling_time" and value["value"] is None:
+        return "never"
+    return cell
+
+
+def _interval(value: Mapping[str, float | None]) -> Html:
+    """A value with its interval, which stands on a line of its own, unbroken."""
+    middle, low, high = (_digits(value[key]) for key in ("value", "low", "high"))
+    if middle == low == high:
+        return Html(middle)
+    return Html(f'{middle}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>')
+
+
+def _digits(number: float | None) -> str:
+    """A number to four digits, None as a dash."""
+    return "–" if number is None else f"{number:.4g}"
 
 
 def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
-    found = summary["sensitivities"]
-    if not found:
+    """The table of what each entry contributes, with a note."""
+    sensitivities = summary["sensitivities"]
+    if not sensitivities:
         return [paragraph("These runs do not tell: they are too few, or all alike.")]
-    total = any(one["total_order"] is not None for one in found.values())
-    keys = {
+    columns = {
         "spearman": "rank correlation",
         "partial": "the same, others held",
         "first_order": "share of the variance, alone",
     }
-    keys |= {"total_order": "with interactions"} if total else {}
-    rows = [(name, *(_interval(one[key]) for key in keys)) for name, one in found.items()]
-    chance = (
-        "" if total else f" A share below {next(iter(found.values()))['floor']:.2g} may be chance."
-    )
-    note = f"On the {WORDS[MAIN]}, of the runs that did not diverge; 95 % intervals in parentheses.{chance}"
-    return [table(("varied", *keys.values()), rows), paragraph(note, "note")]
+    note = f"On the {WORDS[MAIN]}, of the runs that did not diverge; 95 % intervals in parentheses."
+    if any(each["total_order"] is not None for each in sensitivities.values()):
+        columns["total_order"] = "with interactions"
+    else:
+        floor = next(iter(sensitivities.values()))["floor"]
+        note += f" A share below {floor:.2g} may be chance."
+    rows = []
+    for name, each in sensitivities.items():
+        rows.append((name, *(_interval(each[key]) for key in columns)))
+    return [table(("varied", *columns.values()), rows), paragraph(note, "note")]
 
 
 def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
-    def row(found: Mapping[str, Any]) -> tuple[Any, ...]:
-        outcome = tag("span", "diverged", "no") if found["diverged"] else found["metrics"][MAIN]
-        return (found["run"], outcome, *found["varied"].values())
-
+    """The worst runs, the one at the median, and the command that shows one of them."""
+    units = [label(name, result.unit(name)) for name in result.varied]
+    head = ("run", label(WORDS[MAIN], result.unit(MAIN)), *units)
+    parts = [table(head, map(_run_row, summary["worst"]))]
     typical = summary["typical"]
-    head = (
-        "run",
-        label(WORDS[MAIN], result.unit(MAIN)),
-        *(label(name, result.unit(name)) for name in result.varied),
-    )
-    parts = [table(head, map(row, summary["worst"]))]
     if typical is not None:
-        parts += [
-            paragraph("For comparison the run at the median:"),
-            table(head, [row(result.row(typical))]),
-        ]
+        parts.append(paragraph("For comparison the run at the median:"))
+        parts.append(table(head, [_run_row(result.row(typical))]))
     command = f"undeadzone run runs.npz --replay {summary['worst'][0]['run']}"
-    return [
-        *parts,
-        paragraph(
-            f"Each can be seen in full, bit for bit what it was, by its number: {command}", "note"
-        ),
-    ]
+    note = f"Each can be seen in full, bit for bit what it was, by its number: {command}"
+    return [*parts, paragraph(note, "note")]
+
+
+def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The row of a run: its number, its error or that it diverged, its entries."""
+    outcome = run["metrics"][MAIN]
+    if run["diverged"]:
+        outcome = tag("span", "diverged", "no")
+    return (run["run"], outcome, *run["varied"].values())
 
 
 def _asked(result: Ensemble) -> list[Html]:
+    """What was run, over which values, and the scenario."""
     info = result.info
     lines = [
         ("observer", info.method),
@@ -213,11 +230,11 @@ def _asked(result: Ensemble) -> list[Html]:
         ),
         ("undeadzone", info.version),
     ]
-    varied = [
-        (label(name, result.unit(name)), float(np.min(column)), float(np.max(column)))
-        for name, column in result.varied.items()
-    ]
-    parts = [table(("what", "value"), lines)] + (
-        [table(("varied", "least", "largest"), varied)] if varied else []
-    )
+    parts = [table(("what", "value"), lines)]
+    if result.varied:
+        ranges = []
+        for name, column in result.varied.items():
+            ends = float(np.min(column)), float(np.max(column))
+            ranges.append((label(name, result.unit(name)), *ends))
+        parts.append(table(("varied", "least", "largest"), ranges))
     return [*parts, folded("The scenario", tag("pre", info.scenario))]

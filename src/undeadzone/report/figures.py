@@ -1,11 +1,15 @@
-"""Figures of a run: what the sensor read, what the observer made of it, and how far off it was."""
+"""Figures of a run, and the one figure that says most of any result.
+
+A run's figure shows what the sensor read, what the observer made of it, and how far off it was.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, overload
 
+from undeadzone.errors import InputError
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -26,80 +30,140 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from undeadzone.analysis.certificate.design_file import Design
+    from undeadzone.ensemble.result import Ensemble
+    from undeadzone.tuning.result import Tuned
+
+    Result: TypeAlias = Run | Ensemble | Design | Tuned
+
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
 
 
-def plot(run: Run, path: str | os.PathLike[str]) -> Path:
-    """Write a figure of a run (PNG, PDF or SVG by suffix): output, error, widths, V. Raises FileError."""
-    return write(overview(run), Path(path))
+@overload
+def plot(result: Result, path: None = None) -> Figure: ...
+@overload
+def plot(result: Result, path: str | os.PathLike[str]) -> Path: ...
+def plot(result: Result, path: str | os.PathLike[str] | None = None) -> Figure | Path:
+    """Draw the first figure of a result's report.
+
+    A Run: output, reading and estimate, errors, widths, V. An Ensemble: how its metrics are
+    distributed, or, where every run diverged, its errors over time. A Design: its certificate in
+    the frequency domain. A Tuned: every candidate, and the scenario before and after on held-out
+    runs.
+
+    Args:
+        result: a Run, an Ensemble, a Design or a Tuned
+        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none
+
+    Returns:
+        The path of the file that was written; without a path the Matplotlib figure.
+
+    Raises:
+        InputError: the result is none of these, or holds nothing that can be drawn
+        FileError: the suffix is another one, or the file cannot be written
+    """
+    figure = first_figure(result)
+    return figure if path is None else write(figure, Path(path))
+
+
+def first_figure(result: Result) -> Figure:
+    """The figure that a result's report shows first; see `plot`. Raises InputError."""
+    if isinstance(result, Run):
+        return overview(result)
+    # imported here, so that whoever draws runs alone does not wait for them
+    from undeadzone.analysis.certificate.design_file import Design
+    from undeadzone.ensemble.result import Ensemble
+    from undeadzone.report.ensemble_page import first_of_ensemble
+    from undeadzone.report.proof_figures import positive_realness, proof_of
+    from undeadzone.report.tune_figures import history
+    from undeadzone.tuning.result import Tuned
+
+    if isinstance(result, Ensemble):
+        return first_of_ensemble(result)
+    if isinstance(result, Design):
+        return positive_realness(proof_of(result))
+    if isinstance(result, Tuned):
+        return history(result)
+    raise InputError(
+        f"plot: expected a Run, an Ensemble, a Design or a Tuned, found {type(result).__name__}"
+    )
 
 
 def overview(run: Run) -> Figure:
-    """Per output: z, reading, reference and estimate over the dead zone; errors; widths against truth; then V.
+    """Per output: z, reading, reference and estimate over the dead zone; errors; widths; then V.
 
     Many outputs have a row each. A run that diverged is drawn up to where it did.
     """
-    shown, outputs = run.shown, run.z.shape[1]
-    rows: list[list[str]] = []
-    for i in range(outputs):
-        below = [f"error {i}", f"widths {i}"]
-        if outputs > STACKED:
-            rows += [[f"output {i}"] * 6 + [name for name in below for _ in range(3)]]
-            continue
-        below += ["V"] * (run.V is not None and i == 0)
-        rows += [[f"output {i}"] * 6, [name for name in below for _ in range(6 // len(below))]]
-    if outputs > STACKED and run.V is not None:
-        rows += [["V"] * 12]
-    figure, panels = sheet(rows, run.info.title, *((15.0, 2.2) if outputs > STACKED else ()))
+    outputs = run.z.shape[1]
+    if outputs > STACKED:
+        rows = rows_beside(outputs, run.V is not None)
+        figure, panels = sheet(rows, run.info.title, width=15.0, height=2.2)
+    else:
+        figure, panels = sheet(rows_below(outputs, run.V is not None), run.info.title)
     for i in range(outputs):
         of = f" {run.outputs[i]}" if outputs > 1 else ""
-        _output(panels[f"output {i}"], run, i, of, shown)
-        _errors(panels[f"error {i}"], run, i, of, shown)
-        _widths(panels[f"widths {i}"], run, i, of, shown)
+        _output(panels[f"output {i}"], run, i, of)
+        _errors(panels[f"error {i}"], run, i, of)
+        _widths(panels[f"widths {i}"], run, i, of)
     if run.V is not None:
-        plot_magnitude(panels["V"], run.t[shown], run.V[shown], TRUTH, "V")
+        plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
         finish(panels["V"], "Lyapunov function", label("V", run.unit("V")), legend=0)
     return figure
 
 
-def _output(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
+def rows_below(outputs: int, with_V: bool) -> list[list[str]]:
+    """The panels of few outputs: each output as wide as the figure, what belongs to it below.
+
+    V stands beside the errors of the first output.
+    """
+    rows = []
+    for i in range(outputs):
+        rows.append([f"output {i}"] * 6)
+        if with_V and i == 0:
+            rows.append([f"error {i}"] * 2 + [f"widths {i}"] * 2 + ["V"] * 2)
+        else:
+            rows.append([f"error {i}"] * 3 + [f"widths {i}"] * 3)
+    return rows
+
+
+def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
+    """The panels of many outputs: a row each, what belongs to it beside; V below all."""
+    rows = [[f"output {i}"] * 6 + [f"error {i}"] * 3 + [f"widths {i}"] * 3 for i in range(outputs)]
+    return [*rows, ["V"] * 12] if with_V else rows
+
+
+def _output(axes: Axes, run: Run, i: int, of: str) -> None:
+    """Output i over its dead zone: reference, reading, truth and estimate; of: its name."""
+    shown = run.shown
     t = run.t[shown]
     shade_zone(axes, run.info.widths[2 * i], run.info.widths[2 * i + 1])
     if i in run.info.tracked:
-        axes.plot(
-            t,
-            run.r[shown, run.info.tracked.index(i)],
-            color=REFERENCE,
-            linewidth=2.6,
-            alpha=0.45,
-            label="reference r",
-        )
+        r = run.r[shown, run.info.tracked.index(i)]
+        axes.plot(t, r, color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
     axes.plot(t, run.y[shown, i], color=READING, label="reading y")
     axes.plot(t, run.z[shown, i], color=TRUTH, label="output z")
-    axes.plot(
-        t, run.z_hat[shown, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$"
-    )
-    stop = "" if run.diverged_at is None else f", diverged at {run.diverged_at:.4g} s"
-    finish(
-        axes, f"Output{of} and what is known of it{stop}", label("z, y", run.unit("z")), legend=5
-    )
+    estimate = run.z_hat[shown, i]
+    axes.plot(t, estimate, color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    title = f"Output{of} and what is known of it"
+    if run.diverged_at is not None:
+        title += f", diverged at {run.diverged_at:.4g} s"
+    finish(axes, title, label("z, y", run.unit("z")), legend=5)
 
 
-def _errors(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
+def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
+    """The sizes of the errors of tracking, where output i is tracked, and of estimation."""
+    shown = run.shown
     t = run.t[shown]
     if i in run.info.tracked:
-        plot_magnitude(
-            axes,
-            t,
-            (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown],
-            REFERENCE,
-            "$|z - r|$",
-        )
+        tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
+        plot_magnitude(axes, t, tracking, REFERENCE, "$|z - r|$")
     plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ESTIMATE, r"$|z - \hat z|$")
     finish(axes, f"Errors{of}", label("error", run.unit("z")))
 
 
-def _widths(axes: Axes, run: Run, i: int, of: str, shown: slice) -> None:
+def _widths(axes: Axes, run: Run, i: int, of: str) -> None:
+    """The estimated widths of output i over the true ones."""
+    shown = run.shown
     for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
         axes.axhline(run.info.widths[column], color=colour, linewidth=3.0, alpha=0.3)
         axes.plot(run.t[shown], run.d_hat[shown, column], color=colour, label=rf"$\hat d_{name}$")

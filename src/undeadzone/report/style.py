@@ -1,4 +1,7 @@
-"""One look for every figure: colour-blind-safe colours (Okabe and Ito), light axes, sheets of panels, files and bytes."""
+"""One look for every figure: colours, axes, sheets of panels, files and bytes.
+
+The colours are those of Okabe and Ito, which colour-blind readers can tell apart.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +26,12 @@ REFERENCE: Final = "#009e73"
 PRINTED: Final = "#d55e00"
 OTHER: Final = "#cc79a7"
 ZONE: Final = "#8a8f98"
+FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive real
 
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 DPI: Final = 110
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
+LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 
 _STYLE: Final[Any] = {
     "font.size": 9.0,
@@ -60,7 +65,14 @@ _STYLE: Final[Any] = {
 def sheet(
     rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5
 ) -> tuple[Figure, dict[str, Axes]]:
-    """A figure of named panels, laid out as the rows of names say; `height` [inch] is that of one row."""
+    """A figure of named panels and these panels by name.
+
+    Args:
+        rows: names of panels as they lie; a panel spans all cells that hold its name
+        title: of the figure
+        width: of the figure [inch]
+        height: of one row [inch]
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -74,7 +86,13 @@ def sheet(
 def finish(
     axes: Axes, title: str, y_label: str = "", x_label: str = "t [s]", legend: int = 4
 ) -> None:
-    """Title, labels and, above the lines, a legend of that many columns (0: none), for a panel that has its lines."""
+    """Write title, labels and legend of a panel that has its lines.
+
+    Args:
+        axes: the panel
+        title, y_label, x_label: words
+        legend: columns of the legend, which stands above the lines; 0 leaves it out
+    """
     import matplotlib
 
     with matplotlib.rc_context(_STYLE):
@@ -82,14 +100,17 @@ def finish(
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         if legend:
-            low, high = axes.get_ylim()
-            room = (
-                high * (high / low) ** 0.22
-                if axes.get_yscale() == "log"
-                else high + 0.22 * (high - low)
-            )
-            axes.set_ylim(low, room)
+            _make_room(axes)
             axes.legend(loc="upper right", ncols=legend, borderaxespad=0.2)
+
+
+def _make_room(axes: Axes) -> None:
+    """Raise the upper limit of a panel, so that a legend finds room above the lines."""
+    low, high = axes.get_ylim()
+    if axes.get_yscale() == "log":
+        axes.set_ylim(low, high * (high / low) ** LEGEND_ROOM)
+    else:
+        axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
 
 
 def label(words: str, unit: str) -> str:
@@ -105,25 +126,40 @@ def shade_zone(axes: Axes, right: float, left: float) -> None:
 def plot_magnitude(
     axes: Axes, t: Floats, values: Floats, colour: str, name: str, bins: int = 120
 ) -> None:
-    """|values| on a logarithmic axis: the samples faint, their largest in each of `bins` spans of time as the line.
+    """Plot |values| on a logarithmic axis: samples faint, the largest in each span of time a line.
 
-    What lies far below nearly all of these largest is cut off, so that single zeros do not stretch the axis.
+    What lies far below nearly all of these largest is cut off; single zeros would stretch the axis.
+
+    Args:
+        axes: the panel
+        t: instants [s]
+        values: a sample for each instant
+        colour, name: of the line
+        bins: number of the spans
     """
     size = np.abs(values)
     starts = np.linspace(0, t.size, min(bins, t.size), endpoint=False).astype(int)
     peaks = np.maximum.reduceat(size, starts)
-    floor = max(FLOOR, float(np.quantile(peaks, 0.03)) / 10)
+    floor = floor_of(peaks)
     axes.set_yscale("log")
     axes.plot(t, np.maximum(size, floor), color=colour, alpha=0.22, linewidth=0.7)
     axes.plot(t[starts], np.maximum(peaks, floor), color=colour, label=name)
 
 
+def floor_of(sizes: Floats) -> float:
+    """The least value of these sizes that a logarithmic axis shows: a tenth of nearly all."""
+    return max(FLOOR, float(np.quantile(sizes, 0.03)) / 10)
+
+
 def write(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, PDF or SVG by suffix; nothing is left half-written. Raises FileError."""
+    """Write a figure as PNG, PDF or SVG by suffix; nothing is left half-written.
+
+    Raises:
+        FileError: the suffix is another one, or the file cannot be written
+    """
     if path.suffix.lower() not in SUFFIXES:
-        raise FileError(
-            f"{path}: cannot write a figure with this name; it must end in {', '.join(SUFFIXES)}"
-        )
+        expected = ", ".join(SUFFIXES)
+        raise FileError(f"{path}: cannot write a figure with this name; it must end in {expected}")
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI)
     return path

@@ -1,4 +1,4 @@
-"""Figures of a choice: the Pareto front of rate, noise and disturbance, and what can be known of the widths."""
+"""Figures of a choice: the Pareto front of rate, noise and disturbance, and what can be known."""
 
 from __future__ import annotations
 
@@ -28,33 +28,36 @@ LABELS: Final = {
 
 
 def front(design: Design) -> Figure:
-    """Rate against noise gain and against disturbance gain, each coloured by the other; the gains chosen and the scenario's own."""
-    figure, panels = sheet(
-        [[price for price, _ in PRICES]],
-        f"The trade: {len(design.front)} certified gains, none better than another in everything",
-        height=4.2,
-    )
+    """Rate against noise gain and against disturbance gain, each coloured by the other.
+
+    The gains chosen, the fastest and the scenario's own are marked.
+    """
+    count = f"{len(design.front)} certified gains"
+    title = f"The trade: {count}, none better than another in everything"
+    figure, panels = sheet([[price for price, _ in PRICES]], title, height=4.2)
     for price, other in PRICES:
         axes = panels[price]
-        x, rate, colour = (
-            np.array([getattr(point, name) for point in design.front])
-            for name in (price, "rate", other)
-        )
-        dots = axes.scatter(x, rate, c=np.log10(colour), s=26, cmap="viridis_r", linewidths=0)
+        x, rate = _scores(design, price), _scores(design, "rate")
+        colour = np.log10(_scores(design, other))
+        dots = axes.scatter(x, rate, c=colour, s=26, cmap="viridis_r", linewidths=0)
         _mark(axes, design.front[0], price, "^", TRUTH, "fastest")
         if design.present is not None:
             _mark(axes, design.present, price, "X", PRINTED, "yours")
         _mark(axes, design.best, price, "*", PRINTED, "chosen", 16)
         _log_ticks(axes)
         axes.margins(0.06)
-        finish(
-            axes, f"Rate against {price}", "rate along the reference [1/s]", LABELS[price], legend=3
-        )
+        y_label = "rate along the reference [1/s]"
+        finish(axes, f"Rate against {price}", y_label, LABELS[price], legend=3)
         bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.02)
         ticks = np.linspace(*dots.get_clim(), 5)
         bar.set_ticks(ticks.tolist(), labels=[f"{10**tick:.3g}" for tick in ticks])
         bar.set_label(f"{other} gain")
     return figure
+
+
+def _scores(design: Design, name: str) -> Floats:
+    """What the gains of the front are worth in one respect."""
+    return np.array([getattr(point, name) for point in design.front])
 
 
 def _log_ticks(axes: Axes) -> None:
@@ -70,6 +73,7 @@ def _log_ticks(axes: Axes) -> None:
 def _mark(
     axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
 ) -> None:
+    """Mark one point of the front; price: what stands on the axis to the right."""
     axes.plot(
         [getattr(point, price)],
         [point.rate],
@@ -83,58 +87,56 @@ def _mark(
 
 
 def ellipses(of: Assessment) -> Figure:
-    """The 95 % region of (d_r, d_l) of each output that an optimal estimator reaches after the scenario's duration.
+    """The 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in the end.
 
-    An ellipse about the truth, or an unbounded strip where only one direction can be known, with the reason in words.
+    An ellipse about the truth, or an unbounded strip where only one direction can be known, with
+    the reason in words.
     """
-    outputs, sensor, unit = len(of.known), of.problem.sensor, of.problem.scenario.units.output
+    outputs = len(of.known)
     names = [f"output {i}" for i in range(outputs)]
     title = f"What {of.problem.scenario.simulation.duration:g} s of readings tell of the widths"
     figure, panels = sheet([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
-    for i, (name, known) in enumerate(zip(names, of.known, strict=True)):
-        truth = np.array([sensor.right[i], sensor.left[i]])
-        axes, bounded = panels[name], known.right and known.left
-        if bounded:
-            _ellipse(axes, known)
-            exact = " (no noise: readings are taken as all but exact)" * (
-                not (sensor.noise[i] or sensor.noise_before[i])
-            )
-            words, off = f"Both can be known{exact}", " − truth"
-        else:
-            stable = (
-                growth(delta(of.problem.model.linear, of.problem.model.Ts), of.problem.model.Ts) < 0
-            )
-            floor = np.array([of.schedule.high[i], -of.schedule.low[i]]) - (
-                of.schedule.levels[i] - truth
-            )
-            _strip(axes, known, truth, floor if stable else np.zeros(2))
-            words, off = "; ".join(known.reasons), ""
-        axes.plot(
-            *([0.0, 0.0] if bounded else truth), "+", color=TRUTH, markersize=10, label="truth"
-        )
-        axes.set_aspect("equal")
-        words = f"Output {i}: {words}" if outputs > 1 else words[:1].upper() + words[1:]
-        finish(
-            axes,
-            fill(words, 46),
-            label(rf"$\hat d_l${off}", unit),
-            label(rf"$\hat d_r${off}", unit),
-            legend=2,
-        )
+    for i, name in enumerate(names):
+        _region(panels[name], of, i)
     return figure
 
 
+def _region(axes: Axes, of: Assessment, i: int) -> None:
+    """The 95 % region of the widths of output i, with its title and labels."""
+    known, sensor, unit = of.known[i], of.problem.sensor, of.problem.scenario.units.output
+    truth = np.array([sensor.right[i], sensor.left[i]])
+    if known.right and known.left:
+        _ellipse(axes, known)
+        words, off = "Both can be known", " − truth"
+        if not (sensor.noise[i] or sensor.noise_before[i]):
+            words += " (no noise: readings are taken as all but exact)"
+        axes.plot(0.0, 0.0, "+", color=TRUTH, markersize=10, label="truth")
+    else:
+        _strip(axes, known, truth, _floor(of, i, truth))
+        words, off = "; ".join(known.reasons), ""
+        axes.plot(*truth, "+", color=TRUTH, markersize=10, label="truth")
+    axes.set_aspect("equal")
+    title = words[:1].upper() + words[1:]
+    if len(of.known) > 1:
+        title = f"Output {i}: {words}"
+    y_label, x_label = (label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
+    finish(axes, fill(title, 46), y_label, x_label, legend=2)
+
+
+def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
+    """What (d_r, d_l) of output i must exceed, or else the edges would have been reached; or 0.
+
+    Silence tells it only of a stable model, whose output is known in the end.
+    """
+    model, schedule = of.problem.model, of.schedule
+    if not growth(delta(model.linear, model.Ts), model.Ts) < 0:
+        return np.zeros(2)
+    return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)
+
+
 def _ellipse(axes: Axes, known: Knowledge) -> None:
-    """The covariance of (d_r, d_l) follows from the deviations of both, of their sum and of their difference."""
-    std = known.std
-    cross = (std["width"] ** 2 - std["centre"] ** 2) / 4
-    values, vectors = np.linalg.eigh([[std["right"] ** 2, cross], [cross, std["left"] ** 2]])
-    angle = np.linspace(0.0, 2 * np.pi, 300)
-    x, y = (
-        ELLIPSE
-        * vectors
-        @ (np.sqrt(np.maximum(values, 0.0))[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
-    )
+    """The ellipse of 95 % about the truth, limits included."""
+    x, y = ellipse(known.std)
     axes.fill(x, y, color=ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(x, y, color=ESTIMATE, label="95 %")
     axes.ticklabel_format(scilimits=(-2, 3))
@@ -143,24 +145,44 @@ def _ellipse(axes: Axes, known: Knowledge) -> None:
     axes.set_ylim(-size, size)
 
 
+def ellipse(std: dict[str, float]) -> Floats:
+    """The border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
+
+    The covariance follows from the deviations of both, of their sum and of their difference.
+    """
+    cross = (std["width"] ** 2 - std["centre"] ** 2) / 4
+    values, vectors = np.linalg.eigh([[std["right"] ** 2, cross], [cross, std["left"] ** 2]])
+    angle = np.linspace(0.0, 2 * np.pi, 300)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    semi_axes = np.sqrt(np.maximum(values, 0.0))[:, None]
+    return np.asarray(ELLIPSE * vectors @ (semi_axes * circle))
+
+
 def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
-    """Where one direction g is known, g'd lies between two parallel lines. An edge not reached lies beyond all of z, at least."""
+    """Shade the region of widths that readings leave open where one direction at most is known.
+
+    Where a direction g is known, g'd lies between two parallel lines. An edge that was not reached
+    lies beyond all of z, at least.
+    """
     size = 2.0 * max(float(truth.max()), 1e-12)
-    x, y = np.meshgrid(*2 * (np.linspace(0.0, 1.5 * size, 901),))
+    grid = np.linspace(0.0, 1.5 * size, 901)
+    x, y = np.meshgrid(grid, grid)
     direction = next((name for name in ("right", "left", "width") if getattr(known, name)), None)
     if direction == "width":
         floor = np.zeros(2)
-    region = np.maximum(0.0 if known.right else floor[0] - x, 0.0 if known.left else floor[1] - y)
-    words = (
-        f"only d_r > {floor[0]:.3g}, d_l > {floor[1]:.3g}" if floor.any() else "nothing is known"
-    )
+    beyond_right = 0.0 if known.right else floor[0] - x
+    beyond_left = 0.0 if known.left else floor[1] - y
+    region = np.maximum(beyond_right, beyond_left)  # negative inside
     if direction is not None:
         g = np.array(DIRECTIONS[direction])
         half = NORMAL * known.std[direction]
-        region = np.maximum(
-            region, np.abs(g[0] * (x - truth[0]) + g[1] * (y - truth[1])) - max(half, 0.004 * size)
-        )
+        distance = np.abs(g[0] * (x - truth[0]) + g[1] * (y - truth[1]))
+        region = np.maximum(region, distance - max(half, 0.004 * size))
         words = f"95 %: {direction} ± {half:.2g}"
+    elif floor.any():
+        words = f"only d_r > {floor[0]:.3g}, d_l > {floor[1]:.3g}"
+    else:
+        words = "nothing is known"
     axes.contourf(x, y, region, levels=[-np.inf, 0.0], colors=[ESTIMATE], alpha=0.25)
     axes.contour(x, y, region, levels=[0.0], colors=[ESTIMATE], linewidths=1.0)
     axes.plot([], [], color=ESTIMATE, label=words)

@@ -1,4 +1,4 @@
-"""Figures of a tuning: the search, what it is worth on held-out runs, and the metric around what was found."""
+"""Figures of a tuning: the search, its worth on held-out runs, the metric around its result."""
 
 from __future__ import annotations
 
@@ -31,12 +31,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "local": OTHER}
-POINTS: Final = 25  # of a curve around the numbers found
+POINTS: Final = 25  # of a curve around the tuned numbers
 COLUMNS: Final = 3
+STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
 def write_figures(result: Tuned, folder: Path) -> list[Path]:
-    """history.png and around.png."""
+    """Write history.png and around.png to a folder. Raises FileError."""
     return [
         write(history(result), folder / "history.png"),
         write(around(result, slices(result)), folder / "around.png"),
@@ -44,96 +45,106 @@ def write_figures(result: Tuned, folder: Path) -> list[Path]:
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
-    """The metric of the first scenario on held-out runs over each tuned number, the others as they were found."""
+    """The metric of the first scenario on held-out runs, over each tuned number alone."""
     what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
-    return {
-        p.name: sweep(result.scenario, {p.name: _places(p, value)}, what)
-        for p, value in zip(result.parameters, result.values, strict=True)
-    }
+    sweeps = {}
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        places = {parameter.name: _places(parameter, value)}
+        sweeps[parameter.name] = sweep(result.scenario, places, what)
+    return sweeps
 
 
 def history(result: Tuned) -> Figure:
-    """Every candidate in order, the best so far, and the scenario before and after on held-out runs."""
-    figure, panels = sheet(
-        [["trials", "trials", "trials", "held_out"]], f"{result.scenario.title}: tuned", height=3.6
-    )
-    axes, words = (
-        panels["trials"],
-        f"{result.what.statistic} {WORDS.get(result.what.metric, result.what.metric)}",
-    )
-    cost = np.array([trial.cost for trial in result.trials])
-    kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
-    best = np.minimum.accumulate(np.where(kept, cost, np.inf))
-    top = 1.15 * max(float(best[np.isfinite(best)].max(initial=0.0)), result.cost[0])
-    for stage, colour in COLOURS.items():
-        chosen = np.flatnonzero([trial.stage == stage for trial in result.trials])
-        if chosen.size:
-            axes.plot(
-                chosen, np.minimum(cost, top)[chosen], ".", color=colour, markersize=5, label=stage
-            )
-    if not kept.all():
-        axes.plot(
-            np.flatnonzero(~kept),
-            np.minimum(cost, top)[~kept],
-            "x",
-            color=PRINTED,
-            markersize=3.5,
-            alpha=0.6,
-            label="not certified",
-        )
-    axes.plot(best, color=ESTIMATE, drawstyle="steps-post", label="best so far")
-    _scaled(axes, best[np.isfinite(best)])
-    finish(axes, "Candidates, on the runs tuned on", words, "candidate", legend=3)
+    """Every candidate in order, and the scenario before and after on held-out runs."""
+    rows = [["trials", "trials", "trials", "held_out"]]
+    figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
+    _candidates(panels["trials"], result)
+    words = _words(result)
+    finish(panels["trials"], "Candidates, on the runs tuned on", words, "candidate", legend=3)
     _compare(panels["held_out"], result)
     finish(panels["held_out"], "On held-out runs", words, "", legend=0)
     return figure
 
 
-def around(result: Tuned, found: dict[str, Sweep]) -> Figure:
-    """The metric over each tuned number, on held-out runs."""
-    names = list(found)
+def _candidates(axes: Axes, result: Tuned) -> None:
+    """The cost of every candidate by the stage that tried it, and the best so far."""
+    cost = np.array([trial.cost for trial in result.trials])
+    kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
+    best = np.minimum.accumulate(np.where(kept, cost, np.inf))
+    known = best[np.isfinite(best)]
+    top = 1.15 * max(float(known.max(initial=0.0)), result.cost[0])
+    shown = np.minimum(cost, top)
+    for stage, colour in COLOURS.items():
+        tried = np.flatnonzero([trial.stage == stage for trial in result.trials])
+        if tried.size:
+            axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
+    if not kept.all():
+        lost = np.flatnonzero(~kept)
+        axes.plot(
+            lost, shown[lost], "x", color=PRINTED, markersize=3.5, alpha=0.6, label="not certified"
+        )
+    axes.plot(best, color=ESTIMATE, drawstyle="steps-post", label="best so far")
+    _scaled(axes, known)
+
+
+def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
+    """The metric over each tuned number, on held-out runs; sweeps: as `slices` gives them."""
+    names = list(sweeps)
     rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
-    figure, panels = sheet(
-        rows, "Around what was found, on held-out runs, the other numbers unchanged", height=3.0
-    )
-    words = f"{result.what.statistic} {WORDS.get(result.what.metric, result.what.metric)}"
+    title = "Around what was found, on held-out runs, the other numbers unchanged"
+    figure, panels = sheet(rows, title, height=3.0)
+    words = _words(result)
     for parameter, value in zip(result.parameters, result.values, strict=True):
-        axes, (x,), cost = (
-            panels[parameter.name],
-            found[parameter.name].axes.values(),
-            found[parameter.name].cost,
-        )
-        axes.set_xscale("log" if parameter.log else "linear")
-        finite = np.isfinite(cost) & (cost < 20 * cost.min())
-        axes.plot(x[finite], cost[finite], ".-", color=ESTIMATE)
-        if (lost := finite & (found[parameter.name].margin < result.what.margin)).any():
-            axes.plot(x[lost], cost[lost], "x", color=PRINTED, label="not certified")
-        axes.axvline(value, color=REFERENCE, label=f"tuned {value:.4g}")
-        axes.axvline(
-            parameter.start, color=ZONE, linestyle=(0, (4, 2)), label=f"start {parameter.start:.4g}"
-        )
-        axes.set_xlim(parameter.low, parameter.high)
-        _scaled(axes, cost[finite])
+        axes = panels[parameter.name]
+        _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
         finish(axes, parameter.name, words, legend=2, x_label="")
     return figure
 
 
+def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float) -> None:
+    """The metric over one number; margin: least one of a certificate."""
+    (x,) = curve.axes.values()
+    cost = curve.cost
+    axes.set_xscale("log" if parameter.log else "linear")
+    shown = np.isfinite(cost) & (cost < STEEP * cost.min())
+    axes.plot(x[shown], cost[shown], ".-", color=ESTIMATE)
+    lost = shown & (curve.margin < margin)
+    if lost.any():
+        axes.plot(x[lost], cost[lost], "x", color=PRINTED, label="not certified")
+    start = parameter.start
+    axes.axvline(value, color=REFERENCE, label=f"tuned {value:.4g}")
+    axes.axvline(start, color=ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
+    axes.set_xlim(parameter.low, parameter.high)
+    _scaled(axes, cost[shown])
+
+
+def _words(result: Tuned) -> str:
+    """The statistic and the metric that were tuned for."""
+    return f"{result.what.statistic} {WORDS.get(result.what.metric, result.what.metric)}"
+
+
 def _places(parameter: Parameter, value: float) -> Floats:
-    """The number found, and a grid over its range."""
+    """The tuned number, and a grid over its range."""
     return np.unique(np.append(parameter.value(np.linspace(0.0, 1.0, POINTS)), value))
 
 
 def _compare(axes: Axes, result: Tuned) -> None:
-    found = result.held_out[0]
-    for place, (each, colour) in enumerate(((found.before, TRUTH), (found.after, ESTIMATE))):
-        value, low, high = each.value
-        reach = [[abs(end - value) if np.isfinite(end) else 0.0] for end in (low, high)]
+    """The first scenario on held-out runs as it was and tuned, with intervals."""
+    first = result.held_out[0]
+    for place, (worth, colour) in enumerate(((first.before, TRUTH), (first.after, ESTIMATE))):
+        value, low, high = worth.value
+        reach = [[_reach(low, value)], [_reach(high, value)]]
         axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)
     axes.set_xticks([0, 1], ["before", "tuned"])
     axes.set_xlim(-0.6, 1.6)
     axes.set_ylim(bottom=0.0)
     axes.margins(y=0.2)
+
+
+def _reach(end: float, value: float) -> float:
+    """How far an interval reaches from its value; 0 where it has no end."""
+    return abs(end - value) if np.isfinite(end) else 0.0
 
 
 def _scaled(axes: Axes, shown: Floats) -> None:

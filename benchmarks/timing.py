@@ -1,0 +1,27 @@
+"""Times of programs in interleaved rounds, so that all of them meet the same machine."""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def medians(
+    programs: Mapping[str, Callable[[], Any]], rounds: int, uncounted: int = 0
+) -> dict[str, float]:
+    """The median time of each program [s].
+
+    Args:
+        programs: by name
+        rounds: of which each runs every program once
+        uncounted: rounds before these, which compile and warm up
+    """
+    times: dict[str, list[float]] = {name: [] for name in programs}
+    for k in range(uncounted + rounds):
+        for name, program in programs.items():
+            began = time.perf_counter()
+            program()
+            seconds = time.perf_counter() - began
+            if k >= uncounted:
+                times[name].append(seconds)
+    return {name: statistics.median(values) for name, values in times.items()}
