@@ -23,12 +23,10 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Floats, Integers, shape_text
 
 WIDTH = 128
-
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
 BUFFER = 2**17
 
 LINE = 8  # numbers in a line of the cache
-
 # (first step, steps), asked for in order -> steps x own inputs x lanes
 Source = Callable[[int, int], Floats]
 Supply = Callable[[Integers], Source]  # lane numbers -> their source
