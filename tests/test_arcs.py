@@ -1,4 +1,4 @@
-"""Taylor arcs and steps with several changes of side: accuracy, order, coincidence with RK4 and with the lanes."""
+"""Taylor arcs and steps with several changes of side: accuracy, order, coincidence with RK4."""
 
 from __future__ import annotations
 
@@ -30,19 +30,18 @@ GRAZING = {
 
 
 def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:
-    return simulate(
-        scene(**changes | {"simulation": {"duration": duration, "step": step, "order": order}}),
-        check_step=False,
-    )
+    simulation = {"duration": duration, "step": step, "order": order}
+    return simulate(scene(**changes | {"simulation": simulation}), check_step=False)
 
 
-def gap(found: Run, truth: Run) -> float:
+def gap(run: Run, truth: Run) -> float:
     """The largest difference of x, x^ and d^ at the instants that both have."""
-    every = round((len(truth.t) - 1) / (len(found.t) - 1))
-    return max(
-        float(np.abs(getattr(found, name) - getattr(truth, name)[::every]).max())
-        for name in ("x", "x_hat", "d_hat")
-    )
+    every = round((len(truth.t) - 1) / (len(run.t) - 1))
+    gaps = []
+    for name in ("x", "x_hat", "d_hat"):
+        difference = getattr(run, name) - getattr(truth, name)[::every]
+        gaps.append(float(np.abs(difference).max()))
+    return max(gaps)
 
 
 @pytest.mark.parametrize("changes", [{}, TWO, GRAZING], ids=["paper", "two outputs", "grazing"])
@@ -62,7 +61,10 @@ def test_the_order_is_the_one_that_is_asked_for() -> None:
 
 
 def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> None:
-    """On a branch that is linear, with nothing from outside, RK4 is the Taylor polynomial of order 4; 5 terms more is more accurate."""
+    """On a linear branch, with nothing from outside, RK4 is the Taylor polynomial of order 4.
+
+    One term more is more accurate.
+    """
     still = {"reference": {"kind": "step", "amplitude": 0.0}}
     truth = run(12, 1e-2, **still)
     assert gap(run(5, 1e-1, **still), truth) < gap(run(4, 1e-1, **still), truth) / 3
@@ -77,13 +79,12 @@ def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> No
     ids=str,
 )
 def test_disturbances_enter_the_series(disturbance: dict[str, Any]) -> None:
-    """A random one is a straight line over each step of its own grid, so that both must have the same."""
+    """A random one is a line over each step of its own grid, so that both must have the same."""
     truth = run(4, 1e-2, disturbance=disturbance)
-    found = run(8, 1e-2, disturbance=disturbance)
-    assert gap(found, truth) < 2e-6
-    finer = simulate(
-        scene(disturbance=disturbance, simulation={"duration": 3.0, "step": 1e-2, "order": 8})
-    )
+    series = run(8, 1e-2, disturbance=disturbance)
+    assert gap(series, truth) < 2e-6
+    simulation = {"duration": 3.0, "step": 1e-2, "order": 8}
+    finer = simulate(scene(disturbance=disturbance, simulation=simulation))
     assert finer.info.integration_error is not None
     assert finer.info.integration_error < 1e-9
 
@@ -92,10 +93,8 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     """z passes the edge by 0.001 at its largest, and is back before a long step ends."""
     silent = run(12, 1e-3, **GRAZING, sensor={"right": 3.0, "left": 3.0})
     sensor = {"right": float(silent.z.max()) - 1e-3, "left": 3.0}
-    truth, coarse = (
-        run(4, 2.5e-4, **GRAZING, sensor=sensor),
-        run(12, 5e-2, **GRAZING, sensor=sensor),
-    )
+    truth = run(4, 2.5e-4, **GRAZING, sensor=sensor)
+    coarse = run(12, 5e-2, **GRAZING, sensor=sensor)
     assert 0.0 < (truth.side == 1).mean() < 0.05
     assert not (coarse.side == 1).any()
     assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
@@ -119,7 +118,8 @@ def test_an_excursion_within_a_step_is_seen() -> None:
                 "simulation": {"order": 8},
                 "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}},
             },
-            "simulation.order: above 4 only for a plant, an observer and a controller that are linear",
+            "simulation.order: above 4 only for a plant, an observer and a controller "
+            "that are linear",
         ),
     ],
 )
