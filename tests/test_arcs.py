@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from scenes import scene, slopes
 from undeadzone.errors import InputError
+from undeadzone.numerics.dense_output import DenseStep, _moved, runge_kutta, taylor
+from undeadzone.numerics.event_location import _crossing, _secant
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 
@@ -42,6 +45,68 @@ def gap(run: Run, truth: Run) -> float:
         difference = getattr(run, name) - getattr(truth, name)[::every]
         gaps.append(float(np.abs(difference).max()))
     return max(gaps)
+
+
+def numbers(expression: Any) -> list[float]:
+    return np.array(ca.DM(expression)).ravel().tolist()
+
+
+def falling(x: ca.SX, c: Any, mode: Any) -> ca.SX:
+    """x' = -x, whose solution is e^-t."""
+    return -x
+
+
+@pytest.mark.parametrize(
+    "arc",
+    [
+        runge_kutta(falling, lambda x: 2 * x, 1, ca.SX(0.1)),
+        taylor(falling, lambda x: 2 * x, [ca.SX(0.0)] * 5, 1, ca.SX(0.1)),
+    ],
+    ids=["runge_kutta", "taylor"],
+)
+def test_dense_output_follows_the_solution(arc: Any) -> None:
+    """Over the last three quarters of a step of 0.1 s, z = 2 x."""
+    step: DenseStep = arc(ca.SX(1.0), ca.SX(0.25), None)
+    assert numbers(step.end) == pytest.approx([np.exp(-0.075)], abs=1e-6)
+    assert numbers(step.final) == pytest.approx([2 * np.exp(-0.075)], abs=1e-6)
+    assert numbers(step.onward) == pytest.approx([2 * (1 - 0.075 / 2)])
+    for c in (0.0, 0.3, 1.0):
+        assert numbers(step.at(c)) == pytest.approx([np.exp(-0.075 * c)], abs=1e-6)
+        assert numbers(step.output(c)) == pytest.approx([2 * np.exp(-0.075 * c)], abs=1e-6)
+        assert numbers(step.slope(c)) == pytest.approx([-0.15 * np.exp(-0.075 * c)], abs=1e-5)
+
+
+def test_inputs_over_the_rest_of_a_step_are_the_same_polynomial() -> None:
+    """1 + 2 c + 3 c^2 after c = 0.4, as a polynomial of the fraction of what is left."""
+    moved = np.array([numbers(a)[0] for a in _moved([ca.SX(1), ca.SX(2), ca.SX(3)], 0.4, 0.6)])
+    for c in (0.0, 0.5, 1.0):
+        total = 0.4 + 0.6 * c
+        assert moved @ c ** np.arange(3) == pytest.approx(1 + 2 * total + 3 * total**2)
+
+
+@pytest.mark.parametrize(
+    ("side", "z", "expected"),
+    [
+        (0, 0.5, (0, None, None, None)),
+        (0, 1.5, (1, 1, 1, 1)),
+        (0, -2.5, (1, -1, 0, 0)),
+        (1, 0.5, (1, 0, 1, 0)),
+        (-1, 0.5, (1, 0, 0, 1)),
+        (1, -2.5, (1, 0, 1, 0)),
+    ],
+)
+def test_the_change_of_side_is_the_first_one_on_the_way(
+    side: int, z: float, expected: tuple[int | None, ...]
+) -> None:
+    """Right above 1, left below -2: changed, side entered, upper level, rising."""
+    crossing = _crossing(ca.SX(z), (ca.SX(1.0), ca.SX(-2.0)), ca.SX(side))
+    for value, truth in zip(crossing, expected, strict=True):
+        assert truth is None or numbers(value) == [truth]
+
+
+def test_where_a_slope_vanishes() -> None:
+    root = _secant(lambda c: ca.SX(1.0) - 4 * c**2, ca.SX(1.0), ca.SX(-3.0))
+    assert numbers(root) == pytest.approx([0.5], abs=0.01)
 
 
 @pytest.mark.parametrize("changes", [{}, TWO, GRAZING], ids=["paper", "two outputs", "grazing"])

@@ -13,7 +13,14 @@ from scenes import PAPER_PLANT, random_plant
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import observer_gain, parse_poles, place, state_gain
+from undeadzone.linear.poles import (
+    _ackermann,
+    _place_poles,
+    observer_gain,
+    parse_poles,
+    place,
+    state_gain,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -59,6 +66,12 @@ def test_agrees_with_python_control() -> None:
     L = np.asarray(control.place(A.T, C[:1].T, poles)).T
     assert state_gain(single, poles, None) == pytest.approx(K, rel=1e-6)
     assert observer_gain(single, poles, None) == pytest.approx(L, rel=1e-6)
+
+
+def test_ackermanns_formula_is_scipys_gain_of_one_input() -> None:
+    A, B, _ = random_plant(np.random.default_rng(6), 3).linear
+    poles = np.array([-1.0, -2.0, -3.0])
+    assert pytest.approx(_place_poles(A, B, poles, "p"), rel=1e-6) == _ackermann(A, B, poles, "p")
 
 
 @pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.3])

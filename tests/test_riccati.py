@@ -16,7 +16,15 @@ from scenes import PAPER_PLANT, random_plant, slopes
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import feedback, lyapunov, paper_riccati, weight
+from undeadzone.linear.riccati import (
+    _candidate,
+    _Equation,
+    feedback,
+    lyapunov,
+    paper_riccati,
+    riccati,
+    weight,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -34,6 +42,20 @@ def test_equation_34_holds_and_its_gain_stabilises(seed: int, n: int, m: int, al
     assert np.linalg.eigvalsh(P)[0] > 0
     assert pytest.approx(alpha * B.T @ P) == K
     assert np.linalg.eigvals(A - B @ K).real.max() < 0
+
+
+@pytest.mark.parametrize("Ts", [None, 0.1])
+def test_a_candidate_shows_what_it_leaves_of_the_equation(Ts: float | None) -> None:
+    A, B, C = random_plant(np.random.default_rng(2), 3, 2).linear
+    linear = Matrices(A, B, C) if Ts is None else zoh(Matrices(A, B, C), Ts)
+    Q, R = np.eye(3), np.diag([1.0, 2.0])
+    solution = riccati(linear, Q, R, Ts)
+    equation = _Equation(linear.A, linear.B, Q, R, Ts)
+    exact, wrong = _candidate(equation, solution.P), _candidate(equation, 2 * solution.P)
+    assert exact.residual == solution.residual < 1e-12
+    assert wrong.residual > 0.05
+    assert np.linalg.norm(wrong.left) > 1e6 * np.linalg.norm(exact.left)
+    assert pytest.approx(exact.K) == solution.K
 
 
 def test_the_papers_equation_destabilises() -> None:

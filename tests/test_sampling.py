@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import ROUNDS, permuted, points
+from undeadzone.statistics.sampling import ROUNDS, _feistel, permuted, points
 from undeadzone.statistics.sobol import BITS, DIMENSIONS, _directions
 from undeadzone.support.arrays import Floats
 
@@ -72,6 +72,13 @@ def test_permutations_take_each_place_once(size: int, seed: int) -> None:
     keys = np.random.default_rng(seed).integers(0, 2**64, ROUNDS, dtype=np.uint64)
     places = permuted(np.arange(size, dtype=np.uint64), size, keys)
     assert np.array_equal(np.sort(places), np.arange(size))
+
+
+def test_rounds_of_the_cipher_permute_the_numbers_of_their_bits() -> None:
+    keys = np.random.default_rng(1).integers(0, 2**64, ROUNDS, dtype=np.uint64)
+    for half in (1, 2, 5):
+        numbers = np.arange(4**half, dtype=np.uint64)
+        assert np.array_equal(np.sort(_feistel(numbers, np.uint64(half), keys)), numbers)
 
 
 def test_all_permutations_come_up_about_equally_often() -> None:

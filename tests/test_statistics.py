@@ -16,6 +16,7 @@ from undeadzone.statistics.intervals import (
     QUANTILES,
     Extreme,
     Interval,
+    binomial,
     describe,
     deviation,
     jackknife,
@@ -28,6 +29,7 @@ from undeadzone.statistics.sensitivity import (
     first_order,
     given,
     indices,
+    mean_ranks,
     rank_correlations,
     saltelli,
 )
@@ -75,6 +77,13 @@ def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(
     inside = (below >= max(low, 0)) & (below < min(high, n + 1))
     assert stats.binom.pmf(below[inside], n, share).sum() >= LEVEL
     assert low <= value <= high
+
+
+@pytest.mark.parametrize("n", [1, 7, 100])
+@pytest.mark.parametrize("level", [0.025, 0.3, 0.975])
+def test_binomial_is_the_quantile_of_its_distribution(n: int, level: float) -> None:
+    for share in (0.05, 0.5, 0.99):
+        assert binomial(n, share, level) == stats.binom.ppf(level, n, share)
 
 
 def test_what_the_runs_do_not_bound_is_infinite() -> None:
@@ -228,6 +237,11 @@ def test_rank_correlations_are_those_of_textbooks() -> None:
         left_of_y = residual(others, goal)
         assert spearman[i] == pytest.approx(stats.spearmanr(X[:, i], y).statistic, abs=1e-12)
         assert partial_ones[i] == pytest.approx(np.corrcoef(left_of_x, left_of_y)[0, 1], abs=1e-9)
+
+
+def test_numbers_that_are_alike_share_their_ranks() -> None:
+    x = np.array([3.0, 1.0, 3.0, 2.0, 3.0, 1.0])
+    assert mean_ranks(x).tolist() == stats.rankdata(x).tolist() == [5, 1.5, 5, 3, 5, 1.5]
 
 
 def test_nothing_is_said_where_nothing_can_be() -> None:
