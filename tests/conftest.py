@@ -1,4 +1,4 @@
-"""Shared by all tests: hypothesis without deadlines, since machines are shared and slow at times."""
+"""Shared by all tests: hypothesis without deadlines, since machines are slow at times."""
 
 from hypothesis import HealthCheck, settings
 

@@ -1,4 +1,4 @@
-"""What several tests share: the paper's scenario with changes, an observer's step on numbers, random plants."""
+"""What several tests share: the paper's scenario, observers on numbers, random plants."""
 
 from __future__ import annotations
 
@@ -24,17 +24,29 @@ title = "Paper example"
 plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]], x0 = [0.5, 0.0] }
 sensor = { right = 1.0, left = 1.0 }
 reference = { kind = "sine", amplitude = 5.0, frequency = 1.0 }
-observer = { method = "certified", L = [1.0, 1.5], gamma = 10.0, widths0 = [0.2, 0.2], width_max = 3.0 }
 controller = { method = "state_feedback", alpha = 10.0 }
 simulation = { duration = 2.0, step = 1e-3 }
+
+[observer]
+method = "certified"
+L = [1.0, 1.5]
+gamma = 10.0
+widths0 = [0.2, 0.2]
+width_max = 3.0
 """
 
 
 def table(**changes: Any) -> dict[str, Any]:
-    """The tables of `PAPER`; changes to `sensor` and `simulation` are merged, other tables replaced (None: dropped)."""
+    """The tables of `PAPER` with changes.
+
+    Those of `sensor` and `simulation` are merged, other tables replaced (None: dropped).
+    """
     data = tomllib.loads(PAPER)
     for key, value in changes.items():
-        data[key] = data[key] | value if key in ("sensor", "simulation") else value
+        if key in ("sensor", "simulation"):
+            data[key] = data[key] | value
+        else:
+            data[key] = value
     return {key: value for key, value in data.items() if value is not None}
 
 
@@ -68,21 +80,22 @@ def response(plant: Matrices, s: Any) -> Any:
 
 
 def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Estimate]]:
-    """An observer's step as a function of numbers: (state, u, y, side) -> (next state or derivative, estimate)."""
+    """An observer's step as a function of numbers.
+
+    It takes (state, u, y, side) and gives (next state or derivative, estimate).
+    """
     like = observer.init(observer.params)
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(like, "s")
     u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
     after, estimate = observer.step(params, state, u, Reading(y, side))
-    function = ca.Function(
-        "step", [p, s, u, y, side], [*(leaf for _, leaf in tree.leaves(after)), *estimate]
-    )
+    results = [*(leaf for _, leaf in tree.leaves(after)), *estimate]
+    function = ca.Function("step", [p, s, u, y, side], results)
     numbers = tree.pack(observer.params)
 
     def step(state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
-        parts = iter(
-            [value.full().ravel() for value in function(numbers, tree.pack(state), u, y, side)]
-        )
+        values = function(numbers, tree.pack(state), u, y, side)
+        parts = iter([value.full().ravel() for value in values])
         return tree.rebuild(like, parts), Estimate(*parts)
 
     return step
@@ -90,5 +103,5 @@ def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Es
 
 def slopes(steps: Any, errors: Any) -> Floats:
     """The orders that successive errors show: log(e_i / e_{i+1}) / log(h_i / h_{i+1})."""
-    found: Floats = np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(steps)))
-    return found
+    orders: Floats = np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(steps)))
+    return orders

@@ -1,14 +1,17 @@
-"""Taylor arcs and steps with several changes of side: accuracy, order, coincidence with RK4 and with the lanes."""
+"""Taylor arcs and steps with several changes of side: accuracy, order, coincidence with RK4."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from scenes import scene, slopes
 from undeadzone.errors import InputError
+from undeadzone.numerics.dense_output import DenseStep, _moved, runge_kutta, taylor
+from undeadzone.numerics.event_location import _crossing, _secant
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 
@@ -30,19 +33,80 @@ GRAZING = {
 
 
 def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:
-    return simulate(
-        scene(**changes | {"simulation": {"duration": duration, "step": step, "order": order}}),
-        check_step=False,
-    )
+    simulation = {"duration": duration, "step": step, "order": order}
+    return simulate(scene(**changes | {"simulation": simulation}), check_step=False)
 
 
-def gap(found: Run, truth: Run) -> float:
+def gap(run: Run, truth: Run) -> float:
     """The largest difference of x, x^ and d^ at the instants that both have."""
-    every = round((len(truth.t) - 1) / (len(found.t) - 1))
-    return max(
-        float(np.abs(getattr(found, name) - getattr(truth, name)[::every]).max())
-        for name in ("x", "x_hat", "d_hat")
-    )
+    every = round((len(truth.t) - 1) / (len(run.t) - 1))
+    gaps = []
+    for name in ("x", "x_hat", "d_hat"):
+        difference = getattr(run, name) - getattr(truth, name)[::every]
+        gaps.append(float(np.abs(difference).max()))
+    return max(gaps)
+
+
+def numbers(expression: Any) -> list[float]:
+    return np.array(ca.DM(expression)).ravel().tolist()
+
+
+def falling(x: ca.SX, c: Any, mode: Any) -> ca.SX:
+    """x' = -x, whose solution is e^-t."""
+    return -x
+
+
+@pytest.mark.parametrize(
+    "arc",
+    [
+        runge_kutta(falling, lambda x: 2 * x, 1, ca.SX(0.1)),
+        taylor(falling, lambda x: 2 * x, [ca.SX(0.0)] * 5, 1, ca.SX(0.1)),
+    ],
+    ids=["runge_kutta", "taylor"],
+)
+def test_dense_output_follows_the_solution(arc: Any) -> None:
+    """Over the last three quarters of a step of 0.1 s, z = 2 x."""
+    step: DenseStep = arc(ca.SX(1.0), ca.SX(0.25), None)
+    assert numbers(step.end) == pytest.approx([np.exp(-0.075)], abs=1e-6)
+    assert numbers(step.final) == pytest.approx([2 * np.exp(-0.075)], abs=1e-6)
+    assert numbers(step.onward) == pytest.approx([2 * (1 - 0.075 / 2)])
+    for c in (0.0, 0.3, 1.0):
+        assert numbers(step.at(c)) == pytest.approx([np.exp(-0.075 * c)], abs=1e-6)
+        assert numbers(step.output(c)) == pytest.approx([2 * np.exp(-0.075 * c)], abs=1e-6)
+        assert numbers(step.slope(c)) == pytest.approx([-0.15 * np.exp(-0.075 * c)], abs=1e-5)
+
+
+def test_inputs_over_the_rest_of_a_step_are_the_same_polynomial() -> None:
+    """1 + 2 c + 3 c^2 after c = 0.4, as a polynomial of the fraction of what is left."""
+    moved = np.array([numbers(a)[0] for a in _moved([ca.SX(1), ca.SX(2), ca.SX(3)], 0.4, 0.6)])
+    for c in (0.0, 0.5, 1.0):
+        total = 0.4 + 0.6 * c
+        assert moved @ c ** np.arange(3) == pytest.approx(1 + 2 * total + 3 * total**2)
+
+
+@pytest.mark.parametrize(
+    ("side", "z", "expected"),
+    [
+        (0, 0.5, (0, None, None, None)),
+        (0, 1.5, (1, 1, 1, 1)),
+        (0, -2.5, (1, -1, 0, 0)),
+        (1, 0.5, (1, 0, 1, 0)),
+        (-1, 0.5, (1, 0, 0, 1)),
+        (1, -2.5, (1, 0, 1, 0)),
+    ],
+)
+def test_the_change_of_side_is_the_first_one_on_the_way(
+    side: int, z: float, expected: tuple[int | None, ...]
+) -> None:
+    """Right above 1, left below -2: changed, side entered, upper level, rising."""
+    crossing = _crossing(ca.SX(z), (ca.SX(1.0), ca.SX(-2.0)), ca.SX(side))
+    for value, truth in zip(crossing, expected, strict=True):
+        assert truth is None or numbers(value) == [truth]
+
+
+def test_where_a_slope_vanishes() -> None:
+    root = _secant(lambda c: ca.SX(1.0) - 4 * c**2, ca.SX(1.0), ca.SX(-3.0))
+    assert numbers(root) == pytest.approx([0.5], abs=0.01)
 
 
 @pytest.mark.parametrize("changes", [{}, TWO, GRAZING], ids=["paper", "two outputs", "grazing"])
@@ -62,7 +126,10 @@ def test_the_order_is_the_one_that_is_asked_for() -> None:
 
 
 def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> None:
-    """On a branch that is linear, with nothing from outside, RK4 is the Taylor polynomial of order 4; 5 terms more is more accurate."""
+    """On a linear branch, with nothing from outside, RK4 is the Taylor polynomial of order 4.
+
+    One term more is more accurate.
+    """
     still = {"reference": {"kind": "step", "amplitude": 0.0}}
     truth = run(12, 1e-2, **still)
     assert gap(run(5, 1e-1, **still), truth) < gap(run(4, 1e-1, **still), truth) / 3
@@ -77,13 +144,12 @@ def test_order_4_of_the_series_would_be_runge_kutta_for_a_constant_input() -> No
     ids=str,
 )
 def test_disturbances_enter_the_series(disturbance: dict[str, Any]) -> None:
-    """A random one is a straight line over each step of its own grid, so that both must have the same."""
+    """A random one is a line over each step of its own grid, so that both must have the same."""
     truth = run(4, 1e-2, disturbance=disturbance)
-    found = run(8, 1e-2, disturbance=disturbance)
-    assert gap(found, truth) < 2e-6
-    finer = simulate(
-        scene(disturbance=disturbance, simulation={"duration": 3.0, "step": 1e-2, "order": 8})
-    )
+    series = run(8, 1e-2, disturbance=disturbance)
+    assert gap(series, truth) < 2e-6
+    simulation = {"duration": 3.0, "step": 1e-2, "order": 8}
+    finer = simulate(scene(disturbance=disturbance, simulation=simulation))
     assert finer.info.integration_error is not None
     assert finer.info.integration_error < 1e-9
 
@@ -92,10 +158,8 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     """z passes the edge by 0.001 at its largest, and is back before a long step ends."""
     silent = run(12, 1e-3, **GRAZING, sensor={"right": 3.0, "left": 3.0})
     sensor = {"right": float(silent.z.max()) - 1e-3, "left": 3.0}
-    truth, coarse = (
-        run(4, 2.5e-4, **GRAZING, sensor=sensor),
-        run(12, 5e-2, **GRAZING, sensor=sensor),
-    )
+    truth = run(4, 2.5e-4, **GRAZING, sensor=sensor)
+    coarse = run(12, 5e-2, **GRAZING, sensor=sensor)
     assert 0.0 < (truth.side == 1).mean() < 0.05
     assert not (coarse.side == 1).any()
     assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
@@ -119,7 +183,8 @@ def test_an_excursion_within_a_step_is_seen() -> None:
                 "simulation": {"order": 8},
                 "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}},
             },
-            "simulation.order: above 4 only for a plant, an observer and a controller that are linear",
+            "simulation.order: above 4 only for a plant, an observer and a controller "
+            "that are linear",
         ),
     ],
 )

@@ -1,4 +1,7 @@
-"""Elementary functions of fused lanes: their errors, in units of the last place, and what they do beyond the usual numbers."""
+"""Elementary functions of fused lanes: their errors, in units of the last place.
+
+And what they do beyond the usual numbers.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +38,8 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @functools.cache
 def kernel(width: int = 128) -> lanes.Kernel:
     x = ca.SX.sym("x")
-    return lanes.build(
-        stateless([x], [getattr(ca, name)(x) for name in FUNCTIONS]), width=width, fused=True
-    )
+    step = stateless([x], [getattr(ca, name)(x) for name in FUNCTIONS])
+    return lanes.build(step, width=width, fused=True)
 
 
 def computed(name: str, x: Array, width: int = 128) -> Floats:
@@ -82,28 +84,23 @@ EXACT: dict[str, Callable[[Decimal], Decimal]] = {
 
 
 def numbers(name: str) -> Floats:
-    """Numbers of every size for which a function is finite, more of them where it bends, and those next to its zeros."""
+    """Numbers of every size for which a function is finite.
+
+    There are more of them where it bends, and those next to its zeros.
+    """
     random = np.random.default_rng(0)
     sizes = np.ldexp(random.uniform(1, 2, 600), random.integers(-1074, 1024, 600))
     usual = np.concatenate([random.normal(size=300), 3 * random.normal(size=300)])
     turns = np.arange(1, 300) * random.integers(1, 2**35, 299) * np.pi / 2
-    edges = {
-        "exp": np.concatenate(
-            [
-                random.uniform(-745.2, -700, 300),
-                random.uniform(-700, 709.7, 600),
-                [709.782712893384, -745.1332191019411],
-            ]
-        ),
-        "log": np.concatenate(
-            [
-                1 + random.normal(size=300) * 1e-9,
-                random.uniform(0.5, 2, 600),
-                [1.0, 5e-324, 2.0**-1022, np.finfo(float).max],
-            ]
-        ),
-    }.get(name, np.concatenate([random.uniform(-6, 6, 600), turns]))
-    x = np.concatenate([sizes, -sizes, usual, edges])
+    subnormal, normal = random.uniform(-745.2, -700, 300), random.uniform(-700, 709.7, 600)
+    near_1, about_1 = 1 + random.normal(size=300) * 1e-9, random.uniform(0.5, 2, 600)
+    if name == "exp":
+        edges = [subnormal, normal, [709.782712893384, -745.1332191019411]]
+    elif name == "log":
+        edges = [near_1, about_1, [1.0, 5e-324, 2.0**-1022, np.finfo(float).max]]
+    else:
+        edges = [random.uniform(-6, 6, 600), turns]
+    x = np.concatenate([sizes, -sizes, usual, *edges])
     limits = {
         "sin": (-FAR, FAR),
         "cos": (-FAR, FAR),
@@ -120,13 +117,10 @@ def test_errors_in_units_of_the_last_place(name: str) -> None:
     with localcontext() as context:
         context.prec, context.Emin, context.Emax = 80, -99999, 99999
         exact = [EXACT[name](Decimal(value)) for value in x.tolist()]
-        units = [Decimal(float(np.spacing(abs(float(value))))) for value in exact]
-        errors = np.array(
-            [
-                float(abs(Decimal(found) - value) / unit)
-                for found, value, unit in zip(computed(name, x).tolist(), exact, units, strict=True)
-            ]
-        )
+        errors = np.empty(x.size)
+        for i, (value, truth) in enumerate(zip(computed(name, x).tolist(), exact, strict=True)):
+            unit = Decimal(float(np.spacing(abs(float(truth)))))
+            errors[i] = abs(Decimal(value) - truth) / unit
     assert x[errors > ULPS[name]].tolist() == []
     assert errors.max() > 0.4  # a reference that agrees with everything would be none
 
@@ -135,15 +129,15 @@ def test_errors_in_units_of_the_last_place(name: str) -> None:
 @given(st.lists(st.floats(), min_size=1, max_size=128))
 def test_any_number_gives_what_the_c_library_gives(name: str, given_numbers: list[float]) -> None:
     x = np.array([*given_numbers, *SPECIAL])
-    x = x[~(np.isfinite(x) & (np.abs(x) > FAR))] if name in ("sin", "cos") else x
-    found, expected = (
-        computed(name, x),
-        np.array([float(getattr(ca, name)(value)) for value in x.tolist()]),
-    )
+    if name in ("sin", "cos"):
+        x = x[~(np.isfinite(x) & (np.abs(x) > FAR))]
+    values = computed(name, x)
+    expected = np.array([float(getattr(ca, name)(value)) for value in x.tolist()])
     with np.errstate(invalid="ignore"):
-        close = np.abs(found - expected) <= (ULPS[name] + 1) * np.spacing(np.abs(expected))
-    assert np.all(close | (found == expected) | np.isnan(found) & np.isnan(expected))
-    assert np.array_equal(np.signbit(found[expected == 0]), np.signbit(expected[expected == 0]))
+        close = np.abs(values - expected) <= (ULPS[name] + 1) * np.spacing(np.abs(expected))
+    assert np.all(close | (values == expected) | np.isnan(values) & np.isnan(expected))
+    zero = expected == 0
+    assert np.array_equal(np.signbit(values[zero]), np.signbit(expected[zero]))
 
 
 def test_angles_beyond_all_meaning_stay_on_the_circle() -> None:
@@ -169,9 +163,10 @@ def test_all_of_a_lane_is_vectorised_and_nothing_is_called() -> None:
 
 def test_sine_and_cosine_share_their_arithmetic() -> None:
     x = ca.SX.sym("x")
-    kernels = [
-        lanes.build(stateless([x], [ca.sin(x), ca.cos(angle)]), width=128, fused=True)
-        for angle in (x, 2 * x)
-    ]
-    shared, apart = (len(re.findall(r"call .*@llvm\.fma", kernel.block.text)) for kernel in kernels)
+    counts = []
+    for angle in (x, 2 * x):
+        step = stateless([x], [ca.sin(x), ca.cos(angle)])
+        code = lanes.build(step, width=128, fused=True).block.text
+        counts.append(len(re.findall(r"call .*@llvm\.fma", code)))
+    shared, apart = counts
     assert shared == apart / 2

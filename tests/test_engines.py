@@ -90,12 +90,16 @@ def of(catalogue: Any) -> list[str]:
 PAIRS = [(observer, "state_feedback") for observer in of(ObserverOptions)] + [
     ("certified", controller) for controller in of(ControllerOptions)
 ]
-COMBINATIONS = [
-    (observer, controller, time)
-    for observer, controller in PAIRS
-    for time in OBSERVERS.get(observer, PLAIN)[0]
-    if time in CONTROLLERS[controller][0]
-]
+
+
+def combinations() -> list[tuple[str, str, str]]:
+    """(observer, controller, time) for every pair in every time that both know."""
+    listed = []
+    for observer, controller in PAIRS:
+        for time in OBSERVERS.get(observer, PLAIN)[0]:
+            if time in CONTROLLERS[controller][0]:
+                listed.append((observer, controller, time))
+    return listed
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -133,44 +137,51 @@ def compiled(
     return outputs[0], finals[0]
 
 
-def distance(found: Floats, expected: Floats) -> float:
-    """The largest difference relative to the size of its signal (column); inf where NaN or infinity differ."""
-    assert found.shape == expected.shape
+def distance(values: Floats, expected: Floats) -> float:
+    """The largest difference relative to the size of its signal (column).
+
+    It is inf where NaN or infinity differ.
+    """
+    assert values.shape == expected.shape
     finite = np.isfinite(expected)
-    if (
-        not np.array_equal(found[~finite], expected[~finite], equal_nan=True)
-        or not np.isfinite(found[finite]).all()
-    ):
+    if not np.array_equal(values[~finite], expected[~finite], equal_nan=True):
+        return np.inf
+    if not np.isfinite(values[finite]).all():
         return np.inf
     expected = np.where(finite, expected, 0.0)
     size = np.abs(expected).max(axis=0) + 1e-300
-    return float((np.abs(np.where(finite, found, 0.0) - expected) / size).max())
+    return float((np.abs(np.where(finite, values, 0.0) - expected) / size).max())
 
 
 def identical(a: Floats, b: Floats) -> bool:
     """Equal to the last bit and the sign of zero; every NaN is the same."""
-    return a.shape == b.shape and bool(
-        ((a == b) & (np.signbit(a) == np.signbit(b)) | np.isnan(a) & np.isnan(b)).all()
-    )
+    if a.shape != b.shape:
+        return False
+    same = (a == b) & (np.signbit(a) == np.signbit(b))
+    return bool((same | np.isnan(a) & np.isnan(b)).all())
 
 
 # --- The same loop on both engines
 
 
-@pytest.mark.parametrize(("observer", "controller", "time"), COMBINATIONS)
+@pytest.mark.parametrize(("observer", "controller", "time"), combinations())
 def test_every_observer_and_controller_runs_the_same(
     observer: str, controller: str, time: str
 ) -> None:
-    """On plain steps, which compile in a fraction of the time that located ones take; those follow with `certified`."""
-    options = (
-        {"method": observer} | OBSERVERS.get(observer, PLAIN)[1],
-        {"method": controller} | CONTROLLERS[controller][1],
+    """On plain steps, which compile in a fraction of the time that located ones take.
+
+    Located ones follow with `certified`.
+    """
+    scenario = small(
+        time,
+        observer={"method": observer} | OBSERVERS.get(observer, PLAIN)[1],
+        controller={"method": controller} | CONTROLLERS[controller][1],
+        simulation={"duration": 3.0, "step": 1e-2, "switching": "plain"},
     )
-    steps = {"duration": 3.0, "step": 1e-2, "switching": "plain"}
-    given = parts(small(time, observer=options[0], controller=options[1], simulation=steps))[:4]
-    expected, found = interpret.run(*given), compiled(*given)
+    loop = parts(scenario)[:4]
+    expected, results = interpret.run(*loop), compiled(*loop)
     assert np.ptp(expected[0], axis=0).max() > 0.1
-    assert max(map(distance, found, expected)) < 1e-13
+    assert max(map(distance, results, expected)) < 1e-13
 
 
 @pytest.mark.parametrize("time", BOTH)
@@ -189,16 +200,16 @@ def test_every_observer_and_controller_runs_the_same(
     ids=["two outputs", "nonlinear", "jump"],
 )
 def test_every_kind_of_plant_and_sensor_runs_the_same(changes: dict[str, Any], time: str) -> None:
-    given = parts(small(time, **changes))[:4]
-    expected, found = interpret.run(*given), compiled(*given)
+    loop = parts(small(time, **changes))[:4]
+    expected, results = interpret.run(*loop), compiled(*loop)
     assert {-1.0, 0.0, 1.0} <= set(expected[0].ravel().tolist())
-    assert max(map(distance, found, expected)) < 1e-13
+    assert max(map(distance, results, expected)) < 1e-13
 
 
 @pytest.mark.parametrize("time", BOTH)
 def test_without_elementary_functions_every_bit_agrees(time: str) -> None:
-    given = parts(small(time))[:4]
-    assert all(map(identical, compiled(*given), interpret.run(*given)))
+    loop = parts(small(time))[:4]
+    assert all(map(identical, compiled(*loop), interpret.run(*loop)))
 
 
 @pytest.mark.parametrize("time", BOTH)
@@ -230,28 +241,18 @@ def generated(step: ca.Function, folder: Path) -> ca.Function:
     generator = ca.CodeGenerator("step")
     generator.add(step)
     generator.generate(f"{folder}/")
-    subprocess.run(
-        [
-            "gcc",
-            "-O2",
-            "-ffp-contract=off",
-            "-fPIC",
-            "-shared",
-            folder / "step.c",
-            "-o",
-            folder / "step.so",
-            "-lm",
-        ],
-        check=True,
-    )
+    options = ["-O2", "-ffp-contract=off", "-fPIC", "-shared"]
+    files = [folder / "step.c", "-o", folder / "step.so"]
+    subprocess.run(["gcc", *options, *files, "-lm"], check=True)
     return ca.external("step", str(folder / "step.so"))
 
 
 @pytest.mark.parametrize("scenario", [scene(), small("sampled")], ids=["paper", "sampled"])
 def test_generated_C_runs_the_same(scenario: Scenario, tmp_path: Path) -> None:
     step, state, exogenous, params, _ = parts(scenario)
-    found = interpret.run(generated(step, tmp_path), state, exogenous, params)
-    assert max(map(distance, found, interpret.run(step, state, exogenous, params))) < 1e-15
+    results = interpret.run(generated(step, tmp_path), state, exogenous, params)
+    expected = interpret.run(step, state, exogenous, params)
+    assert max(map(distance, results, expected)) < 1e-15
 
 
 # --- Every instruction
@@ -262,40 +263,45 @@ def first(function: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 UNARY: dict[str, Callable[[Any], Any]] = {
-    "neg": operator.neg, "inv": lambda a: 1 / a, "sq": lambda a: a * a, "twice": lambda a: 2 * a, "fabs": ca.fabs, "sign": ca.sign,
-    "not": ca.logic_not, "floor": ca.floor, "ceil": ca.ceil, "sqrt": ca.sqrt,
-}  # fmt: skip
+    "neg": operator.neg,
+    "inv": lambda a: 1 / a,
+    "sq": lambda a: a * a,
+    "twice": lambda a: 2 * a,
+    "fabs": ca.fabs,
+    "sign": ca.sign,
+    "not": ca.logic_not,
+    "floor": ca.floor,
+    "ceil": ca.ceil,
+    "sqrt": ca.sqrt,
+}
 BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
-    "lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne, "and": ca.logic_and, "or": ca.logic_or,
-    "if_else_zero": lambda a, b: ca.if_else(a, b, 0), "fmin": ca.fmin, "fmax": ca.fmax, "copysign": ca.copysign,
-    "fmod": ca.fmod, "remainder": ca.remainder,
-}  # fmt: skip
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "and": ca.logic_and,
+    "or": ca.logic_or,
+    "if_else_zero": lambda a, b: ca.if_else(a, b, 0),
+    "fmin": ca.fmin,
+    "fmax": ca.fmax,
+    "copysign": ca.copysign,
+    "fmod": ca.fmod,
+    "remainder": ca.remainder,
+}
+OF_ONE = "exp expm1 log log1p erf sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
 ELEMENTARY: dict[str, Callable[[Any, Any], Any]] = {
-    "pow": operator.pow, "constpow": lambda a, b: a**1.7, "atan2": ca.atan2, "hypot": ca.hypot,
-    **{name: first(getattr(ca, name)) for name in (
-        "exp", "expm1", "log", "log1p", "erf", "sin", "cos", "tan", "asin", "acos", "atan",
-        "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    )},
-}  # fmt: skip
-SPECIAL = [
-    0.0,
-    -0.0,
-    1.0,
-    -1.0,
-    0.5,
-    -2.5,
-    3.0,
-    0.3,
-    1e-9,
-    710.0,
-    1e308,
-    5e-324,
-    -1e-310,
-    np.inf,
-    -np.inf,
-    np.nan,
-]
+    "pow": operator.pow,
+    "constpow": lambda a, b: a**1.7,
+    "atan2": ca.atan2,
+    "hypot": ca.hypot,
+    **{name: first(getattr(ca, name)) for name in OF_ONE.split()},
+}
+USUAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 0.3]
+SPECIAL = [*USUAL, 1e-9, 710.0, 1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
 
 
 def lanes_once(step: ca.Function, states: Floats) -> Floats:
@@ -303,10 +309,15 @@ def lanes_once(step: ca.Function, states: Floats) -> Floats:
     return lanes.run(lanes.build(step, width=8), states, np.empty((1, 0)), np.empty(0))[0][:, 0]
 
 
+def fused_once(step: ca.Function, states: Floats) -> Floats:
+    """The same with sums of products rounded once."""
+    kernel = lanes.build(step, width=8, fused=True)
+    return lanes.run(kernel, states, np.empty((1, 0)), np.empty(0))[0][:, 0]
+
+
 def machine_once(step: ca.Function, states: Floats) -> Floats:
-    return np.array(
-        [interpret.run(step, state, np.empty((1, 0)), np.empty(0))[0][0] for state in states]
-    )
+    nothing = np.empty((1, 0)), np.empty(0)
+    return np.array([interpret.run(step, state, *nothing)[0][0] for state in states])
 
 
 def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
@@ -320,43 +331,46 @@ def test_every_instruction_means_the_same_for_every_kind_of_number() -> None:
     step = stateless([a, b], exact + [f(a, b) for f in ELEMENTARY.values()])
     random = np.random.default_rng(0).normal(size=(100, 2)) * [2.0, 1.0]
     states = np.vstack([np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T, random])
-    found, expected = lanes_once(step, states), machine_once(step, states)
-    names = [*UNARY, *BINARY, *ELEMENTARY]
-    assert [
-        name
-        for i, name in enumerate(names[: len(exact)])
-        if not identical(found[:, i], expected[:, i])
-    ] == []
+    values, expected = lanes_once(step, states), machine_once(step, states)
+    for i, name in enumerate([*UNARY, *BINARY]):
+        assert identical(values[:, i], expected[:, i]), name
     with np.errstate(invalid="ignore"):
-        close = (
-            (found == expected)
-            | (np.abs(found - expected) <= 4 * np.spacing(np.abs(expected)))
-            | np.isnan(found) & np.isnan(expected)
-        )
-    assert [name for i, name in enumerate(names) if not close[:, i].all()] == []
+        near = np.abs(values - expected) <= 4 * np.spacing(np.abs(expected))
+    close = near | (values == expected) | np.isnan(values) & np.isnan(expected)
+    for i, name in enumerate([*UNARY, *BINARY, *ELEMENTARY]):
+        assert close[:, i].all(), name
+
+
+def applied(name: str, x: ca.SX, y: ca.SX) -> ca.SX:
+    """An exact instruction of one or two operands."""
+    return UNARY[name](x) if name in UNARY else BINARY[name](x, y)
 
 
 @st.composite
 def graphs(draw: st.DrawFn) -> ca.Function:
-    """A random graph of the exact instructions over three inputs and constants, with elementary functions at its end."""
+    """A random graph of the exact instructions over three inputs and constants.
+
+    There are elementary functions at its end.
+    """
     inputs = [ca.SX.sym(name) for name in "abc"]
     nodes = inputs + [ca.SX(draw(st.floats(allow_subnormal=False))) for _ in range(3)]
     for _ in range(draw(st.integers(5, 60))):
         name = draw(st.sampled_from([*UNARY, *BINARY]))
         x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
-        nodes.append(UNARY[name](x) if name in UNARY else BINARY[name](x, y))
-    ends = [
-        ELEMENTARY[draw(st.sampled_from(list(ELEMENTARY)))](node, nodes[6]) for node in nodes[6:10]
-    ]
+        nodes.append(applied(name, x, y))
+    ends = []
+    for node in nodes[6:10]:
+        function = ELEMENTARY[draw(st.sampled_from(list(ELEMENTARY)))]
+        ends.append(function(node, nodes[6]))
     return stateless(inputs, nodes[6:] + ends)
 
 
 @settings(max_examples=10)
 @given(graphs(), st.lists(st.tuples(*[st.floats()] * 3), min_size=1, max_size=20))
 def test_random_graphs_mean_the_same(step: ca.Function, states: list[tuple[float, ...]]) -> None:
-    found, expected = lanes_once(step, np.array(states)), machine_once(step, np.array(states))
-    assert identical(found[:, :-4], expected[:, :-4])
-    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=0)
+    values, expected = lanes_once(step, np.array(states)), machine_once(step, np.array(states))
+    assert identical(values[:, :-4], expected[:, :-4])
+    np.testing.assert_allclose(values, expected, rtol=1e-14, atol=0)
 
 
 def test_an_unknown_instruction_is_named() -> None:
@@ -367,14 +381,10 @@ def test_an_unknown_instruction_is_named() -> None:
 
 def test_structural_zeros_and_unused_inputs() -> None:
     s, w, p = ca.SX.sym("s", 2), ca.SX.sym("w", 3), ca.SX.sym("p", 2)
-    step = ca.Function(
-        "step",
-        [s, w, p],
-        [ca.vertcat(ca.SX(1, 1), s[0] + w[2]), ca.vertcat(ca.SX(2, 1), p[1], 7.0)],
-    )
-    outputs, finals = compiled(
-        step, np.array([1.0, 2.0]), np.arange(6.0).reshape(2, 3), np.array([3.0, 4.0])
-    )
+    following, out = ca.vertcat(ca.SX(1, 1), s[0] + w[2]), ca.vertcat(ca.SX(2, 1), p[1], 7.0)
+    step = ca.Function("step", [s, w, p], [following, out])
+    exogenous = np.arange(6.0).reshape(2, 3)
+    outputs, finals = compiled(step, np.array([1.0, 2.0]), exogenous, np.array([3.0, 4.0]))
     assert outputs.tolist() == [[0.0, 0.0, 4.0, 7.0]] * 2
     assert finals.tolist() == [0.0, 5.0]
 
@@ -392,12 +402,12 @@ def shocks(steps: int) -> Floats:
 def varied(**options: Any) -> tuple[Floats, Floats]:
     """19 runs that differ in d_r, in noise and disturbance, and in x(0)."""
     step, state, exogenous, params, names = parts(small("sampled"))
-    run = {name: options.pop(name) for name in ("threads",) if name in options}
-    own = options.pop("supply", None) or shocks(len(exogenous))
+    threads = options.pop("threads", None)
+    own = shocks(len(exogenous))
     kernel = lanes.build(step, params=[names.index("sensor.right[0]")], exogenous=[5, 3], **options)
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] = WIDTHS
-    return lanes.run(kernel, states, exogenous, params, own, WIDTHS[:, None], **run)
+    return lanes.run(kernel, states, exogenous, params, own, WIDTHS[:, None], threads=threads)
 
 
 def test_a_lane_is_a_single_run_to_the_last_bit() -> None:
@@ -436,14 +446,10 @@ def test_neither_buffers_nor_what_is_recorded_change_a_bit(monkeypatch: pytest.M
 def test_fused_lanes_agree_to_rounding(time: str) -> None:
     step, state, exogenous, params, _ = parts(small(time))
     assert any("fma(" in line for line in straight_line(step, fused=True).statements)
-    found = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
-    assert (
-        max(
-            distance(a[0], b)
-            for a, b in zip(found, interpret.run(step, state, exogenous, params), strict=True)
-        )
-        < 1e-13
-    )
+    outputs, finals = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
+    expected = interpret.run(step, state, exogenous, params)
+    assert distance(outputs[0], expected[0]) < 1e-13
+    assert distance(finals[0], expected[1]) < 1e-13
 
 
 def test_fused_lanes_do_not_depend_on_what_is_shared() -> None:
@@ -457,53 +463,34 @@ def test_fused_lanes_do_not_depend_on_what_is_shared() -> None:
 def test_a_product_is_fused_into_either_side_of_a_sum_or_difference() -> None:
     a, b, c = (ca.SX.sym(name) for name in "abc")
     states = np.array([[0.1, 10.0, -1.0], [1 / 3, 3.0, 1.0], [1.5, 2.0, 4.0]])
-    found = []
+    results = []
     for expression in (a * b + c, c + a * b, a * b - c, c - a * b, a * a - c, a * b + b * c):
         step = stateless([a, b, c], [expression])
-        found.append(
-            lanes.run(
-                lanes.build(step, width=8, fused=True), states, np.empty((1, 0)), np.empty(0)
-            )[0][:, 0, 0]
-        )
-        np.testing.assert_allclose(
-            found[-1], machine_once(step, states)[:, 0], rtol=1e-15, atol=1e-15
-        )
-    residue = np.float64(0.1 * 10.0 - 1.0)
-    assert (
-        residue == 0.0 != found[0][0] == found[1][0]
-    )  # 0.1 is not 1/10, which only one rounding shows
+        results.append(fused_once(step, states)[:, 0])
+        expected = machine_once(step, states)[:, 0]
+        np.testing.assert_allclose(results[-1], expected, rtol=1e-15, atol=1e-15)
+    # 0.1 is not 1/10, which only one rounding shows.
+    assert np.float64(0.1 * 10.0 - 1.0) == 0.0
+    assert results[0][0] == results[1][0] != 0.0
 
 
 @st.composite
 def sums(draw: st.DrawFn) -> ca.Function:
-    """A random graph of sums, products and limits, parts of it only where an input is larger than another."""
+    """A random graph of sums, products and limits.
+
+    Parts of it count only where an input is larger than another.
+    """
     inputs = [ca.SX.sym(name) for name in "abc"]
     nodes = inputs + [ca.SX(draw(st.floats(-3.0, 3.0))) for _ in range(3)]
+    names = [*2 * ["add", "sub", "mul"], "neg", "sq", "twice", "fmin", "fmax", "where"]
     for _ in range(draw(st.integers(5, 30))):
-        name = draw(
-            st.sampled_from(
-                [
-                    "add",
-                    "sub",
-                    "mul",
-                    "add",
-                    "sub",
-                    "mul",
-                    "neg",
-                    "sq",
-                    "twice",
-                    "fmin",
-                    "fmax",
-                    "where",
-                ]
-            )
-        )
+        name = draw(st.sampled_from(names))
         x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
         if name == "where":
             i, j = draw(st.permutations(range(3)))[:2]
             nodes.append(ca.if_else(inputs[i] > inputs[j], x, draw(st.sampled_from([0.0, y]))))
         else:
-            nodes.append(UNARY[name](x) if name in UNARY else BINARY[name](x, y))
+            nodes.append(applied(name, x, y))
     return stateless(inputs, nodes[3:])
 
 
@@ -512,9 +499,7 @@ def sums(draw: st.DrawFn) -> ca.Function:
 def test_fused_sums_mean_the_same_to_rounding(
     step: ca.Function, states: list[tuple[float, ...]]
 ) -> None:
-    fused = lanes.run(
-        lanes.build(step, width=8, fused=True), np.array(states), np.empty((1, 0)), np.empty(0)
-    )[0][:, 0]
+    fused = fused_once(step, np.array(states))
     plain = machine_once(step, np.array(states))
     largest = np.abs(plain).max(axis=1, keepdims=True)
     kept = np.isfinite(largest[:, 0]) & (largest[:, 0] < 1e6)
@@ -523,20 +508,17 @@ def test_fused_sums_mean_the_same_to_rounding(
 
 def test_lanes_are_computed_by_vector_instructions() -> None:
     step = parts(small("sampled"))[0]
-    kernel = lanes.build(
-        step, params=range(step.size1_in(2)), exogenous=range(step.size1_in(1)), width=32
-    )
-    code = kernel.block.text
-    assert re.search(r"fmul <\d+ x double>", code)
+    exogenous, params = range(step.size1_in(1)), range(step.size1_in(2))
+    kernel = lanes.build(step, params=params, exogenous=exogenous, width=32)
+    assert re.search(r"fmul <\d+ x double>", kernel.block.text)
 
 
 def test_progress_counts_the_steps_of_all_lanes() -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    told: list[int] = []
-    lanes.run(
-        lanes.build(step, width=8), np.tile(state, (19, 1)), exogenous, params, progress=told.append
-    )
-    assert sum(told) == 19 * len(exogenous)
+    done: list[int] = []
+    kernel = lanes.build(step, width=8)
+    lanes.run(kernel, np.tile(state, (19, 1)), exogenous, params, progress=done.append)
+    assert sum(done) == 19 * len(exogenous)
 
 
 def test_misuse_is_named() -> None:
@@ -599,14 +581,8 @@ def test_a_damaged_file_costs_a_compilation_and_no_more(folder: Path) -> None:
     whole = kernel.read_bytes()
     rest = b"nowhere" + whole.partition(b"\n")[2]  # calls a function that is not there
     missing = hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
-    for damaged in (
-        b"",
-        whole[:100],
-        whole[:-1],
-        whole[:-1] + bytes([whole[-1] ^ 1]),
-        b"no kernel",
-        missing,
-    ):
+    turned = whole[:-1] + bytes([whole[-1] ^ 1])
+    for damaged in (b"", whole[:100], whole[:-1], turned, b"no kernel", missing):
         assert damaged != whole
         kernel.write_bytes(damaged)
         assert doubled() == (6.0, False)
@@ -618,9 +594,11 @@ import sys
 import casadi as ca, numpy as np
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY, lanes_once, stateless
 a, b = ca.SX.sym("a"), ca.SX.sym("b")
-step = stateless([a, b], [f(a) for f in UNARY.values()] + [f(a, b) for f in (BINARY | ELEMENTARY).values()])
-found = lanes_once(step, np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T)
-print(found.tobytes().hex(), "numba" in sys.modules)
+of_one = [f(a) for f in UNARY.values()]
+of_two = [f(a, b) for f in (BINARY | ELEMENTARY).values()]
+step = stateless([a, b], of_one + of_two)
+values = lanes_once(step, np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T)
+print(values.tobytes().hex(), "numba" in sys.modules)
 """
 
 

@@ -1,4 +1,7 @@
-"""What the lanes engine does for ensembles: steps in parts, inputs that are supplied or known, every so many-th output."""
+"""What the lanes engine does for ensembles.
+
+Steps in parts, inputs that are supplied or known, every so many-th output.
+"""
 
 from __future__ import annotations
 
@@ -36,12 +39,12 @@ def test_a_step_in_parts_is_the_whole_step_to_the_last_bit() -> None:
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] += WIDTHS
     run = (states, exogenous, tree.pack(loop.params))
-    found = lanes.run(lanes.build(*loop.parts, width=16), *run)
-    assert all(map(identical, found, lanes.run(lanes.build(loop.step, width=16), *run)))
-    side = found[0][:, :, tree.names(loop.outputs).index("side[0]")]
-    assert (
-        np.unique((side != side[:, :1]).argmax(axis=1)).size > 3
-    )  # lanes cross at different steps
+    in_parts = lanes.run(lanes.build(*loop.parts, width=16), *run)
+    whole = lanes.run(lanes.build(loop.step, width=16), *run)
+    assert all(map(identical, in_parts, whole))
+    side = in_parts[0][:, :, tree.names(loop.outputs).index("side[0]")]
+    crossing = (side != side[:, :1]).argmax(axis=1)
+    assert np.unique(crossing).size > 3  # lanes cross at different steps
 
 
 @pytest.mark.parametrize("buffer", [1, lanes.BUFFER])
@@ -60,53 +63,41 @@ def test_every_so_many_th_output_is_one_of_all(
 
 def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    kernel, given = (
-        lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8),
-        shocks(len(exogenous)),
-    )
-    expected, asked = (
-        lanes.run(kernel, state, exogenous, params, given),
-        list[tuple[int, int, int]](),
-    )
+    kernel = lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8)
+    inputs = shocks(len(exogenous))
+    expected = lanes.run(kernel, state, exogenous, params, inputs)
+    asked: list[tuple[int, int, int]] = []
 
     def supply(chosen: Any) -> Callable[[int, int], Floats]:
         def source(first: int, count: int) -> Floats:
             asked.append((int(chosen[0]), first, count))
-            return given[first : first + count, :, chosen]
+            return inputs[first : first + count, :, chosen]
 
         return source
 
     monkeypatch.setattr(lanes, "BUFFER", 8 * 2 * 40)
     states = np.tile(state, (WIDTHS.size, 1))
     assert all(map(identical, lanes.run(kernel, states, exogenous, params, supply), expected))
+    in_order = [(k, min(40, 301 - k)) for k in range(0, 301, 40)]
     for lane in (0, 8, 16):
-        assert [(first, count) for which, first, count in asked if which == lane] == [
-            (k, min(40, 301 - k)) for k in range(0, 301, 40)
-        ]
+        assert [(first, count) for which, first, count in asked if which == lane] == in_order
 
 
 @pytest.mark.parametrize("time", BOTH)
 def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
     simulation = {"duration": 3.0, "step": 1e-2, "switching": "plain"}
-    loop, state, exogenous = prepare(
-        resolve_scenario(
-            small(time, sensor={"noise": 0.0, "noise_before": 0.0}, simulation=simulation)
-        )
-    )
-    params, inputs = (
-        tree.pack(loop.params),
-        {i: 0.0 for i, column in enumerate(exogenous.T) if not column.any()},
-    )
+    silent = {"noise": 0.0, "noise_before": 0.0}
+    scenario = small(time, sensor=silent, simulation=simulation)
+    loop, state, exogenous = prepare(resolve_scenario(scenario))
+    params = tree.pack(loop.params)
+    inputs = {i: 0.0 for i, column in enumerate(exogenous.T) if not column.any()}
     numbers = {i: value for i, value in enumerate(params.tolist()) if value in (0.0, 1.0)}
     assert inputs
     assert numbers
     kernels = [
-        lanes.build(loop.step, width=8, **known)
-        for known in (
-            {},
-            {"known_exogenous": inputs},
-            {"known_exogenous": inputs, "known_params": numbers},
-        )
+        lanes.build(loop.step, width=8),
+        lanes.build(loop.step, width=8, known_exogenous=inputs),
+        lanes.build(loop.step, width=8, known_exogenous=inputs, known_params=numbers),
     ]
     plain, same, close = (lanes.run(kernel, state, exogenous, params) for kernel in kernels)
     assert all(map(np.array_equal, same, plain))
@@ -138,23 +129,14 @@ def test_a_second_start_of_an_ensemble_imports_no_compiler(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    command = [
-        sys.executable,
-        "-c",
-        STARTED,
-        "ensemble",
-        str(EXAMPLES / "ensemble.toml"),
-        "--runs",
-        "4",
-        "--no-figures",
-        "--out",
-    ]
-    shown = [
-        subprocess.run(
+    options = ["--runs", "4", "--no-figures", "--out"]
+    command = [sys.executable, "-c", STARTED, "ensemble", str(EXAMPLES / "ensemble.toml"), *options]
+    imported = []
+    for name in "ab":
+        process = subprocess.run(
             [*command, str(tmp_path / name)], capture_output=True, text=True, check=True
-        ).stderr.splitlines()[-1]
-        for name in "ab"
-    ]
-    assert shown == ["['numba']", "[]"]
+        )
+        imported.append(process.stderr.splitlines()[-1])
+    assert imported == ["['numba']", "[]"]
     first, second = (Ensemble.load(tmp_path / name / "runs.npz").metrics for name in "ab")
     assert all(map(identical, first.values(), second.values()))

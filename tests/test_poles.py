@@ -1,4 +1,4 @@
-"""Gains from poles: the closed loop has them, python-control agrees, and what cannot be placed is said."""
+"""Gains from poles: the closed loop has them, python-control agrees, others are refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from scenes import PAPER_PLANT, random_plant
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import observer_gain, parse_poles, place, state_gain
+from undeadzone.linear.poles import (
+    _ackermann,
+    _place_poles,
+    observer_gain,
+    parse_poles,
+    place,
+    state_gain,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,16 +40,16 @@ def test_closed_loop_and_observer_have_the_poles_asked_for(
         poles[1] = -1 + 2j
         poles[0] = poles[1].conj()
     A, B, C = linear
-    assert poles_of(A - B @ state_gain(linear, poles, None)) == pytest.approx(
-        np.sort_complex(poles), abs=1e-4
-    )
-    assert poles_of(A - observer_gain(linear, poles, None) @ C) == pytest.approx(
-        np.sort_complex(poles), abs=1e-4
-    )
+    expected = pytest.approx(np.sort_complex(poles), abs=1e-4)
+    assert poles_of(A - B @ state_gain(linear, poles, None)) == expected
+    assert poles_of(A - observer_gain(linear, poles, None) @ C) == expected
 
 
 def test_the_papers_gains() -> None:
-    """Poles (-4, -10) of (39) need L = (12, 15), not the (-1.25, -1.62) of (40), whose A - L C is unstable."""
+    """Poles (-4, -10) of (39) need L = (12, 15), not the (-1.25, -1.62) of (40).
+
+    With those A - L C is unstable.
+    """
     A, _, C = PAPER_PLANT.linear
     assert observer_gain(PAPER_PLANT.linear, [-4.0, -10.0], None).ravel() == pytest.approx([12, 15])
     assert poles_of(A - np.array([[-1.25], [-1.62]]) @ C) == pytest.approx([-2.18, 1.43], abs=0.005)
@@ -55,12 +62,16 @@ def test_agrees_with_python_control() -> None:
     A, B, C = random_plant(np.random.default_rng(5), 4, 2, 2).linear
     poles = [-1.0, -2.0, -3.0, -4.0]
     single = Matrices(A, B[:, :1], C[:1])
-    assert state_gain(single, poles, None) == pytest.approx(
-        np.asarray(control.place(A, B[:, :1], poles)), rel=1e-6
-    )
-    assert observer_gain(single, poles, None) == pytest.approx(
-        np.asarray(control.place(A.T, C[:1].T, poles)).T, rel=1e-6
-    )
+    K = np.asarray(control.place(A, B[:, :1], poles))
+    L = np.asarray(control.place(A.T, C[:1].T, poles)).T
+    assert state_gain(single, poles, None) == pytest.approx(K, rel=1e-6)
+    assert observer_gain(single, poles, None) == pytest.approx(L, rel=1e-6)
+
+
+def test_ackermanns_formula_is_scipys_gain_of_one_input() -> None:
+    A, B, _ = random_plant(np.random.default_rng(6), 3).linear
+    poles = np.array([-1.0, -2.0, -3.0])
+    assert pytest.approx(_place_poles(A, B, poles, "p"), rel=1e-6) == _ackermann(A, B, poles, "p")
 
 
 @pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.3])
@@ -68,22 +79,19 @@ def test_sampled_poles_are_the_exponentials(Ts: float) -> None:
     sampled = zoh(PAPER_PLANT.linear, Ts)
     A, B, C = sampled
     expected = np.sort_complex(np.exp(np.array([-4 - 3j, -4 + 3j]) * Ts))
-    assert poles_of(A - B @ state_gain(sampled, [[-4, 3], [-4, -3]], Ts)) == pytest.approx(
-        expected, abs=1e-9
-    )
-    assert poles_of(A - observer_gain(sampled, [[-4, 3], [-4, -3]], Ts) @ C) == pytest.approx(
-        expected, abs=1e-9
-    )
+    K = state_gain(sampled, [[-4, 3], [-4, -3]], Ts)
+    L = observer_gain(sampled, [[-4, 3], [-4, -3]], Ts)
+    assert poles_of(A - B @ K) == pytest.approx(expected, abs=1e-9)
+    assert poles_of(A - L @ C) == pytest.approx(expected, abs=1e-9)
 
 
 def test_sampled_gains_tend_to_the_continuous_ones() -> None:
     Ts = 1e-5
-    assert state_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) == pytest.approx(
-        np.array([[39.0, 12.0]]), rel=1e-3
-    )
-    assert observer_gain(zoh(PAPER_PLANT.linear, Ts), [-4, -10], Ts) / Ts == pytest.approx(
-        np.array([[12.0], [15.0]]), rel=1e-3
-    )
+    sampled = zoh(PAPER_PLANT.linear, Ts)
+    K = state_gain(sampled, [-4, -10], Ts)
+    L = observer_gain(sampled, [-4, -10], Ts)
+    assert pytest.approx(np.array([[39.0, 12.0]]), rel=1e-3) == K
+    assert L / Ts == pytest.approx(np.array([[12.0], [15.0]]), rel=1e-3)
 
 
 def test_poles_are_read_from_numbers_and_pairs() -> None:

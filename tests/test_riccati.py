@@ -1,4 +1,7 @@
-"""Riccati and Lyapunov equations by their residuals; the paper's own numbers; sampled gains tend to continuous ones."""
+"""Riccati and Lyapunov equations by their residuals; the paper's own numbers.
+
+Sampled gains tend to continuous ones.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,15 @@ from scenes import PAPER_PLANT, random_plant, slopes
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import feedback, lyapunov, paper_riccati, weight
+from undeadzone.linear.riccati import (
+    _candidate,
+    _Equation,
+    feedback,
+    lyapunov,
+    paper_riccati,
+    riccati,
+    weight,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,8 +44,25 @@ def test_equation_34_holds_and_its_gain_stabilises(seed: int, n: int, m: int, al
     assert np.linalg.eigvals(A - B @ K).real.max() < 0
 
 
+@pytest.mark.parametrize("Ts", [None, 0.1])
+def test_a_candidate_shows_what_it_leaves_of_the_equation(Ts: float | None) -> None:
+    A, B, C = random_plant(np.random.default_rng(2), 3, 2).linear
+    linear = Matrices(A, B, C) if Ts is None else zoh(Matrices(A, B, C), Ts)
+    Q, R = np.eye(3), np.diag([1.0, 2.0])
+    solution = riccati(linear, Q, R, Ts)
+    equation = _Equation(linear.A, linear.B, Q, R, Ts)
+    exact, wrong = _candidate(equation, solution.P), _candidate(equation, 2 * solution.P)
+    assert exact.residual == solution.residual < 1e-12
+    assert wrong.residual > 0.05
+    assert np.linalg.norm(wrong.left) > 1e6 * np.linalg.norm(exact.left)
+    assert pytest.approx(exact.K) == solution.K
+
+
 def test_the_papers_equation_destabilises() -> None:
-    """(34) as printed, with A - L C for (39) and L = (12, 15), alpha = 10: K = (-1.08, 1.22), A - B K grows at 0.024."""
+    """(34) as printed, with A - L C for (39) and L = (12, 15), alpha = 10.
+
+    Then K = (-1.08, 1.22), and A - B K grows at 0.024.
+    """
     A, B, C = PAPER_PLANT.linear
     K = paper_riccati(A - np.array([[12.0], [15.0]]) @ C, B, 10.0, np.eye(2)).K
     assert K.ravel() == pytest.approx([-1.08, 1.22], abs=0.005)
@@ -44,29 +72,27 @@ def test_the_papers_equation_destabilises() -> None:
 def test_no_stabilising_solution_is_said() -> None:
     with pytest.raises(StructureError, match=r"\(34\) has no stabilising solution"):
         paper_riccati(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]]), 1.0, np.eye(2))
-    with pytest.raises(
-        StructureError, match="discrete Riccati equation has no stabilising solution"
-    ):
-        feedback(
-            Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2)), 1.0, np.eye(2), 0.1
-        )
+    unmoved = Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2))
+    words = "discrete Riccati equation has no stabilising solution"
+    with pytest.raises(StructureError, match=words):
+        feedback(unmoved, 1.0, np.eye(2), 0.1)
 
 
 def test_sampled_gain_tends_to_the_continuous_one_in_first_order() -> None:
     exact = feedback(PAPER_PLANT.linear, 10.0, np.eye(2), None)
     steps = [0.02, 0.01, 0.005]
-    errors = [
-        np.abs(feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts) - exact).max()
-        for Ts in steps
-    ]
+    errors = []
+    for Ts in steps:
+        sampled = feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts)
+        errors.append(np.abs(sampled - exact).max())
     assert slopes(steps, errors) == pytest.approx(1.0, abs=0.1)
 
 
 def test_half_the_sampled_optimal_gain_may_not_stabilise() -> None:
-    with pytest.raises(
-        StructureError, match=r"controller.alpha: .* does not stabilise .spectral radius"
-    ):
-        feedback(Matrices(4.0 * np.eye(1), np.eye(1), np.eye(1)), 1000.0, np.eye(1), 1.0)
+    fast = Matrices(4.0 * np.eye(1), np.eye(1), np.eye(1))
+    words = r"controller.alpha: .* does not stabilise .spectral radius"
+    with pytest.raises(StructureError, match=words):
+        feedback(fast, 1000.0, np.eye(1), 1.0)
 
 
 @given(seeds, st.integers(1, 4))

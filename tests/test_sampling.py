@@ -1,4 +1,7 @@
-"""Designs: uniform, stratified where they say so, the same whatever the blocks, and those of SciPy where it has them."""
+"""Designs: uniform, stratified where they say so, the same whatever the blocks.
+
+They are those of SciPy where it has them.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import ROUNDS, permuted, points
+from undeadzone.statistics.sampling import ROUNDS, _feistel, permuted, points
 from undeadzone.statistics.sobol import BITS, DIMENSIONS, _directions
 from undeadzone.support.arrays import Floats
 
@@ -67,16 +70,22 @@ def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(
 @given(size=st.integers(1, 5000), seed=st.integers(0, 2**32 - 1))
 def test_permutations_take_each_place_once(size: int, seed: int) -> None:
     keys = np.random.default_rng(seed).integers(0, 2**64, ROUNDS, dtype=np.uint64)
-    assert np.array_equal(
-        np.sort(permuted(np.arange(size, dtype=np.uint64), size, keys)), np.arange(size)
-    )
+    places = permuted(np.arange(size, dtype=np.uint64), size, keys)
+    assert np.array_equal(np.sort(places), np.arange(size))
+
+
+def test_rounds_of_the_cipher_permute_the_numbers_of_their_bits() -> None:
+    keys = np.random.default_rng(1).integers(0, 2**64, ROUNDS, dtype=np.uint64)
+    for half in (1, 2, 5):
+        numbers = np.arange(4**half, dtype=np.uint64)
+        assert np.array_equal(np.sort(_feistel(numbers, np.uint64(half), keys)), numbers)
 
 
 def test_all_permutations_come_up_about_equally_often() -> None:
     rng = np.random.default_rng(0)
     keys = rng.integers(0, 2**64, (3000, ROUNDS), dtype=np.uint64)
-    found = np.array([permuted(np.arange(3, dtype=np.uint64), 3, key) for key in keys]).astype(int)
-    counts = np.bincount(found @ [9, 3, 1], minlength=27)
+    permutations = [permuted(np.arange(3, dtype=np.uint64), 3, key) for key in keys]
+    counts = np.bincount(np.array(permutations).astype(int) @ [9, 3, 1], minlength=27)
     assert np.count_nonzero(counts) == 6
     assert stats.chisquare(counts[counts > 0]).pvalue > 1e-3
 
@@ -109,17 +118,18 @@ def test_no_warning_escapes_from_blocks_of_any_size() -> None:
 
 
 def test_saltelli_is_laid_out_as_the_indices_of_scipy_need_it() -> None:
-    """The Ishigami function, whose indices are known: 0.314, 0.442, 0 alone, 0.558, 0.442, 0.244 in total."""
+    """The indices of the Ishigami function are known.
+
+    Alone they are 0.314, 0.442, 0, in total 0.558, 0.442, 0.244.
+    """
     each, entries = 4096, 3
     runs = each * (entries + 2)
-    f_A, f_B, *f_AB = _ishigami(
-        2 * np.pi * points("saltelli", 2, 0, runs, entries, runs).T - np.pi
-    ).reshape(entries + 2, each)
-    found = stats.sobol_indices(
-        func={"f_A": f_A[None], "f_B": f_B[None], "f_AB": np.array(f_AB)[:, None]}, n=each
-    )
-    np.testing.assert_allclose(found.first_order.ravel(), [0.314, 0.442, 0.0], atol=0.02)
-    np.testing.assert_allclose(found.total_order.ravel(), [0.558, 0.442, 0.244], atol=0.02)
+    angles = 2 * np.pi * points("saltelli", 2, 0, runs, entries, runs).T - np.pi
+    f_A, f_B, *f_AB = _ishigami(angles).reshape(entries + 2, each)
+    values = {"f_A": f_A[None], "f_B": f_B[None], "f_AB": np.array(f_AB)[:, None]}
+    indices = stats.sobol_indices(func=values, n=each)
+    np.testing.assert_allclose(indices.first_order.ravel(), [0.314, 0.442, 0.0], atol=0.02)
+    np.testing.assert_allclose(indices.total_order.ravel(), [0.558, 0.442, 0.244], atol=0.02)
 
 
 def _ishigami(x: Floats) -> Floats:
@@ -139,7 +149,8 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
             "saltelli",
             3,
             1001,
-            r"ensemble.runs: saltelli with 3 varied entries needs a multiple of 5 runs, .* a power of 2 \(640 or 1280\), found 1001",
+            r"ensemble.runs: saltelli with 3 varied entries needs a multiple of 5 runs, "
+            r".* a power of 2 \(640 or 1280\), found 1001",
         ),
         ("saltelli", 3, 2, r"\(5 or 10\), found 2"),
         ("saltelli", 0, 10, "ensemble.sampling: saltelli needs an entry that varies, found none"),
@@ -147,7 +158,8 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
             "sobol",
             30_000,
             10,
-            "ensemble.sampling: Sobol points have at most 21201 dimensions, found 30000; use random",
+            "ensemble.sampling: Sobol points have at most 21201 dimensions, found 30000; "
+            "use random",
         ),
         (
             "sobol",

@@ -1,6 +1,11 @@
-"""Intervals that cover what they say, against closed forms; sensitivities against known indices and naive twins."""
+"""Intervals that cover what they say, against closed forms.
+
+Sensitivities against known indices and naive twins.
+"""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +16,7 @@ from undeadzone.statistics.intervals import (
     QUANTILES,
     Extreme,
     Interval,
+    binomial,
     describe,
     deviation,
     jackknife,
@@ -23,6 +29,7 @@ from undeadzone.statistics.sensitivity import (
     first_order,
     given,
     indices,
+    mean_ranks,
     rank_correlations,
     saltelli,
 )
@@ -37,6 +44,11 @@ def covers(interval: Interval | Extreme, truth: float) -> bool:
     return interval.low <= truth <= interval.high
 
 
+def extreme(statistic: Interval | Extreme) -> Extreme:
+    assert isinstance(statistic, Extreme)
+    return statistic
+
+
 @pytest.mark.parametrize(
     "law",
     [stats.norm(3.0, 0.5), stats.expon(), stats.uniform()],
@@ -44,14 +56,11 @@ def covers(interval: Interval | Extreme, truth: float) -> bool:
 )
 def test_intervals_cover_the_truth_as_often_as_they_say(law: stats.rv_continuous) -> None:
     random = np.random.default_rng(1)
-    truth = {
-        "mean": law.mean(),
-        "std": law.std(),
-        **{name: law.ppf(share) for name, share in QUANTILES.items()},
-    }
+    truth = {"mean": law.mean(), "std": law.std()}
+    truth |= {name: law.ppf(share) for name, share in QUANTILES.items()}
     trials = [describe(law.rvs(1000, random_state=random)) for _ in range(TRIALS)]
     for name, value in truth.items():
-        coverage = np.mean([covers(found[name], value) for found in trials])
+        coverage = np.mean([covers(statistics[name], value) for statistics in trials])
         exact = name in QUANTILES
         assert coverage > LEVEL - SLACK - (0 if exact else 0.02), name
         assert coverage < 0.995, name
@@ -62,13 +71,19 @@ def test_intervals_cover_the_truth_as_often_as_they_say(law: stats.rv_continuous
 def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(
     n: int, share: float
 ) -> None:
-    found = quantile(
-        np.arange(1.0, n + 1), share
-    )  # values are ranks: X_(low) <= q < X_(high) iff low <= number of runs below q < high
+    """Values are ranks: X_(low) <= q < X_(high) iff low <= number of runs below q < high."""
+    value, low, high = quantile(np.arange(1.0, n + 1), share)
     below = np.arange(n + 1)
-    inside = (below >= max(found.low, 0)) & (below < min(found.high, n + 1))
+    inside = (below >= max(low, 0)) & (below < min(high, n + 1))
     assert stats.binom.pmf(below[inside], n, share).sum() >= LEVEL
-    assert found.low <= found.value <= found.high
+    assert low <= value <= high
+
+
+@pytest.mark.parametrize("n", [1, 7, 100])
+@pytest.mark.parametrize("level", [0.025, 0.3, 0.975])
+def test_binomial_is_the_quantile_of_its_distribution(n: int, level: float) -> None:
+    for share in (0.05, 0.5, 0.99):
+        assert binomial(n, share, level) == stats.binom.ppf(level, n, share)
 
 
 def test_what_the_runs_do_not_bound_is_infinite() -> None:
@@ -86,33 +101,38 @@ def test_shares_have_the_bounds_of_clopper_and_pearson(count: int) -> None:
 
 def test_extremes_say_what_share_lies_beyond_them() -> None:
     random = np.random.default_rng(2)
-    found = [describe(random.random(50)) for _ in range(TRIALS)]
-    for name, beyond in (("max", lambda x: 1 - x), ("min", lambda x: x)):
-        assert (
-            abs(np.mean([beyond(one[name].value) <= one[name].beyond for one in found]) - LEVEL)
-            < SLACK
-        )  # type: ignore[union-attr]
+    trials = [describe(random.random(50)) for _ in range(TRIALS)]
+    least = [extreme(trial["min"]) for trial in trials]
+    largest = [extreme(trial["max"]) for trial in trials]
+    coverage = np.mean([one.value <= one.beyond for one in least])
+    assert abs(coverage - LEVEL) < SLACK
+    coverage = np.mean([1 - one.value <= one.beyond for one in largest])
+    assert abs(coverage - LEVEL) < SLACK
 
 
 def test_infinite_values_have_quantiles_but_no_mean() -> None:
-    found = describe(np.r_[np.arange(70.0), np.full(30, np.inf)])
-    assert found["median"] == quantile(np.arange(100.0), 0.5)
-    assert found["p95"].value == found["max"].value == np.inf
-    assert np.isnan([*found["mean"], *found["std"]]).all()
+    statistics = describe(np.r_[np.arange(70.0), np.full(30, np.inf)])
+    assert statistics["median"] == quantile(np.arange(100.0), 0.5)
+    assert statistics["p95"].value == statistics["max"].value == np.inf
+    assert np.isnan([*statistics["mean"], *statistics["std"]]).all()
 
 
 def test_a_column_without_spread_is_known_exactly() -> None:
-    found = describe(np.full(500, 2.5))
-    assert found["mean"] == found["median"] == (2.5, 2.5, 2.5)
+    statistics = describe(np.full(500, 2.5))
+    assert statistics["mean"] == statistics["median"] == (2.5, 2.5, 2.5)
     assert deviation(np.full(500, 2.5)) == (0.0, 0.0, 0.0)
+
+
+def mean_of_rows(column: Floats, rows: Floats) -> Floats:
+    return np.asarray(column[rows].mean())
 
 
 def test_the_jackknife_finds_the_standard_error_of_a_mean() -> None:
     random = np.random.default_rng(3)
-    columns = random.exponential(size=(200, 400))
-    squares = [
-        float(jackknife(lambda rows, x=x: np.asarray(x[rows].mean()), 400)) ** 2 for x in columns
-    ]
+    squares = []
+    for column in random.exponential(size=(200, 400)):
+        estimate = partial(mean_of_rows, column)
+        squares.append(float(jackknife(estimate, 400)) ** 2)
     assert np.mean(squares) == pytest.approx(1 / 400, rel=0.1)
 
 
@@ -133,18 +153,18 @@ def design(n: int, d: int, seed: int) -> Floats:
 @pytest.mark.parametrize("n", [500, 20_000])
 def test_ishigami_from_given_data(n: int) -> None:
     X = np.random.default_rng(4).uniform(-np.pi, np.pi, (n, 3))
-    found = given(X, ishigami(X))
-    for one, truth in zip(found, FIRST, strict=True):
+    entries = given(X, ishigami(X))
+    for one, truth in zip(entries, FIRST, strict=True):
         assert covers(one.first, truth)
         assert one.first.high - one.first.low < 6 / np.sqrt(n)
-    assert found[0].first.value > found[0].floor
-    assert found[1].partial.p > 0.01  # x_1 decides most and shows in no rank correlation
-    assert found[0].spearman.p < 1e-9
+    assert entries[0].first.value > entries[0].floor
+    assert entries[1].partial.p > 0.01  # x_1 decides most and shows in no rank correlation
+    assert entries[0].spearman.p < 1e-9
 
 
 def test_ishigami_from_saltellis_design() -> None:
-    found = saltelli(ishigami(design(4096, 3, seed=5)))
-    for one, first, total in zip(found, FIRST, TOTAL, strict=True):
+    entries = saltelli(ishigami(design(4096, 3, seed=5)))
+    for one, first, total in zip(entries, FIRST, TOTAL, strict=True):
         assert covers(one.first, first)
         assert covers(one.total, total)
         assert one.total.high - one.total.low < 0.12
@@ -152,12 +172,10 @@ def test_ishigami_from_saltellis_design() -> None:
 
 def test_indices_are_those_of_scipy() -> None:
     blocks = ishigami(design(256, 3, seed=6))
-    twin = stats.sobol_indices(
-        func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}, n=256
-    )
-    np.testing.assert_allclose(
-        indices(blocks), [twin.first_order, twin.total_order], rtol=1e-12, atol=1e-14
-    )
+    values = {"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}
+    twin = stats.sobol_indices(func=values, n=256)
+    expected = [twin.first_order, twin.total_order]
+    np.testing.assert_allclose(indices(blocks), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_rows_with_a_run_that_diverged_are_left_out_of_the_design() -> None:
@@ -181,10 +199,9 @@ def test_linear_gaussian_closed_forms() -> None:
     slack = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / 100)
     for i, w in enumerate(weights):
         rank = 6 / np.pi * np.arcsin(w / 2)
-        assert (
-            np.mean([trial[i].spearman.low <= rank <= trial[i].spearman.high for trial in trials])
-            > LEVEL - slack
-        )
+        correlations = [trial[i].spearman for trial in trials]
+        coverage = np.mean([one.low <= rank <= one.high for one in correlations])
+        assert coverage > LEVEL - slack
         assert np.mean([covers(trial[i].first, w**2) for trial in trials]) > LEVEL - slack
     idle = [trial[2] for trial in trials]
     assert np.mean([one.partial.low <= 0 <= one.partial.high for one in idle]) > LEVEL - slack
@@ -194,24 +211,37 @@ def test_linear_gaussian_closed_forms() -> None:
 
 def test_the_index_of_given_data_is_unbiased() -> None:
     weights = np.array([0.95, 0.0])
-    found = np.array([first_order(*linear(300, weights, seed)) for seed in range(200)])
-    assert (np.abs(found.mean(axis=0) - weights**2) < 4 * found.std(axis=0) / np.sqrt(200)).all()
+    trials = np.array([first_order(*linear(300, weights, seed)) for seed in range(200)])
+    error = trials.std(axis=0) / np.sqrt(200)
+    assert (np.abs(trials.mean(axis=0) - weights**2) < 4 * error).all()
+
+
+def residual(others: Floats, column: Floats) -> Floats:
+    """What a linear regression leaves of a column."""
+    return column - others @ np.linalg.lstsq(others, column)[0]
 
 
 def test_rank_correlations_are_those_of_textbooks() -> None:
-    """The partial one: correlation of what linear regressions on the other entries' ranks leave of x and of y; with ties."""
+    """The partial one is of what regressions on the ranks of the other entries leave of x and y.
+
+    There are ties.
+    """
     X, y = linear(150, np.array([0.5, 0.4, 0.1]), seed=8)
     X[:, 1] = np.round(X[:, 1])
     X[:, 2] += X[:, 0]
     ranks, goal = stats.rankdata(X, axis=0), stats.rankdata(y)
-    spearman, partial = rank_correlations(X, y)
+    spearman, partial_ones = rank_correlations(X, y)
     for i in range(3):
         others = np.column_stack([np.ones(150), np.delete(ranks, i, axis=1)])
-        left = [
-            column - others @ np.linalg.lstsq(others, column)[0] for column in (ranks[:, i], goal)
-        ]
+        left_of_x = residual(others, ranks[:, i])
+        left_of_y = residual(others, goal)
         assert spearman[i] == pytest.approx(stats.spearmanr(X[:, i], y).statistic, abs=1e-12)
-        assert partial[i] == pytest.approx(np.corrcoef(*left)[0, 1], abs=1e-9)
+        assert partial_ones[i] == pytest.approx(np.corrcoef(left_of_x, left_of_y)[0, 1], abs=1e-9)
+
+
+def test_numbers_that_are_alike_share_their_ranks() -> None:
+    x = np.array([3.0, 1.0, 3.0, 2.0, 3.0, 1.0])
+    assert mean_ranks(x).tolist() == stats.rankdata(x).tolist() == [5, 1.5, 5, 3, 5, 1.5]
 
 
 def test_nothing_is_said_where_nothing_can_be() -> None:

@@ -27,24 +27,17 @@ def test_random_pairs_are_observable_and_controllable(seed: int, n: int, channel
 
 @given(seeds, st.integers(1, 3), st.integers(1, 3))
 def test_a_hidden_part_is_found_in_any_coordinates(seed: int, seen: int, hidden: int) -> None:
-    """A block that no output sees, behind a random change of coordinates: its eigenvalues are listed."""
+    """A block that no output sees, in random coordinates: its eigenvalues are listed."""
     rng = np.random.default_rng(seed)
-    one, other = (
-        rng.normal(size=(seen, seen)) + 3 * np.eye(seen),
-        rng.normal(size=(hidden, hidden)) - 3 * np.eye(hidden),
-    )
+    one = rng.normal(size=(seen, seen)) + 3 * np.eye(seen)
+    other = rng.normal(size=(hidden, hidden)) - 3 * np.eye(hidden)
     T = np.linalg.qr(rng.normal(size=(seen + hidden, seen + hidden)))[0]
-    A = (
-        T
-        @ np.block([[one, np.zeros((seen, hidden))], [rng.normal(size=(hidden, seen)), other]])
-        @ T.T
-    )
+    coupling = rng.normal(size=(hidden, seen))
+    A = T @ np.block([[one, np.zeros((seen, hidden))], [coupling, other]]) @ T.T
     C = np.hstack([rng.normal(size=(1, seen)), np.zeros((1, hidden))]) @ T.T
-    expected = np.sort_complex(np.linalg.eigvals(other))
-    assert np.sort_complex(np.array(unobservable_modes(A, C))) == pytest.approx(expected, abs=1e-5)
-    assert np.sort_complex(np.array(uncontrollable_modes(A.T, C.T))) == pytest.approx(
-        expected, abs=1e-5
-    )
+    expected = pytest.approx(np.sort_complex(np.linalg.eigvals(other)), abs=1e-5)
+    assert np.sort_complex(np.array(unobservable_modes(A, C))) == expected
+    assert np.sort_complex(np.array(uncontrollable_modes(A.T, C.T))) == expected
 
 
 @pytest.mark.parametrize("rate", [1e-6, 1e-3, 1.0, 1e3, 1e6])

@@ -1,4 +1,4 @@
-"""Trees of arrays as one vector and back: NumPy and CasADi agree on order, names say where each number is."""
+"""Trees of arrays as one vector and back: NumPy and CasADi agree on order, names on places."""
 
 from __future__ import annotations
 
@@ -36,18 +36,20 @@ trees = st.builds(
 )
 
 
+def shape(leaf: Any) -> tuple[int, int]:
+    """The shape that a leaf has in CasADi."""
+    return ca.DM(leaf).shape if np.size(leaf) else (0, 1)
+
+
 @given(trees)
 def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> None:
     packed = tree.pack(like)
     assert packed.size == tree.size(like) == len(tree.names(like))
     column, view = tree.symbols(like, "s")
-    assert [leaf.shape for _, leaf in tree.leaves(view)] == [
-        ca.DM(leaf).shape if np.size(leaf) else (0, 1) for _, leaf in tree.leaves(like)
-    ]
-    assert (
-        ca.Function("stack", [column], [tree.stack(view)])(packed).full().ravel().tolist()
-        == packed.tolist()
-    )
+    shapes = [leaf.shape for _, leaf in tree.leaves(view)]
+    assert shapes == [shape(leaf) for _, leaf in tree.leaves(like)]
+    stack = ca.Function("stack", [column], [tree.stack(view)])
+    assert stack(packed).full().ravel().tolist() == packed.tolist()
     values = [ca.Function("leaf", [column], [leaf])(packed).full() for _, leaf in tree.leaves(view)]
     again = tree.rebuild(like, iter(values))
     assert isinstance(again, Outer)
@@ -88,7 +90,10 @@ def test_a_tree_needs_as_many_values_as_leaves() -> None:
 
 
 def test_a_stack_holds_structural_zeros_too() -> None:
-    """Engines exchange a function's numbers by position: an entry that CasADi leaves out would shift all that follow it."""
+    """Engines exchange a function's numbers by position.
+
+    An entry that CasADi leaves out would shift all that follow it.
+    """
     stacked = tree.stack((ca.vertcat(ca.SX(2, 1), ca.SX.sym("a")), ca.SX.sym("b")))
     assert stacked.shape == (4, 1)
     assert stacked.nnz() == 4

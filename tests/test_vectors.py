@@ -1,4 +1,7 @@
-"""Kernels of ensembles are made of vector instructions, whatever the order of the plant, with all that may vary varying."""
+"""Kernels of ensembles are made of vector instructions, whatever the order of the plant.
+
+All that may vary varies.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,8 @@ def functions(code: str) -> dict[str, str]:
 def counted(body: str) -> tuple[int, int]:
     """(vector, scalar) sums and products."""
     vector = rf"{ARITHMETIC} <\d+ x double>|call <\d+ x double> @llvm\.fma"
-    return len(re.findall(vector, body)), len(
-        re.findall(rf"{ARITHMETIC} double|call double @llvm\.fma", body)
-    )
+    scalar = rf"{ARITHMETIC} double|call double @llvm\.fma"
+    return len(re.findall(vector, body)), len(re.findall(scalar, body))
 
 
 def dense(n: int) -> dict[str, Any]:
@@ -54,18 +56,15 @@ def dense(n: int) -> dict[str, Any]:
 )
 def test_kernels_are_vectorised(time: str, n: int) -> None:
     observer = {"method": "certified", "L": [1.0] + [0.0] * (n - 1), "gamma": 5.0}
-    scenario = small(
-        time, plant=dense(n), observer=observer, simulation={"duration": 0.1, "step": 1e-3}
-    )
-    fleet = prepare(vary(scenario, WIDTHS | PLANT | NOISE))
-    assert {f"plant.A[{i},{j}] (relative)" for i in range(n) for j in range(n)} <= set(
-        fleet.binding.names
-    )
-    code = fleet.kernel.block.text
+    simulation = {"duration": 0.1, "step": 1e-3}
+    scenario = small(time, plant=dense(n), observer=observer, simulation=simulation)
+    batch = prepare(vary(scenario, WIDTHS | PLANT | NOISE))
+    entries = {f"plant.A[{i},{j}] (relative)" for i, j in np.ndindex(n, n)}
+    assert entries <= set(batch.binding.names)
+    code = batch.kernel.block.text
     bodies = {name: body for name, body in functions(code).items() if any(counted(body))}
-    assert len(bodies) >= (
-        2 if time == "continuous" else 1
-    )  # the lanes; those in which the side changes
+    # The lanes; in continuous time, those in which the side changes too.
+    assert len(bodies) >= (2 if time == "continuous" else 1)
     for name, body in bodies.items():
         vector, scalar = counted(body)
         assert vector > 5 * scalar, name

@@ -1,6 +1,7 @@
-"""Kernels compiled once per machine: machine code in a file named by the hash of all that it depends on.
+"""Kernels compiled once per machine: files of machine code, named by a hash of what it depends on.
 
-A kernel is read back and called without numba, whose import and bookkeeping take longer than most runs.
+A kernel is read back and called without numba, whose import and bookkeeping take longer than most
+runs.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.support.files import replacing
 
+# ctypes of the numbers that a kernel takes.
 NUMBERS: Final[dict[str, Any]] = {
     "int64": ctypes.c_int64,
     "uint64": ctypes.c_uint64,
@@ -27,7 +29,12 @@ NUMBERS: Final[dict[str, Any]] = {
 
 
 class Compiled(NamedTuple):
-    """Machine code that is not linked yet, and the C functions that it may call."""
+    """Machine code that is not linked yet.
+
+    Attributes:
+        calls: the C functions that it may call.
+        code: the machine code.
+    """
 
     calls: list[str]
     code: bytes
@@ -36,8 +43,11 @@ class Compiled(NamedTuple):
 class Block(NamedTuple):
     """A compiled function of numbers and C-contiguous arrays.
 
-    arrays: per argument, the type of an array's entries, or None for a number; engine: owns the machine code; text:
-    LLVM's, if it was compiled just now.
+    Attributes:
+        function: takes numbers and addresses.
+        arrays: per argument, the type of an array's entries, or None for a number.
+        engine: owns the machine code.
+        text: LLVM's, if it was compiled just now.
     """
 
     function: Any
@@ -45,20 +55,26 @@ class Block(NamedTuple):
     engine: Any
     text: str
 
-    def __call__(self, *given: Any) -> None:
-        """Raises TypeError for an array of other entries or that is not contiguous."""
-        self.function(
-            *(
-                value if kind is None else _address(value, kind)
-                for value, kind in zip(given, self.arrays, strict=True)
-            )
-        )
+    def __call__(self, *arguments: Any) -> None:
+        """Call the function.
+
+        Raises:
+            TypeError: an array of other entries, or one that is not contiguous.
+        """
+        plain = []
+        for value, kind in zip(arguments, self.arrays, strict=True):
+            plain.append(value if kind is None else _address(value, kind))
+        self.function(*plain)
 
 
 def folder() -> Path | None:
-    """$UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache; None where there is no home."""
-    if given := os.environ.get("UNDEADZONE_CACHE"):
-        return Path(given)
+    """Where kernels are kept; None where there is no home.
+
+    $UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache.
+    """
+    chosen = os.environ.get("UNDEADZONE_CACHE")
+    if chosen:
+        return Path(chosen)
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "undeadzone"
     except RuntimeError:
@@ -67,32 +83,43 @@ def folder() -> Path | None:
 
 @functools.lru_cache(maxsize=64)
 def load(source: str, kinds: tuple[str, ...]) -> Block:
-    """The function `block` that the source defines, compiled now or taken from disk.
+    """The function `block` that a source defines, compiled now or taken from disk.
 
-    kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array, which arrives as a
-    pointer: `carray` gives it a shape. It must not allocate. Where the folder cannot be used, or what it holds is
-    damaged, the function is compiled.
+    Where the folder cannot be used, or what it holds is damaged, the function is compiled.
+
+    Args:
+        source: Python that numba compiles; it must not allocate.
+        kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
+            which arrives as a pointer: `carray` gives it a shape.
     """
-    name = hashlib.sha256("\n".join((_machine(), *kinds, source)).encode()).hexdigest()[:32]
-    path = None if (kernels := folder()) is None else kernels / f"{name}.kernel"
-    if (
-        path is not None
-        and (kept := _read(path)) is not None
-        and (block := _linked(kept, kinds)) is not None
-    ):
-        return block
-    compiled, text = _compiled(source, kinds)
-    if path is not None:
+    kernels = folder()
+    if kernels is None:
+        return _compiled_block(source, kinds)[0]
+    depends_on = "\n".join((_machine(), *kinds, source))
+    name = hashlib.sha256(depends_on.encode()).hexdigest()[:32]
+    path = kernels / f"{name}.kernel"
+    kept = _read(path)
+    block = None if kept is None else _linked(kept, kinds)
+    if block is None:
+        block, compiled = _compiled_block(source, kinds)
         _keep(path, compiled)
+    return block
+
+
+def _compiled_block(source: str, kinds: tuple[str, ...]) -> tuple[Block, Compiled]:
+    """A source compiled now: ready to be called, and to be kept."""
+    compiled, text = _compiled(source, kinds)
     block = _linked(compiled, kinds)
     assert block is not None
-    return block._replace(text=text)
+    return block._replace(text=text), compiled
 
 
 def _address(array: Any, kind: np.dtype[Any]) -> int:
+    """Where the entries of an array begin, if they are of that kind and contiguous."""
     if array.dtype != kind or not array.flags.c_contiguous:
         raise TypeError(
-            f"expected a contiguous array of {kind}, found one of {array.dtype} with strides {array.strides}"
+            f"expected a contiguous array of {kind}, "
+            f"found one of {array.dtype} with strides {array.strides}"
         )
     return int(array.ctypes.data)
 
@@ -104,7 +131,8 @@ def _machine() -> str:
     from llvmlite import binding
 
     versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "numba", "llvmlite"))
-    return f"undeadzone {undeadzone.__version__} {versions} {binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
+    processor = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
+    return f"undeadzone {undeadzone.__version__} {versions} {processor}"
 
 
 def _read(path: Path) -> Compiled | None:
@@ -113,12 +141,17 @@ def _read(path: Path) -> Compiled | None:
         digest, _, rest = path.read_bytes().partition(b"\n")
     except OSError:
         return None
+    if digest != _digest(rest):
+        return None
     calls, _, code = rest.partition(b"\n")
-    return Compiled(calls.decode().split(), code) if digest == _digest(rest) else None
+    return Compiled(calls.decode().split(), code)
 
 
 def _keep(path: Path, compiled: Compiled) -> None:
-    """Write a file, where that is possible: a digest of what follows, the names of C functions, machine code."""
+    """Write a file, where that is possible.
+
+    It holds a digest of what follows, the names of C functions, machine code.
+    """
     rest = " ".join(compiled.calls).encode() + b"\n" + compiled.code
     try:
         with replacing(path) as temporary:
@@ -128,6 +161,7 @@ def _keep(path: Path, compiled: Compiled) -> None:
 
 
 def _digest(content: bytes) -> bytes:
+    """A digest as text."""
     return hashlib.sha256(content).hexdigest().encode()
 
 
@@ -138,35 +172,51 @@ def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
 
     namespace: dict[str, Any] = {"__name__": "kernel"}
     exec(compile(source, "<kernel>", "exec"), namespace)
-    arguments = ", ".join(
-        f"CPointer({kind[:-1]})" if kind.endswith("*") else kind for kind in kinds
-    )
+    arguments = ", ".join(map(_numba_type, kinds))
     made = cfunc(f"void({arguments})", error_model="numpy")(namespace["block"])
     module, target = binding.parse_assembly(made.inspect_llvm()), _target()
-    for part in (*module.functions, *module.global_variables):
+    parts = [*module.functions, *module.global_variables]
+    for part in parts:
         if part.name == made.native_name:
             part.name = "block"
         elif not part.is_declaration:
             part.linkage = "internal"
-    passes = (
-        binding.create_new_module_pass_manager()
-    )  # nothing raises: what would report it to Python goes
+    _strip(module, target)
+    left = [*module.functions, *module.global_variables]
+    declared = [part.name for part in left if part.is_declaration]
+    return Compiled(_called(declared), target.emit_object(module)), str(module)
+
+
+def _numba_type(kind: str) -> str:
+    """The kind of an argument as numba names it."""
+    return f"CPointer({kind[:-1]})" if kind.endswith("*") else kind
+
+
+def _strip(module: Any, target: Any) -> None:
+    """Remove what would report to Python that something was raised: nothing is."""
+    from llvmlite import binding
+
+    passes = binding.create_new_module_pass_manager()
     passes.add_ipsccp_pass()
     passes.add_simplify_cfg_pass()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(
-        module, binding.create_pass_builder(target, binding.create_pipeline_tuning_options(0))
-    )
-    declared = [
-        part.name for part in (*module.functions, *module.global_variables) if part.is_declaration
-    ]
-    intrinsic = {
-        name.split(".")[1] for name in declared if name.startswith("llvm.")
-    }  # such as llvm.sin.v8f64, which may become a call of sin
-    calls = {name for name in declared if not name.startswith("llvm.")} | {
-        name for name in intrinsic if hasattr(_library(), name)
-    }
-    return Compiled(sorted(calls), target.emit_object(module)), str(module)
+    options = binding.create_pipeline_tuning_options(0)
+    passes.run(module, binding.create_pass_builder(target, options))
+
+
+def _called(declared: list[str]) -> list[str]:
+    """The C functions that may be called, from the names that LLVM declares.
+
+    An intrinsic function such as llvm.sin.v8f64 may become a call of sin.
+    """
+    library = _library()
+    calls = set()
+    for name in declared:
+        if not name.startswith("llvm."):
+            calls.add(name)
+        elif hasattr(library, name.split(".")[1]):
+            calls.add(name.split(".")[1])
+    return sorted(calls)
 
 
 def _library() -> ctypes.CDLL:
@@ -189,26 +239,32 @@ def _target() -> Any:
 
 
 def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
-    """Machine code ready to be called; None if something that it calls is missing from this process, at which LLVM would abort.
+    """Machine code ready to be called.
 
-    It calls the C library itself whether numba is there or not, which puts functions of its own, with other NaNs, in its place.
+    None if something that it calls is missing from this process, at which LLVM would abort. It
+    calls the C library itself whether numba is there or not, which puts functions of its own, with
+    other NaNs, in its place.
     """
     from llvmlite import binding
 
-    library, names = (
-        _library(),
-        binding.parse_assembly("\n".join(f"declare void @{name}()" for name in compiled.calls)),
-    )
+    library = _library()
+    declarations = "\n".join(f"declare void @{name}()" for name in compiled.calls)
+    names = binding.parse_assembly(declarations)
     engine = binding.create_mcjit_compiler(names, _target())
     for name in compiled.calls:
-        if (found := getattr(library, name, None)) is not None:
-            engine.add_global_mapping(
-                names.get_function(name), ctypes.cast(found, ctypes.c_void_p).value
-            )
+        function = getattr(library, name, None)
+        if function is not None:
+            address = ctypes.cast(function, ctypes.c_void_p).value
+            engine.add_global_mapping(names.get_function(name), address)
         elif binding.address_of_symbol(name) is None:
             return None
     engine.add_object_file(binding.ObjectFileRef.from_data(compiled.code))
     engine.finalize_object()
     prototype = ctypes.CFUNCTYPE(None, *(NUMBERS.get(kind, ctypes.c_void_p) for kind in kinds))
-    arrays = tuple(None if kind in NUMBERS else np.dtype(kind[:-1]) for kind in kinds)
-    return Block(prototype(engine.get_function_address("block")), arrays, engine, "")
+    block = prototype(engine.get_function_address("block"))
+    return Block(block, tuple(map(_entries, kinds)), engine, "")
+
+
+def _entries(kind: str) -> np.dtype[Any] | None:
+    """The type of an array's entries, or None for a number."""
+    return None if kind in NUMBERS else np.dtype(kind[:-1])

@@ -1,4 +1,4 @@
-"""A CasADi SX function as a list of instructions, and its rewriting into fewer ones that round differently."""
+"""A CasADi SX function as a list of instructions, and as fewer that round differently."""
 
 from __future__ import annotations
 
@@ -6,13 +6,20 @@ from typing import NamedTuple
 
 import casadi as ca
 
+# Instructions whose result is 1 or 0.
 CONDITIONS = frozenset(
-    (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-)  # instructions whose result is 1 or 0
+    (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR),
+)
 
 
 class Node(NamedTuple):
-    """An instruction whose operands are the numbers of earlier nodes; text: of an input (its name and entry) or a constant."""
+    """An instruction.
+
+    Attributes:
+        op: CasADi's number of it.
+        operands: numbers of earlier nodes.
+        text: of an input (its name and entry) or a constant.
+    """
 
     op: int
     operands: tuple[int, ...] = ()
@@ -20,7 +27,13 @@ class Node(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """Nodes, the nodes that each output consists of, and the entries that are read of each input."""
+    """A function as nodes, each of which needs earlier ones only.
+
+    Attributes:
+        nodes: the instructions.
+        results: the nodes that each output consists of.
+        reads: the entries that are read of each input.
+    """
 
     nodes: list[Node]
     results: list[list[int]]
@@ -28,17 +41,17 @@ class Graph(NamedTuple):
 
 
 def listed(function: ca.Function) -> Graph:
-    """The instructions of a function with dense outputs; every node is assigned once, unlike CasADi's work vector."""
+    """The instructions of a function with dense outputs.
+
+    Every node is assigned once, unlike the places of CasADi's work vector.
+    """
     nodes: list[Node] = []
-    holds: dict[int, int] = {}
+    holds: dict[int, int] = {}  # the node that a place of the work vector holds
     reads: list[list[int]] = [[] for _ in range(function.n_in())]
     results = [[0] * function.nnz_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
-        op, sources, targets = (
-            function.instruction_id(k),
-            function.instruction_input(k),
-            function.instruction_output(k),
-        )
+        op = function.instruction_id(k)
+        sources, targets = function.instruction_input(k), function.instruction_output(k)
         if op == ca.OP_OUTPUT:
             results[targets[0]][targets[1]] = holds[sources[0]]
             continue
@@ -56,36 +69,42 @@ def listed(function: ca.Function) -> Graph:
 
 def steady(nodes: list[Node]) -> set[int]:
     """The nodes that depend on constants and on inputs named p alone, which are finite numbers."""
-    found: set[int] = set()
+    numbers: set[int] = set()
     for k, node in enumerate(nodes):
-        if _is_steady(node, found):
-            found.add(k)
-    return found
+        if _is_steady(node, numbers):
+            numbers.add(k)
+    return numbers
 
 
-def _is_steady(node: Node, found: set[int]) -> bool:
-    """Whether a node is steady, `found` being those among its operands that are."""
-    return (
-        all(operand in found for operand in node.operands)
-        if node.operands
-        else node.op == ca.OP_CONST or node.text.startswith("p")
-    )
+def _is_steady(node: Node, steady: set[int]) -> bool:
+    """Whether a node is steady, if those among its operands are that are listed."""
+    if node.operands:
+        return all(operand in steady for operand in node.operands)
+    return node.op == ca.OP_CONST or node.text.startswith("p")
 
 
 def shortened(graph: Graph) -> Graph:
-    """The same values to rounding and the sign of zero: conditions moved into products, inverses of and products with what is steady gathered."""
+    """The same values to rounding and the sign of zero, by fewer instructions.
+
+    Conditions move into products; inverses of what is steady and products with it are gathered.
+    """
     rewriting = _Rewriting([], {}, set())
     places: list[int] = []
     for node in graph.nodes:
-        places.append(
-            rewriting.made(node.op, tuple(places[operand] for operand in node.operands), node.text)
-        )
+        operands = tuple(places[operand] for operand in node.operands)
+        places.append(rewriting.made(node.op, operands, node.text))
     results = [[places[k] for k in result] for result in graph.results]
     return Graph(rewriting.nodes, results, graph.reads)
 
 
 class _Rewriting(NamedTuple):
-    """A growing list of nodes in which none stands twice."""
+    """A growing list of nodes in which none stands twice.
+
+    Attributes:
+        nodes: the list.
+        places: where each node stands in it.
+        steady: the numbers of steady nodes.
+    """
 
     nodes: list[Node]
     places: dict[Node, int]
@@ -95,25 +114,36 @@ class _Rewriting(NamedTuple):
         """The node of an instruction, or of what does the same with fewer."""
         if op == ca.OP_IF_ELSE_ZERO:
             return self.gated(*operands)
-        if op == ca.OP_OR and "0.0" in (
-            false := [self.nodes[operand].text for operand in operands]
-        ):
-            return operands[1 - false.index("0.0")]
+        if op == ca.OP_OR:
+            return self.either(*operands)
         if op == ca.OP_DIV and operands[1] in self.steady and operands[0] not in self.steady:
             return self.made(ca.OP_MUL, (self.made(ca.OP_INV, operands[1:]), operands[0]))
         if op == ca.OP_MUL:
-            for factor, value in (operands, operands[::-1]):
-                if self.nodes[factor].op in CONDITIONS:
-                    return self.gated(factor, value)
-                if factor in self.steady and value not in self.steady:
-                    within, rest = self.factors(value)
-                    return self.kept(
-                        op, (factor if within is None else self.made(op, (factor, within)), rest)
-                    )
+            return self.product(*operands)
         return self.kept(op, operands, text)
 
+    def either(self, a: int, b: int) -> int:
+        """Whether one of two conditions holds; 0 is one that never does."""
+        if self.nodes[a].text == "0.0":
+            return b
+        if self.nodes[b].text == "0.0":
+            return a
+        return self.kept(ca.OP_OR, (a, b))
+
+    def product(self, a: int, b: int) -> int:
+        """a b, with what is steady ahead and in one factor."""
+        for factor, value in ((a, b), (b, a)):
+            if self.nodes[factor].op in CONDITIONS:
+                return self.gated(factor, value)
+            if factor in self.steady and value not in self.steady:
+                inner, rest = self.factors(value)
+                if inner is not None:
+                    factor = self.made(ca.OP_MUL, (factor, inner))
+                return self.kept(ca.OP_MUL, (factor, rest))
+        return self.kept(ca.OP_MUL, (a, b))
+
     def gated(self, condition: int, value: int) -> int:
-        """value where the condition holds, else 0."""
+        """The value where the condition holds, else 0."""
         if self.nodes[condition].op not in CONDITIONS:
             condition = self.kept(ca.OP_NE, (condition, self.kept(ca.OP_CONST, (), "0.0")))
         node = self.nodes[value]
@@ -123,23 +153,26 @@ class _Rewriting(NamedTuple):
         if node.op == ca.OP_NEG:
             return self.kept(ca.OP_NEG, (self.gated(condition, node.operands[0]),))
         if node.op == ca.OP_IF_ELSE_ZERO:
-            both = (
-                condition
-                if self.implies(condition, node.operands[0])
-                else self.kept(ca.OP_AND, (condition, node.operands[0]))
-            )
-            return self.gated(both, node.operands[1])
+            inner, rest = node.operands
+            both = condition
+            if not self.implies(condition, inner):
+                both = self.kept(ca.OP_AND, (condition, inner))
+            return self.gated(both, rest)
         return self.kept(ca.OP_IF_ELSE_ZERO, (condition, value))
 
     def implies(self, condition: int, other: int) -> bool:
-        """Whether a condition holds only where another does: they are the same, or a < 0 or 0 < a and a != 0."""
+        """Whether a condition holds only where another does.
+
+        They are the same, or a < 0 or 0 < a and a != 0.
+        """
+        if condition == other:
+            return True
         this, that = self.nodes[condition], self.nodes[other]
-        return condition == other or (
-            this.op == ca.OP_LT and that.op == ca.OP_NE and set(this.operands) == set(that.operands)
-        )
+        compared = this.op == ca.OP_LT and that.op == ca.OP_NE
+        return compared and set(this.operands) == set(that.operands)
 
     def factors(self, value: int) -> tuple[int | None, int]:
-        """(the steady factor, the rest) of a product that has one."""
+        """The steady factor and the rest of a product that has one; else None and the value."""
         node = self.nodes[value]
         if value not in self.steady and node.op == ca.OP_MUL and node.operands[0] in self.steady:
             return node.operands[0], node.operands[1]

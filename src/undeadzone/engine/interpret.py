@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.support.arrays import Floats
 
-CHUNK = 500
+CHUNK = 500  # steps in one call of the virtual machine
 
 
 def run(
@@ -19,7 +21,18 @@ def run(
     params: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Floats, Floats]:
-    """(outputs (N x outputs), final state) of `step` along exogenous (N x inputs); progress is told of steps done."""
+    """Run next, out = step(s, w, p) along N steps.
+
+    Args:
+        step: the graph.
+        state: at the beginning (states).
+        exogenous: w of each step (N x inputs).
+        params: p.
+        progress: told of steps done.
+
+    Returns:
+        The outputs (N x outputs) and the final state.
+    """
     total = exogenous.shape[0]
     outputs = np.empty((total, step.size1_out(1)))
     state = np.ascontiguousarray(state, float).copy()
@@ -44,26 +57,43 @@ def run(
 
 
 def mapped(function: ca.Function, count: int) -> Callable[[Floats, Floats], Floats]:
-    """(rows (count x inputs), params) -> function(row, params) of each row (count x outputs)."""
+    """A function evaluated on many rows at once.
+
+    Args:
+        function: function(row, params), with one output.
+        count: rows.
+
+    Returns:
+        values(rows, params): from rows (count x inputs) to the outputs (count x outputs).
+    """
     buffer, evaluate = function.map(count).buffer()
+    return partial(_values, buffer, evaluate, (count, function.size1_out(0)))
 
-    def values(rows: Floats, params: Floats) -> Floats:
-        given, repeated, found = (
-            np.ascontiguousarray(rows, float),
-            np.tile(params, (count, 1)),
-            np.empty((count, function.size1_out(0))),
-        )
-        buffer.set_arg(0, given.data)
-        buffer.set_arg(1, repeated.data)
-        buffer.set_res(0, found.data)
-        evaluate()
-        return found
 
-    return values
+def _values(
+    buffer: Any, evaluate: Any, shape: tuple[int, int], rows: Floats, params: Floats
+) -> Floats:
+    """The outputs (shape) of a mapped function on rows."""
+    inputs = np.ascontiguousarray(rows, float)
+    repeated = np.tile(params, (shape[0], 1))
+    outputs = np.empty(shape)
+    buffer.set_arg(0, inputs.data)
+    buffer.set_arg(1, repeated.data)
+    buffer.set_res(0, outputs.data)
+    evaluate()
+    return outputs
 
 
 class Stepper:
-    """One step at a time, in place: fill `w`, call, read `out`; `state` advances. Zero copies, for live use."""
+    """One step at a time, in place and without copies, for live use.
+
+    Fill `w`, call, read `out`; `state` advances.
+
+    Args:
+        step: next, out = step(s, w, p).
+        state: at the beginning (states).
+        params: p.
+    """
 
     def __init__(self, step: ca.Function, state: Floats, params: Floats) -> None:
         self.state = np.array(state, float)

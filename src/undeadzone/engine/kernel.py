@@ -15,7 +15,14 @@ GROUP = 8  # lanes whose rare part is computed together
 
 
 class Shape(NamedTuple):
-    """width: lanes; sizes: of s, w and p; exogenous, params: entries of w and p that each lane has for itself; record: outputs that are kept."""
+    """What a kernel is compiled for.
+
+    Attributes:
+        width: lanes.
+        sizes: of s, w and p.
+        exogenous, params: entries of w and p that each lane has for itself.
+        record: outputs that are kept.
+    """
 
     width: int
     sizes: tuple[int, int, int]
@@ -25,11 +32,20 @@ class Shape(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The first row of each part of a kernel's work array: states, own params, own inputs, outputs, states before the step, flag.
+    """The first row of each part of a kernel's work array, which begins with the states.
 
-    If there are rare parts, the numbers of the lanes that need them follow, and all these rows again for a few such lanes.
-    A lane's numbers stand in one array at constant distances: LLVM need not ask whether they overlap, and vectorises
-    whatever their number.
+    A lane's numbers stand in one array at constant distances: LLVM need not ask whether they
+    overlap, and vectorises whatever their number.
+
+    Attributes:
+        width: lanes.
+        params, own: a lane's own params and inputs.
+        out: outputs.
+        before: states before the step.
+        flag: whether a rare part is needed.
+        chosen: the numbers of the lanes that need one.
+        few: all these rows again for a few such lanes.
+        end: the number of rows.
     """
 
     width: int
@@ -48,7 +64,10 @@ class Rows(NamedTuple):
 
 
 def stride(width: int) -> int:
-    """The numbers of a row of a work array: rows whose distance is no power of 2 share no set of the cache."""
+    """The numbers of a row of a work array.
+
+    Rows whose distance is no power of 2 share no set of the cache.
+    """
     return width + 8 if width > 1 else 1
 
 
@@ -60,39 +79,50 @@ def source(
     p: Mapping[int, float],
     fused: bool,
 ) -> tuple[str, int]:
-    """(the text of the kernel, the rows of its work array), w and p being what is known of its inputs."""
+    """The text of a kernel, and the rows of its work array.
+
+    Args:
+        step, rare, fused: as for `lanes.build`.
+        shape: what it is compiled for.
+        w, p: what is known of these inputs.
+    """
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
-    given = [
-        columns[0],
-        *(
-            ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
-            for column, known in zip(columns[1:], (w, p), strict=True)
-        ),
-    ]
-    following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*given))
+    inputs = [columns[0], _substituted(columns[1], w), _substituted(columns[2], p)]
+    following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*inputs))
     usual = straight_line(_graph(columns, [following, out[list(shape.record)], *flag]), fused)
-    codes = [
-        straight_line(_graph(columns, [ca.densify(ca.SX(value)) for value in part(*given)]), fused)
-        for part in rare
-    ]
-    saved = max((1 + max(code.reads[0], default=-1) for code in codes), default=0)
-    sizes = [shape.sizes[0], len(shape.params), len(shape.exogenous), len(shape.record), saved]
-    rows = Rows(
-        shape.width,
-        *itertools.accumulate([*sizes, *((1, 1, sum(sizes) + 1) if codes else (0, 0, 0))]),
-    )
-    lane = [
-        *_inputs(usual, shape, rows, 0),
-        *usual.statements,
-        *(f"{rows.at(rows.before + i)} = {rows.at(i)}" for i in range(saved)),
-        *(f"{rows.at(i)} = {name}" for i, name in enumerate(usual.results[0])),
-        *(f"{rows.at(rows.out + i)} = {name}" for i, name in enumerate(usual.results[1])),
-    ]
-    loop = [
-        *_shared(usual, shape),
-        *_copied(shape, rows.own, "own", len(shape.exogenous)),
-        f"for j in range({shape.width}):",
-    ]
+    parts = []
+    for part in rare:
+        results = [ca.densify(ca.SX(value)) for value in part(*inputs)]
+        parts.append(straight_line(_graph(columns, results), fused))
+    rows = _rows(shape, parts)
+    texts = [helpers(fused)]
+    if parts:
+        texts += [_rare(k, code, shape, rows) for k, code in enumerate(parts)]
+        texts.append(_finish(parts, shape, rows))
+    texts.append(_block(usual, parts, shape, rows))
+    return "\n".join(texts), rows.end
+
+
+def _substituted(column: ca.SX, known: Mapping[int, float]) -> ca.SX:
+    """A column with the entries that are known in their places."""
+    return ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
+
+
+def _saved(parts: list[Code]) -> int:
+    """How many of the first states rare parts need from before the step."""
+    return max((1 + max(code.reads[0], default=-1) for code in parts), default=0)
+
+
+def _rows(shape: Shape, parts: list[Code]) -> Rows:
+    """The rows of a kernel with these rare parts."""
+    sizes = [shape.sizes[0], len(shape.params), len(shape.exogenous), len(shape.record)]
+    sizes.append(_saved(parts))
+    sizes += [1, 1, sum(sizes) + 1] if parts else [0, 0, 0]
+    return Rows(shape.width, *itertools.accumulate(sizes))
+
+
+def _block(usual: Code, parts: list[Code], shape: Shape, rows: Rows) -> str:
+    """The function that makes steps, `usual` being the code of one."""
     arrays = {
         "work": rows.end * stride(shape.width),
         "exogenous": f"steps * {shape.sizes[1]}",
@@ -101,29 +131,36 @@ def source(
         "outputs": f"steps * {len(shape.record) * shape.width}",
     }
     shaped = [f"{name} = carray({name}, {size})" for name, size in arrays.items()]
-    head = [
-        f"def block(steps, {', '.join(arrays)}):",
-        *_indented([*shaped, *_steady(usual, shape)]),
+    loop = [
+        *_shared(usual, shape),
+        *_copied(shape, rows.own, "own", len(shape.exogenous)),
+        f"for j in range({shape.width}):",
+        *_indented(_lane(usual, parts, shape, rows)),
     ]
-    texts = [helpers(fused)]
-    if codes:
-        numbers = rows._asdict() | {
-            "apart": stride(shape.width),
-            "group": min(shape.width, GROUP),
-            "next": len(codes[0].results[0]),
-        }
-        texts += [_rare(k, code, shape, rows) for k, code in enumerate(codes)]
-        calls = [
-            _AGAIN.format(part=k, **numbers) if k else f"        rare{k}(k, few, exogenous, params)"
-            for k in range(len(codes))
-        ]
-        texts.append(_FINISH.format(calls="\n".join(calls), **numbers))
-        lane.append(f"{rows.at(rows.flag)} = {usual.results[2][0]}")
-    loop += _indented(lane)
-    if codes:
+    if parts:
         loop.append("finish(k, work, exogenous, params)")
     loop += _copied(shape, rows.out, "outputs", len(shape.record))
-    return "\n".join([*texts, *head, "    for k in range(steps):", *_indented(loop, 2)]), rows.end
+    lines = [
+        f"def block(steps, {', '.join(arrays)}):",
+        *_indented([*shaped, *_steady(usual, shape)]),
+        "    for k in range(steps):",
+        *_indented(loop, 2),
+    ]
+    return "\n".join(lines)
+
+
+def _lane(usual: Code, parts: list[Code], shape: Shape, rows: Rows) -> list[str]:
+    """The step of lane j, `usual` being its code."""
+    lines = [*_inputs(usual, shape, rows, 0), *usual.statements]
+    for i in range(_saved(parts)):
+        lines.append(f"{rows.at(rows.before + i)} = {rows.at(i)}")
+    for i, name in enumerate(usual.results[0]):
+        lines.append(f"{rows.at(i)} = {name}")
+    for i, name in enumerate(usual.results[1]):
+        lines.append(f"{rows.at(rows.out + i)} = {name}")
+    if parts:
+        lines.append(f"{rows.at(rows.flag)} = {usual.results[2][0]}")
+    return lines
 
 
 _FINISH = """
@@ -164,33 +201,42 @@ _AGAIN = """        again = 0
             rare{part}(k, few, exogenous, params)"""
 
 
+def _finish(parts: list[Code], shape: Shape, rows: Rows) -> str:
+    """The functions that compute rare parts for the lanes that need them, a few at a time."""
+    numbers = rows._asdict()
+    numbers["apart"] = stride(shape.width)
+    numbers["group"] = min(shape.width, GROUP)
+    numbers["next"] = len(parts[0].results[0])
+    calls = ["        rare0(k, few, exogenous, params)"]
+    for k in range(1, len(parts)):
+        calls.append(_AGAIN.format(part=k, **numbers))
+    return _FINISH.format(calls="\n".join(calls), **numbers)
+
+
 def _rare(part: int, code: Code, shape: Shape, rows: Rows) -> str:
     """A rare part of the step, of those of the first lanes of a work array whose flag is set."""
-    (following, (flag,)), lane = (
-        code.results,
-        [*_inputs(code, shape, rows, rows.before), *code.statements],
-    )
-    chosen = [
+    following, (flag,) = code.results
+    lane = [
+        *_inputs(code, shape, rows, rows.before),
+        *code.statements,
         f"flagged = {rows.at(rows.flag)} != 0.0",
-        *(
-            f"{rows.at(i)} = select(flagged, {name}, {rows.at(i)})"
-            for i, name in enumerate(following)
-        ),
     ]
+    for i, name in enumerate(following):
+        lane.append(f"{rows.at(i)} = select(flagged, {name}, {rows.at(i)})")
+    lane.append(f"{rows.at(rows.flag)} = {flag}")
     body = [
         *_steady(code, shape),
         *_shared(code, shape),
         f"for j in range({min(shape.width, GROUP)}):",
-        *_indented([*lane, *chosen, f"{rows.at(rows.flag)} = {flag}"]),
+        *_indented(lane),
     ]
-    return "\n".join(
-        [
-            '@njit(error_model="numpy")',
-            f"def rare{part}(k, work, exogenous, params):",
-            *_indented(body),
-            "",
-        ]
-    )
+    lines = [
+        '@njit(error_model="numpy")',
+        f"def rare{part}(k, work, exogenous, params):",
+        *_indented(body),
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _steady(code: Code, shape: Shape) -> list[str]:
@@ -210,40 +256,42 @@ def _shared(code: Code, shape: Shape) -> list[str]:
 def _inputs(code: Code, shape: Shape, rows: Rows, states: int) -> list[str]:
     """What lane j reads, its state from row `states` on."""
     s, w, p = code.reads
-    return [
-        *(f"s{i} = {rows.at(states + i)}" for i in s),
-        *(
-            f"w{i} = {rows.at(rows.own + shape.exogenous.index(i))}"
-            for i in w
-            if i in shape.exogenous
-        ),
-        *(f"p{i} = {rows.at(rows.params + shape.params.index(i))}" for i in p if i in shape.params),
-    ]
+    lines = [f"s{i} = {rows.at(states + i)}" for i in s]
+    for i in w:
+        if i in shape.exogenous:
+            lines.append(f"w{i} = {rows.at(rows.own + shape.exogenous.index(i))}")
+    for i in p:
+        if i in shape.params:
+            lines.append(f"p{i} = {rows.at(rows.params + shape.params.index(i))}")
+    return lines
 
 
 def _copied(shape: Shape, row: int, array: str, count: int) -> list[str]:
-    """Rows from `row` on filled from, or copied to, the part of step k of an array.
+    """Rows from `row` on filled from `own`, or copied to `outputs`, at step k.
 
-    Of indices into a part, unlike those that k multiplies, LLVM knows the sign, and so vectorises.
+    Of indices into a part of an array, unlike those that k multiplies, LLVM knows the sign, and so
+    vectorises.
     """
-    inside, outside = (
-        f"work[({row} + i) * {stride(shape.width)} + j]",
-        f"part[i * {shape.width} + j]",
-    )
+    if count == 0:
+        return []
+    inside = f"work[({row} + i) * {stride(shape.width)} + j]"
+    outside = f"part[i * {shape.width} + j]"
+    target, value = (inside, outside) if array == "own" else (outside, inside)
     size = count * shape.width
     return [
         f"part = {array}[k * {size} : (k + 1) * {size}]",
         f"for i in range({count}):",
         f"    for j in range({shape.width}):",
-        f"        {f'{inside} = {outside}' if array == 'own' else f'{outside} = {inside}'}",
-    ] * bool(count)
+        f"        {target} = {value}",
+    ]
 
 
 def _graph(columns: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    return ca.Function(
-        "graph", columns, results, ["s", "w", "p"], [f"result{i}" for i in range(len(results))]
-    )
+    """The function of s, w and p with these results."""
+    names = [f"result{i}" for i in range(len(results))]
+    return ca.Function("graph", columns, results, ["s", "w", "p"], names)
 
 
 def _indented(lines: list[str], depth: int = 1) -> list[str]:
+    """Lines moved to the right."""
     return [f"{'    ' * depth}{line}" for line in lines]

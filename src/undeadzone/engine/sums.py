@@ -15,16 +15,42 @@ _PARTS = (*SUMS, ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_IF_ELSE_ZERO)
 
 
 class Lines(NamedTuple):
-    """A graph about to be printed: its steady nodes, and how often each node is used by an output or by a node that matters."""
+    """A graph about to be printed.
+
+    Attributes:
+        nodes: its nodes.
+        steady: the numbers of steady ones.
+        uses: how often each node is used by an output or by a node that matters.
+    """
 
     nodes: list[Node]
     steady: set[int]
     uses: Counter[int]
 
 
+class Term(NamedTuple):
+    """A term of a sum, factor * value, or 0 where its condition does not hold.
+
+    Attributes:
+        place: the last node that it needs.
+        minus: whether it is subtracted.
+        factor: empty without one.
+        value: what is added, or multiplied by the factor.
+        condition: empty without one.
+    """
+
+    place: int
+    minus: bool
+    factor: str
+    value: str
+    condition: str
+
+
 def lines_of(graph: Graph) -> Lines:
     """A graph, counted."""
-    uses = Counter(k for result in graph.results for k in result)
+    uses: Counter[int] = Counter()
+    for result in graph.results:
+        uses.update(result)
     for k in reversed(range(len(graph.nodes))):
         if uses[k]:
             uses.update(graph.nodes[k].operands)
@@ -46,98 +72,96 @@ def taken_in(lines: Lines) -> set[int]:
     taken: set[int] = set()
     for k in reversed(range(len(lines.nodes))):
         node = lines.nodes[k]
-        if (
-            lines.uses[k]
-            and k not in lines.steady
-            and (node.op in SUMS or (k in taken and node.op == ca.OP_MUL))
-        ):
-            parts = _PARTS if node.op in SUMS else (ca.OP_IF_ELSE_ZERO,)
-            taken.update(
-                part
-                for part in node.operands
-                if lines.uses[part] == 1
-                and lines.nodes[part].op in parts
-                and part not in lines.steady
-            )
+        is_part = k in taken and node.op == ca.OP_MUL
+        if not lines.uses[k] or k in lines.steady or not (node.op in SUMS or is_part):
+            continue
+        parts = _PARTS if node.op in SUMS else (ca.OP_IF_ELSE_ZERO,)
+        for part in node.operands:
+            used_once = lines.uses[part] == 1 and part not in lines.steady
+            if used_once and lines.nodes[part].op in parts:
+                taken.add(part)
     return taken
 
 
-class Term(NamedTuple):
-    """A term of a sum: the last node it needs, whether it is subtracted, factor * value, or 0 where the condition does not hold."""
-
-    place: int
-    minus: bool
-    factor: str
-    value: str
-    condition: str
-
-
 def summed(lines: Lines, taken: set[int]) -> dict[int, list[str]]:
-    """The statements of all sums by the node after which they stand.
-
-    A term is added as soon as it is known, and what it needs can be forgotten; a plain one comes first where it costs no
-    waiting, for a product then needs no instruction of its own; one under a condition is added where it holds, which is
-    a single masked instruction where the processor has them.
-    """
-    found: dict[int, list[str]] = {}
+    """The statements of all sums by the node after which they stand."""
+    statements: dict[int, list[str]] = {}
     for k, node in enumerate(lines.nodes):
-        if node.op not in SUMS or not lines.uses[k] or k in taken:
-            continue
-        known = sorted(_terms(lines, taken, k, False))
-        first = min(known[:2], key=lambda term: (term.condition != "", term.factor != ""))
-        known.remove(first)
-        place = first.place
-        sign = "-" if first.minus else ""
-        text = f"{first.factor} * {sign}{first.value}" if first.factor else f"{sign}{first.value}"
-        text = f"select({first.condition}, {text}, 0.0)" if first.condition else text
-        for i, term in enumerate(known):
-            sign = "-" if term.minus else ""
-            if term.condition:
-                found.setdefault(max(place, term.place), []).append(f"t{k}_{i} = {text}")
-                text = f"t{k}_{i}"
-            more = (
-                f"fma({term.factor}, {sign}{term.value}, {text})"
-                if term.factor
-                else f"{text} {sign or '+'} {term.value}"
-            )
-            place = max(place, term.place)
-            found.setdefault(place, []).append(
-                f"u{k}_{i} = {f'select({term.condition}, {more}, {text})' if term.condition else more}"
-            )
-            text = f"u{k}_{i}"
-        found.setdefault(k, []).append(f"v{k} = {text}")
-    return found
+        if node.op in SUMS and lines.uses[k] and k not in taken:
+            for place, statement in _sum(k, sorted(_terms(lines, taken, k, False))):
+                statements.setdefault(place, []).append(statement)
+    return statements
+
+
+def _sum(k: int, terms: list[Term]) -> Iterator[tuple[int, str]]:
+    """The statements of the sum k, each with the node after which it stands.
+
+    A term is added as soon as it is known, and what it needs can be forgotten; a plain one comes
+    first where it costs no waiting, for a product then needs no instruction of its own; one under a
+    condition is added where it holds, which is a single masked instruction where the processor has
+    them.
+    """
+    first = min(terms[:2], key=_effort)
+    others = [term for term in terms if term is not first]
+    place = first.place
+    text = _signed(first)
+    if first.factor:
+        text = f"{first.factor} * {text}"
+    if first.condition:
+        text = f"select({first.condition}, {text}, 0.0)"
+    for i, term in enumerate(others):
+        place = max(place, term.place)
+        if term.condition:
+            yield place, f"t{k}_{i} = {text}"
+            text = f"t{k}_{i}"
+        more = _plus(text, term)
+        if term.condition:
+            more = f"select({term.condition}, {more}, {text})"
+        yield place, f"u{k}_{i} = {more}"
+        text = f"u{k}_{i}"
+    yield k, f"v{k} = {text}"
+
+
+def _effort(term: Term) -> tuple[bool, bool]:
+    """What a term needs to stand first in a sum."""
+    return term.condition != "", term.factor != ""
+
+
+def _signed(term: Term) -> str:
+    """The value of a term with its sign."""
+    return f"-{term.value}" if term.minus else term.value
+
+
+def _plus(text: str, term: Term) -> str:
+    """A sum and one term more."""
+    if term.factor:
+        return f"fma({term.factor}, {_signed(term)}, {text})"
+    return f"{text} {'-' if term.minus else '+'} {term.value}"
 
 
 def _terms(lines: Lines, taken: set[int], k: int, minus: bool) -> Iterator[Term]:
     """What a sum consists of."""
     node = lines.nodes[k]
     for place, part in enumerate(node.operands):
-        inner = lines.nodes[part]
-        negative = minus != (node.op == ca.OP_NEG or (node.op == ca.OP_SUB and place == 1))
+        turned = node.op == ca.OP_NEG or (node.op == ca.OP_SUB and place == 1)
         if part not in taken:
-            yield Term(part, negative, "", name(lines, part), "")
-        elif inner.op in SUMS:
-            yield from _terms(lines, taken, part, negative)
+            yield Term(part, minus != turned, "", name(lines, part), "")
+        elif lines.nodes[part].op in SUMS:
+            yield from _terms(lines, taken, part, minus != turned)
         else:
-            factor = (
-                "2.0"
-                if inner.op == ca.OP_TWICE
-                else ""
-                if inner.op == ca.OP_IF_ELSE_ZERO
-                else name(lines, inner.operands[0])
-            )
-            gate = part if inner.op == ca.OP_IF_ELSE_ZERO else inner.operands[-1]
-            if gate in taken and lines.nodes[gate].op == ca.OP_IF_ELSE_ZERO:
-                condition, value = lines.nodes[gate].operands
-                yield Term(
-                    max(*inner.operands, condition, value),
-                    negative,
-                    factor,
-                    name(lines, value),
-                    truth(lines, condition),
-                )
-            else:
-                yield Term(
-                    max(inner.operands), negative, factor, name(lines, inner.operands[-1]), ""
-                )
+            yield _product(lines, taken, part, minus != turned)
+
+
+def _product(lines: Lines, taken: set[int], part: int, minus: bool) -> Term:
+    """A product, a square, a double or what stands under a condition, as a term."""
+    node = lines.nodes[part]
+    factor, gate = name(lines, node.operands[0]), node.operands[-1]
+    if node.op == ca.OP_TWICE:
+        factor = "2.0"
+    elif node.op == ca.OP_IF_ELSE_ZERO:
+        factor, gate = "", part
+    if gate in taken and lines.nodes[gate].op == ca.OP_IF_ELSE_ZERO:
+        condition, value = lines.nodes[gate].operands
+        place = max(*node.operands, condition, value)
+        return Term(place, minus, factor, name(lines, value), truth(lines, condition))
+    return Term(max(node.operands), minus, factor, name(lines, node.operands[-1]), "")

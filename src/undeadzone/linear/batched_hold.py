@@ -1,4 +1,7 @@
-"""The exact zero-order hold of many linear plants at once, each to the same bits whatever the others are."""
+"""The exact zero-order hold of many linear plants at once.
+
+Each plant gets the same bits whatever the others are.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,19 @@ SMALL = 0.25
 
 
 def zoh(AB: Floats, Ts: float) -> Floats:
-    """[Ad, Bd] (n x (n + m) x count) of the plants [A, B] with u held for Ts [s]; as `plant.zoh`.
+    """Zero-order hold of many plants; as `hold.zoh` of one.
 
-    X = [Ad - I, Bd] = (I + M / 2! + M^2 / 3! + ...) [A, B] Ts with M = A Ts over a fraction 2^-k of Ts, then k times
-    X <- 2 X + (Ad - I) X, which loses nothing where Ad is close to I. Plain arithmetic on arrays, plants last: a matrix
-    product of a library may round differently in another batch.
+    X = [Ad - I, Bd] = (I + M / 2! + M^2 / 3! + ...) [A, B] Ts with M = A Ts over a fraction 2^-k of
+    Ts, then k times X <- 2 X + (Ad - I) X, which loses nothing where Ad is close to I. Plain
+    arithmetic on arrays, plants last: a matrix product of a library may round differently in
+    another batch.
+
+    Args:
+        AB: [A, B] of each plant (n x (n + m) x count).
+        Ts: time for which u is held [s].
+
+    Returns:
+        [Ad, Bd] (n x (n + m) x count).
     """
     n = AB.shape[0]
     step = AB * Ts

@@ -1,4 +1,4 @@
-"""From continuous to sampled time, exactly: zero-order hold, and the covariance that white noise leaves in a step."""
+"""From continuous to sampled time, exactly: zero-order hold, and the noise of a step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ from undeadzone.support.arrays import Floats
 
 
 def zoh(linear: Matrices, Ts: float) -> Matrices:
-    """Exact zero-order hold: Ad = e^{A Ts}, Bd = int_0^Ts e^{A t} dt B, C unchanged."""
+    """Exact zero-order hold: Ad = e^{A Ts}, Bd = int_0^Ts e^{A t} dt B, C unchanged.
+
+    Args:
+        linear: the plant in continuous time.
+        Ts: time for which u is held [s].
+    """
     from scipy.linalg import expm
 
     n, m = linear.B.shape
@@ -20,7 +25,16 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
 
 
 def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
-    """(e^{A Ts}, the covariance that white noise of density W (n x n) per second adds to x' = A x + w over Ts [s]), van Loan (1978)."""
+    """What white noise w adds to the state of x' = A x + w over a step, van Loan (1978).
+
+    Args:
+        A: (n x n).
+        W: density of w (n x n) per second.
+        Ts: the step [s].
+
+    Returns:
+        e^{A Ts} and the covariance (n x n) that w adds.
+    """
     from scipy.linalg import expm
 
     n = A.shape[0]

@@ -10,7 +10,13 @@ from undeadzone.support.arrays import Floats
 
 
 class Matrices(NamedTuple):
-    """A (n x n), B (n x m), C (p x n) of x' = A x + B u (or x+ = ... when sampled), z = C x."""
+    """A linear system x' = A x + B u (or x+ = ... when sampled), z = C x.
+
+    Attributes:
+        A: (n x n).
+        B: (n x m).
+        C: (p x n).
+    """
 
     A: Floats
     B: Floats
@@ -18,7 +24,12 @@ class Matrices(NamedTuple):
 
 
 def companion(a: Any, b: Any = (1.0,)) -> Matrices:
-    """Companion form (15) with last row -a: A (n x n), B = e_n, C = [b_0, b_1, ...] of the numerator, lowest first."""
+    """Companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
+
+    Args:
+        a: coefficients of the denominator without the leading 1 (n), lowest first.
+        b: coefficients of the numerator (at most n), lowest first.
+    """
     a, b = np.atleast_1d(a), np.atleast_1d(b)
     n = a.size
     A = np.eye(n, k=1)

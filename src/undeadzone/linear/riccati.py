@@ -10,73 +10,145 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Array, Floats, array, listed, matrix
 
+NEWTON = 10  # iterations of Newton's method, at most
+
 
 class Riccati(NamedTuple):
-    """P (n x n), the gain K (m x n), and the residual of the equation relative to its terms."""
+    """A solution of a Riccati equation.
+
+    Attributes:
+        P: the solution (n x n).
+        K: the gain (m x n).
+        residual: of the equation, relative to its terms.
+    """
 
     P: Floats
     K: Floats
     residual: float
 
 
+class _Equation(NamedTuple):
+    """A Riccati equation: its matrices, and the step [s] if it is sampled."""
+
+    A: Floats
+    B: Floats
+    Q: Floats
+    R: Floats
+    Ts: float | None
+
+
+class _Candidate(NamedTuple):
+    """A matrix P put into the equation.
+
+    Attributes:
+        P: the matrix (n x n).
+        K: its gain (m x n).
+        left: what is left of the equation (n x n).
+        residual: the same, relative to the terms of the equation.
+    """
+
+    P: Floats
+    K: Floats
+    left: Floats
+    residual: float
+
+
 def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
-    """Q as a symmetric positive definite n x n matrix; a number q means q I, n numbers its diagonal. Raises InputError, ShapeError."""
-    found = array(key, Q)
-    if found.ndim == 0 or found.shape == (n,):
-        found = np.diag(np.broadcast_to(found, n))
-    found = matrix(key, found, n, n, why)
-    if not np.allclose(found, found.T):
+    """Q as a symmetric positive definite n x n matrix.
+
+    Args:
+        key: named in errors.
+        Q: the matrix; a number q means q I, n numbers its diagonal.
+        n: its size.
+        why: what the rows and columns are, for the error.
+
+    Raises:
+        InputError: not numbers, not symmetric, or not positive definite.
+        ShapeError: another shape.
+    """
+    entries = array(key, Q)
+    if entries.ndim == 0 or entries.shape == (n,):
+        entries = np.diag(np.broadcast_to(entries, n))
+    weights = matrix(key, entries, n, n, why)
+    if not np.allclose(weights, weights.T):
         raise InputError(f"{key}: must be symmetric")
-    if (least := np.linalg.eigvalsh(found)[0]) <= 0:
+    least = np.linalg.eigvalsh(weights)[0]
+    if least <= 0:
         raise InputError(f"{key}: must be positive definite, its least eigenvalue is {least:.4g}")
-    return found
+    return weights
 
 
 def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
-    """The stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P, for any number of inputs.
+    """The stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
 
-    Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is improved by Newton's
-    method (Kleinman 1968; Hewer 1971) for as long as the residual falls. Raises StructureError if there is none.
+    Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
+    improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
+
+    Args:
+        linear: the model, continuous or sampled; any number of inputs.
+        Q: weight of the states (n x n).
+        R: weight of the inputs (m x m).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Raises:
+        StructureError: there is no stabilising solution.
     """
+    A, B = np.asarray(linear.A, float), np.asarray(linear.B, float)
+    Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
+    equation = _Equation(A, B, Q, R, Ts)
+    best = _candidate(equation, _solution(equation))
+    for _ in range(NEWTON):
+        closed = A - B @ best.K
+        if best.residual == 0 or not _stable(np.linalg.eigvals(closed), Ts):
+            break
+        P = best.P + _lyapunov(closed, best.left, Ts)
+        candidate = _candidate(equation, (P + P.T) / 2)
+        if not candidate.residual < best.residual / 2:
+            break
+        best = candidate
+    return Riccati(best.P, best.K, best.residual)
+
+
+def _solution(equation: _Equation) -> Floats:
+    """scipy's solution of a Riccati equation. Raises StructureError if there is none."""
     from scipy.linalg import solve_continuous_are, solve_discrete_are
 
-    A, B = (np.asarray(M, float) for M in linear[:2])
-    Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
+    A, B, Q, R, Ts = equation
+    name = "Riccati equation" if Ts is None else "discrete Riccati equation"
+    solve = solve_continuous_are if Ts is None else solve_discrete_are
     try:
-        P = solve_continuous_are(A, B, Q, R) if Ts is None else solve_discrete_are(A, B, Q, R)
+        return np.asarray(solve(A, B, Q, R))
     except (np.linalg.LinAlgError, ValueError) as error:
-        name = "Riccati equation" if Ts is None else "discrete Riccati equation"
         raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
 
-    def judge(P: Floats) -> tuple[float, Floats, Floats]:
-        """(relative residual, residual, K)."""
-        if Ts is None:
-            K = np.linalg.solve(R, B.T @ P)
-            terms = (A.T @ P, P @ A, -K.T @ R @ K, Q)
-        else:
-            K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
-            terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
-        off = sum(terms[1:], terms[0])
-        return (
-            float(np.linalg.norm(off) / max(sum(np.linalg.norm(term) for term in terms), 1e-300)),
-            off,
-            K,
-        )
 
-    relative, off, K = judge(P)
-    for _ in range(10):
-        if relative == 0 or not _stable(np.linalg.eigvals(A - B @ K), Ts):
-            break
-        trial = P + _lyapunov(A - B @ K, off, Ts)
-        judged = judge((trial + trial.T) / 2)
-        if not judged[0] < relative / 2:
-            break
-        P, (relative, off, K) = (trial + trial.T) / 2, judged
-    return Riccati(P, K, relative)
+def _candidate(equation: _Equation, P: Floats) -> _Candidate:
+    """A matrix put into the equation."""
+    A, B, Q, R, Ts = equation
+    terms: tuple[Floats, ...]
+    if Ts is None:
+        K = np.linalg.solve(R, B.T @ P)
+        terms = (A.T @ P, P @ A, -K.T @ R @ K, Q)
+    else:
+        K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
+    left = sum(terms[1:], terms[0])
+    scale = max(sum(np.linalg.norm(term) for term in terms), 1e-300)
+    return _Candidate(P, K, left, float(np.linalg.norm(left) / scale))
 
 
 def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
-    """K (N x m x n) of the sampled equation backwards along A (N x n x n), B (N x n x m), from P (n x n) after the last sample."""
+    """Gains of the sampled Riccati equation, backwards along a trajectory.
+
+    Args:
+        A, B: the model at each sample (N x n x n, N x n x m).
+        Q: weight of the states (n x n).
+        R: weight of the inputs (m x m).
+        P: the solution after the last sample (n x n).
+
+    Returns:
+        K (N x m x n).
+    """
     K = np.empty(B.swapaxes(1, 2).shape)
     for k in reversed(range(len(A))):
         gain = P @ B[k]
@@ -87,22 +159,42 @@ def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floa
 
 
 def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
-    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), with whatever stands for A (A - L C as printed), and K = alpha B'P.
+    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), and K = alpha B'P.
 
-    Raises StructureError if none is found.
+    Args:
+        A: whatever stands for A, (A - L C as printed) (n x n).
+        B: (n x m).
+        alpha: weight of the quadratic term.
+        Q: (n x n).
+
+    Raises:
+        StructureError: no solution is found.
     """
+    linear = Matrices(A, B, np.zeros((0, len(A))))
     try:
-        found = riccati(Matrices(A, B, np.zeros((0, len(A)))), Q, np.eye(B.shape[1]) / (2 * alpha))
+        solution = riccati(linear, Q, np.eye(B.shape[1]) / (2 * alpha))
     except StructureError as error:
         raise StructureError(str(error).replace("equation", "equation (34)", 1)) from None
-    return found._replace(K=alpha * B.T @ found.P)
+    return solution._replace(K=alpha * B.T @ solution.P)
 
 
 def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
-    """K (m x n) of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0. Raises StructureError.
+    """K of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0.
 
-    K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of (R + B'PB)^-1 B'PA of the discrete
-    equation with Q Ts, R Ts.
+    K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of
+    (R + B'PB)^-1 B'PA of the discrete equation with Q Ts, R Ts.
+
+    Args:
+        linear: the model, continuous or sampled.
+        alpha: weight of the quadratic term.
+        Q: (n x n).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Returns:
+        K (m x n).
+
+    Raises:
+        StructureError: there is no solution, or its sampled gain does not stabilise.
     """
     A, B, _ = linear
     if Ts is None:
@@ -111,13 +203,27 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
     radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
     if radius >= 1:
         raise StructureError(
-            f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius {radius:.4g}); use a smaller step or poles"
+            f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius "
+            f"{radius:.4g}); use a smaller step or poles"
         )
     return np.asarray(K)
 
 
 def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form. Raises StructureError if A - BK is not stable."""
+    """P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
+
+    Args:
+        linear: the model, continuous or sampled.
+        K: the gain (m x n).
+        Q: (n x n).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Returns:
+        P (n x n).
+
+    Raises:
+        StructureError: A - BK is not stable.
+    """
     closed = linear.A - linear.B @ K
     poles = np.linalg.eigvals(closed)
     if not _stable(poles, Ts):
@@ -126,12 +232,16 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
 
 
 def _stable(poles: np.ndarray, Ts: float | None) -> bool:
-    return bool((poles.real.max() < 0) if Ts is None else (np.abs(poles).max() < 1))
+    """Whether poles are those of a stable system, continuous or sampled."""
+    if Ts is None:
+        return bool(poles.real.max() < 0)
+    return bool(np.abs(poles).max() < 1)
 
 
 def _lyapunov(A: Floats, Q: Floats, Ts: float | None) -> Floats:
+    """P of A'P + PA = -Q, or of A'PA - P = -Q."""
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    return np.asarray(
-        solve_continuous_lyapunov(A.T, -Q) if Ts is None else solve_discrete_lyapunov(A.T, Q)
-    )
+    if Ts is None:
+        return np.asarray(solve_continuous_lyapunov(A.T, -Q))
+    return np.asarray(solve_discrete_lyapunov(A.T, Q))

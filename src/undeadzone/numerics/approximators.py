@@ -1,4 +1,4 @@
-"""Approximators that are linear in their weights, W'phi(v): the phi of neural, fuzzy and Taylor networks."""
+"""Approximators that are linear in their weights, W'phi(v): neural, fuzzy and Taylor networks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,13 @@ LARGEST = 200  # functions in a basis; each is computed at every step
 
 
 class Basis(NamedTuple):
-    """phi(params, v): the `size` functions at a point v (k) on CasADi expressions; params: NumPy arrays."""
+    """Basis functions phi of a point v.
+
+    Attributes:
+        params: what phi needs (NumPy arrays).
+        phi: phi(params, v) is the column of functions at v (k), on CasADi expressions.
+        size: number of functions.
+    """
 
     params: Any
     phi: Callable[[Any, Any], Any]
@@ -25,7 +31,13 @@ class Basis(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """reach (k): the box |v_i| <= reach_i; centres in [-1, 1] on each axis; overlap: standard deviation of a Gaussian, in spacings."""
+    """Gaussians on a grid over the box |v_i| <= reach_i.
+
+    Attributes:
+        reach: half the sides of the box (k) [units of v].
+        centres: on each axis, in [-1, 1].
+        overlap: standard deviation of a Gaussian, in spacings of the grid.
+    """
 
     reach: Floats
     centres: Floats
@@ -33,49 +45,77 @@ class Grid(NamedTuple):
 
 
 def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: bool) -> Basis:
-    """Products of Gaussians on a grid of `count` centres per axis over the box.
+    """Products of Gaussians on a grid over the box |v_i| <= reach_i.
 
-    Radial basis functions (Broomhead and Lowe 1988), which fade beyond the box. Normalised, they sum to 1: fuzzy rules
-    with Gaussian membership, singleton fuzzifier, product inference and centre average (Wang and Mendel 1992), and v
-    is brought into the box first. Raises InputError.
+    Radial basis functions (Broomhead and Lowe 1988), which fade beyond the box. Normalised, they
+    sum to 1: fuzzy rules with Gaussian membership, singleton fuzzifier, product inference and
+    centre average (Wang and Mendel 1992), and v is brought into the box first.
+
+    Args:
+        key: named in errors.
+        reach: half the sides of the box (k).
+        count: centres per axis.
+        overlap: standard deviation of a Gaussian, in spacings of the grid.
+        normalised: make the functions sum to 1.
+
+    Raises:
+        InputError: fewer than 2 centres per axis, or too many functions.
     """
     if count < 2:
         raise InputError(f"{key}: a grid needs at least 2 centres per axis, found {count}")
+    spacing = 2 / (count - 1)
 
     def phi(p: Grid, v: Any) -> Any:
-        spacing = 2 / (count - 1)
-        scaled = _inside(v / p.reach) if normalised else v / p.reach
-        axes = [
-            ca.exp(-(((x - p.centres) / (spacing * p.overlap)) ** 2) / 2)
-            for x in ca.vertsplit(scaled)
-        ]
-        return reduce(ca.kron, [axis / ca.sum1(axis) if normalised else axis for axis in axes])
+        scaled = v / p.reach
+        if normalised:
+            scaled = _in_box(scaled)
+        width = spacing * p.overlap
+        axes = [ca.exp(-(((x - p.centres) / width) ** 2) / 2) for x in ca.vertsplit(scaled)]
+        if normalised:
+            axes = [axis / ca.sum1(axis) for axis in axes]
+        return reduce(ca.kron, axes)
 
-    return _checked(
-        key,
-        Basis(Grid(reach, np.linspace(-1, 1, count), np.float64(overlap)), phi, count**reach.size),
-    )
+    grid = Grid(reach, np.linspace(-1, 1, count), np.float64(overlap))
+    return _checked(key, Basis(grid, phi, count**reach.size))
 
 
 def monomials(key: str, reach: Floats, degree: int) -> Basis:
-    """Every product of powers of v_i / reach_i of total degree up to `degree`, brought into the box first (Taylor network). Raises InputError."""
+    """Every product of powers of v_i / reach_i up to a total degree (Taylor network).
+
+    v is brought into the box |v_i| <= reach_i first.
+
+    Args:
+        key: named in errors.
+        reach: half the sides of the box (k).
+        degree: the greatest total degree.
+
+    Raises:
+        InputError: a degree below 1, or too many functions.
+    """
     if degree < 1:
         raise InputError(f"{key}: the degree must be at least 1, found {degree}")
-    powers = [
-        power for power in product(range(degree + 1), repeat=reach.size) if sum(power) <= degree
-    ]
+    tuples = product(range(degree + 1), repeat=reach.size)
+    powers = [power for power in tuples if sum(power) <= degree]
 
     def phi(reach: Any, v: Any) -> Any:
-        scaled = ca.vertsplit(_inside(v / reach))
-        return ca.vertcat(
-            *(_product(x**k for x, k in zip(scaled, power, strict=True)) for power in powers)
-        )
+        scaled = ca.vertsplit(_in_box(v / reach))
+        return ca.vertcat(*(_monomial(scaled, power) for power in powers))
 
     return _checked(key, Basis(reach, phi, len(powers)))
 
 
 def jumps(key: str, count: int) -> Basis:
-    """Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, for y on the right and, negative, on the left; v = [y; side]. Raises InputError."""
+    """Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
+
+    They act on the right side and, negative, on the left.
+
+    Args:
+        key: named in errors.
+        count: functions per side.
+
+    Raises:
+        InputError: no function, or too many.
+    """
     if count < 1:
         raise InputError(f"{key}: expected at least 1 function, found {count}")
 
@@ -87,17 +127,24 @@ def jumps(key: str, count: int) -> Basis:
     return _checked(key, Basis(None, phi, 2 * count))
 
 
-def _inside(v: Any) -> Any:
+def _in_box(v: Any) -> Any:
+    """v brought into the box |v_i| <= 1."""
     return ca.fmax(ca.fmin(v, 1.0), -1.0)
 
 
-def _product(factors: Any) -> Any:
-    return reduce(lambda a, b: a * b, factors, ca.SX(1.0))
+def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
+    """v_1^powers_1 v_2^powers_2 ..."""
+    value = ca.SX(1.0)
+    for x, power in zip(v, powers, strict=True):
+        value = value * x**power
+    return value
 
 
 def _checked(key: str, basis: Basis) -> Basis:
+    """The basis, if it is not too large to compute at every step."""
     if basis.size > LARGEST:
         raise InputError(
-            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; use fewer per axis"
+            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; "
+            "use fewer per axis"
         )
     return basis

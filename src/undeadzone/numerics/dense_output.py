@@ -1,9 +1,10 @@
-"""Solutions over a step on one branch of the sensor, with dense output: by Runge-Kutta, or by Taylor series."""
+"""Solutions over a step on one branch of the sensor, with dense output."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,9 +13,15 @@ from undeadzone.numerics.runge_kutta import hermite, hermite_slope, rk4
 
 
 class DenseStep(NamedTuple):
-    """A solution on one branch over a step, or what is left of it: its end; the state, z and dz/dc at a fraction c of it.
+    """A solution on one branch over a step, or over what is left of it.
 
-    final: z at the end; onward: z halfway if it went on as it sets out.
+    Attributes:
+        end: the state at the end.
+        final: z at the end.
+        onward: z halfway, if it went on as it sets out.
+        at: at(c) is the state at the fraction c of the solution.
+        output: output(c) is z there.
+        slope: slope(c) is dz/dc there.
     """
 
     end: ca.SX
@@ -31,14 +38,20 @@ def runge_kutta(
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Arcs (x, start c, mode) of x' = rate(x, c, mode) by RK4 with cubic dense output; z = output(x)."""
+    """Arcs of x' = rate(x, c, mode) by RK4 with cubic dense output.
+
+    Args:
+        rate: the right-hand side at the fraction c of the step, on the branch `mode`.
+        output: z = output(x).
+        states: entries of x.
+        h: length of the step [s].
+
+    Returns:
+        arc(x, c, mode): the solution from x at the fraction c of the step to its end.
+    """
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
-    slope = ca.Function(
-        "slope",
-        [point, direction],
-        [ca.jtimes(output(point), point, direction)],
-        {"allow_free": True},
-    )
+    along = ca.jtimes(output(point), point, direction)
+    slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
 
     def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
         rest = 1.0 - start
@@ -47,12 +60,12 @@ def runge_kutta(
         k5 = rate(end, 1.0, mode)
         z = (output(x), slope(x, k1), output(end), slope(end, k5), h * rest)
         return DenseStep(
-            end,
-            z[2],
-            output(x + h * rest / 2 * k1),
-            lambda c: hermite(x, k1, end, k5, h * rest, c),
-            lambda c: hermite(*z, c),
-            lambda c: hermite_slope(*z, c),
+            end=end,
+            final=z[2],
+            onward=output(x + h * rest / 2 * k1),
+            at=partial(hermite, x, k1, end, k5, h * rest),
+            output=partial(hermite, *z),
+            slope=partial(hermite_slope, *z),
         )
 
     return arc
@@ -65,10 +78,19 @@ def taylor(
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Arcs (x, start c, mode) of x' = rate(x, w, mode), affine in x and w, by Taylor series of as many terms as there are `inputs`.
+    """Arcs of x' = rate(x, w, mode) by Taylor series of as many terms as there are `inputs`.
 
-    inputs: the coefficients of w = inputs[0] + inputs[1] c + ... over the step; z = output(x), affine. Exact but for the
-    terms left out.
+    Exact but for the terms left out.
+
+    Args:
+        rate: the right-hand side on the branch `mode`, affine in x and w.
+        output: z = output(x), affine.
+        inputs: the coefficients of w = inputs[0] + inputs[1] c + ... over the step.
+        states: entries of x.
+        h: length of the step [s].
+
+    Returns:
+        arc(x, c, mode): the solution from x at the fraction c of the step to its end.
     """
     x, dx = ca.SX.sym("x", states), ca.SX.sym("dx", states)
     w, dw = ca.SX.sym("w", inputs[0].shape[0]), ca.SX.sym("dw", inputs[0].shape[0])
@@ -76,45 +98,48 @@ def taylor(
 
     def arc(start: ca.SX, begin: Any, mode: Any) -> DenseStep:
         rest = 1.0 - begin
-        follow = ca.Function(
-            "follow",
-            [x, w, dx, dw],
-            [ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))],
-            {"allow_free": True},
-        )
-        own = (
-            inputs
-            if isinstance(begin, float)
-            else [_moved(inputs, k, begin, rest) for k in range(len(inputs))]
-        )
+        along = ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))
+        follow = ca.Function("follow", [x, w, dx, dw], [along], {"allow_free": True})
+        own = inputs if isinstance(begin, float) else _moved(inputs, begin, rest)
         terms = [start, h * rest * rate(start, own[0], mode)]
         for k in range(1, len(inputs)):
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
         z = [output(start), *(seen(start, term) for term in terms[1:])]
-        steep = [k * term for k, term in enumerate(z)][1:]
-        end = _polynomial(terms, 1.0)
-        return DenseStep(
-            end,
-            output(end),
-            output(start + terms[1] / 2),
-            lambda c: _polynomial(terms, c),
-            lambda c: _polynomial(z, c),
-            lambda c: _polynomial(steep, c),
-        )
+        onward = output(start + terms[1] / 2)
+        return _series(terms, z, output, onward)
 
     return arc
 
 
-def _moved(inputs: list[ca.SX], k: int, begin: Any, rest: Any) -> ca.SX:
-    """Coefficient k of the inputs over what is left of the step after the fraction `begin`."""
-    return rest**k * _polynomial(
-        [math.comb(j, k) * inputs[j] for j in range(k, len(inputs))], begin
+def _series(
+    terms: list[ca.SX], z: list[ca.SX], output: Callable[[ca.SX], ca.SX], onward: ca.SX
+) -> DenseStep:
+    """The step whose state and z are the polynomials of c with these coefficients."""
+    end = _polynomial(terms, 1.0)
+    slopes = [k * term for k, term in enumerate(z)][1:]
+    return DenseStep(
+        end=end,
+        final=output(end),
+        onward=onward,
+        at=partial(_polynomial, terms),
+        output=partial(_polynomial, z),
+        slope=partial(_polynomial, slopes),
     )
+
+
+def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
+    """The coefficients of the inputs over the rest of a step after the fraction `begin`."""
+    moved = []
+    for k in range(len(inputs)):
+        derivative = [math.comb(j, k) * inputs[j] for j in range(k, len(inputs))]
+        moved.append(rest**k * _polynomial(derivative, begin))
+    return moved
 
 
 def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
     """terms[0] + terms[1] c + ... by Horner's rule; at 1, the smallest first."""
+    at_end = isinstance(c, float) and c == 1.0
     total = terms[-1]
     for term in terms[-2::-1]:
-        total = term + (total if isinstance(c, float) and c == 1.0 else c * total)
+        total = term + (total if at_end else c * total)
     return total

@@ -1,4 +1,4 @@
-"""A step that finds where the sensor changes side inside it, so that its order survives the kink."""
+"""A step that finds where the sensor changes side inside it: its order survives the kink."""
 
 from __future__ import annotations
 
@@ -26,7 +26,14 @@ Branch = TypeVar("Branch", bound=Mode)
 
 
 class Crossing(NamedTuple):
-    """What changed, per output: whether anything did, the side entered, which level was met, in which direction."""
+    """What changed, per output.
+
+    Attributes:
+        changed: whether anything did.
+        side: the side entered, +1, 0 or -1.
+        upper: whether the level that was met is the upper one.
+        rising: whether z rose through it.
+    """
 
     changed: Any
     side: Any
@@ -35,10 +42,43 @@ class Crossing(NamedTuple):
 
 
 class StepAttempt(NamedTuple):
-    """The end of a step with so many changes of side located, and whether there may be more that the next attempt finds."""
+    """A step with so many changes of side located.
+
+    Attributes:
+        end: the state at its end.
+        more: whether there may be more changes, which the next attempt finds.
+    """
 
     end: ca.SX
     more: ca.SX
+
+
+class _Followed(NamedTuple):
+    """A step along its changes of side: its end, and its last branch, arc and change."""
+
+    end: ca.SX
+    mode: Any
+    arc: DenseStep
+    changed: ca.SX
+
+
+class _Course(NamedTuple):
+    """The outputs z (p) along an arc.
+
+    Attributes:
+        start, final: z at the beginning and at the end.
+        slope: dz/dc at the beginning.
+        turns: whether z turns back on the way.
+        turn: the fraction of the arc at which it does; 1 where it does not.
+        peak: z at the turn, or at the end.
+    """
+
+    start: ca.SX
+    final: ca.SX
+    slope: ca.SX
+    turns: ca.SX
+    turn: ca.SX
+    peak: ca.SX
 
 
 def located_step(
@@ -48,44 +88,64 @@ def located_step(
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
 ) -> list[StepAttempt]:
-    """A step from x: as if no side changed, with one simple change of side located, with `CHANGES` of them and turns of z.
+    """A step from x: with no change of side, with one simple one located, with `CHANGES` of them.
 
-    The first attempt that needs no more is right, or the last. The side is right above levels[0], left below levels[1]
-    of z. An arc from (x, 0) runs on the branch `first`, to the earliest change; another runs from there on second(first,
-    crossing), and so on. An excursion that ends before the step does is two changes. Branch-free, and the first attempt
-    costs little more than its arc.
+    The last attempt also minds where z turns. The first attempt that needs no more is right, or the
+    last. An excursion that ends before the step does is two changes. Branch-free, and the first
+    attempt costs little more than its arc.
+
+    Args:
+        arc: arc(x, c, mode) is the solution on a branch from x at the fraction c of the step.
+        levels: the side is right above levels[0] of z, left below levels[1] (p each).
+        first: the branch at the beginning of the step, followed to the earliest change.
+        second: second(mode, crossing) is the branch after a change of side.
+        x: the state at the beginning of the step.
+
+    Returns:
+        The attempts, cheapest first.
     """
     whole = arc(x, 0.0, first)
-    attempts = [StepAttempt(whole.end, _perhaps(whole, levels, first.side))]
-    for changes, full in ((1, False), (CHANGES, True)):
-        mode, now, begin, end, found = first, whole, ca.SX(0.0), whole.end, ca.SX(0.0)
-        for _ in range(changes):
-            crossing, c = _earliest(now, levels, mode.side, full)
-            split = ca.mmin(c)
-            mode = second(
-                mode, crossing._replace(changed=ca.logic_and(crossing.changed, c <= split))
-            )
-            begin = begin + (1.0 - begin) * split
-            now = arc(now.at(split), begin, mode)
-            found = ca.sum1(crossing.changed) > 0
-            end = ca.if_else(found, now.end, end)
-        if full:
-            more = ca.SX(0.0)
-        else:
-            turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
-            more = ca.logic_or(
-                ca.logic_not(found), ca.logic_or(turns, _perhaps(now, levels, mode.side))
-            )
-        attempts.append(StepAttempt(end, more))
-    return attempts
+    unchanged = StepAttempt(whole.end, _may_change(whole, levels, first.side))
+    simple = _follow(arc, levels, first, second, whole, changes=1, turning=False)
+    turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
+    again = ca.logic_or(turns, _may_change(simple.arc, levels, simple.mode.side))
+    more = ca.logic_or(ca.logic_not(simple.changed), again)
+    full = _follow(arc, levels, first, second, whole, changes=CHANGES, turning=True)
+    return [unchanged, StepAttempt(simple.end, more), StepAttempt(full.end, ca.SX(0.0))]
 
 
-def _perhaps(arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
-    """Whether the side may change on an arc: it is another at the end, or would be if z went on as it sets out for half of it."""
-    return (
-        ca.sum1(ca.logic_or(_beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)))
-        > 0
-    )
+def _follow(
+    arc: Callable[[ca.SX, Any, Any], DenseStep],
+    levels: tuple[ca.SX, ca.SX],
+    first: Branch,
+    second: Callable[[Branch, Crossing], Branch],
+    whole: DenseStep,
+    changes: int,
+    turning: bool,
+) -> _Followed:
+    """The step whose first arc is `whole`, with so many changes located one after another."""
+    mode, now, end = first, whole, whole.end
+    begin, changed = ca.SX(0.0), ca.SX(0.0)
+    for _ in range(changes):
+        crossing, c = _earliest(now, levels, mode.side, turning)
+        split = ca.mmin(c)
+        at_split = ca.logic_and(crossing.changed, c <= split)
+        mode = second(mode, crossing._replace(changed=at_split))
+        begin = begin + (1.0 - begin) * split
+        now = arc(now.at(split), begin, mode)
+        changed = ca.sum1(crossing.changed) > 0
+        end = ca.if_else(changed, now.end, end)
+    return _Followed(end, mode, now, changed)
+
+
+def _may_change(arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+    """Whether the side may change on an arc.
+
+    It may if it is another at the end, or would be if z went on for half of the arc as it sets
+    out.
+    """
+    final, onward = _beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)
+    return ca.sum1(ca.logic_or(final, onward)) > 0
 
 
 def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
@@ -95,58 +155,65 @@ def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
 
 
 def _earliest(
-    arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX, full: bool
+    arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX, turning: bool
 ) -> tuple[Crossing, ca.SX]:
-    """The first change of each output on an arc, and the fraction of the arc at which it is; 1 where there is none.
+    """The first change of each output on an arc, and the fraction of the arc at which it is.
 
-    full: mind where z turns; else it is taken to move one way.
+    The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
+    move one way.
     """
-    above, below = levels
-    z0, z1, s0, s1 = arc.output(0.0), arc.final, arc.slope(0.0), arc.slope(1.0)
-    turns = s0 * s1 < 0 if full else ca.SX.zeros(s0.shape)
-    turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
-    peak = arc.output(turn)
-    ends = _beyond(z1, levels, side)
-    excursion = ca.logic_and(turns, ca.logic_and(ca.logic_not(ends), _beyond(peak, levels, side)))
-    far = ca.if_else(excursion, peak, z1)
+    course = _course(arc, turning)
+    ends = _beyond(course.final, levels, side)
+    returns = ca.logic_and(ca.logic_not(ends), _beyond(course.peak, levels, side))
+    excursion = ca.logic_and(course.turns, returns)
+    farthest = ca.if_else(excursion, course.peak, course.final)
+    crossing = _crossing(farthest, levels, side)
+    c = _meeting(arc, course, crossing, ca.if_else(crossing.upper, *levels))
+    return crossing, ca.if_else(crossing.changed, c, 1.0)
 
-    enters_right, enters_left = (
-        ca.logic_and(side <= 0, far > above),
-        ca.logic_and(side >= 0, far < below),
-    )
-    leaves_right, leaves_left = (
-        ca.logic_and(side > 0, far < above),
-        ca.logic_and(side < 0, far > below),
-    )
+
+def _course(arc: DenseStep, turning: bool) -> _Course:
+    """z along an arc; without `turning` it is taken to move one way."""
+    start, final = arc.output(0.0), arc.final
+    s0, s1 = arc.slope(0.0), arc.slope(1.0)
+    turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)
+    turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
+    return _Course(start, final, s0, turns, turn, arc.output(turn))
+
+
+def _crossing(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> Crossing:
+    """The change of side of an output that comes from `side` and reaches z."""
+    above, below = levels
+    enters_right = ca.logic_and(side <= 0, z > above)
+    enters_left = ca.logic_and(side >= 0, z < below)
+    leaves_right = ca.logic_and(side > 0, z < above)
+    leaves_left = ca.logic_and(side < 0, z > below)
     silent = side == 0
     upper = ca.logic_or(leaves_right, ca.logic_and(silent, enters_right))
     changed = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
     rising = ca.logic_or(leaves_left, ca.logic_and(silent, enters_right))
     through = above <= below  # nothing silent lies between
-    entered = 1.0 * ca.logic_or(
-        ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through)
-    )
-    entered -= 1.0 * ca.logic_or(
-        ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through)
-    )
+    right = ca.logic_or(ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through))
+    left = ca.logic_or(ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through))
+    return Crossing(changed, 1.0 * right - 1.0 * left, upper, rising)
 
-    level = ca.if_else(upper, above, below)
-    before = (s0 > 0) == rising  # z moves through the level as it does at first: ahead of the turn
-    low, high = (
-        ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0),
-        ca.if_else(ca.logic_and(turns, before), turn, 1.0),
-    )
+
+def _meeting(arc: DenseStep, course: _Course, crossing: Crossing, level: ca.SX) -> ca.SX:
+    """The fraction of an arc at which z meets a level, by Newton's method from a guess."""
+    z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
+    # z moves through the level as it does at first: ahead of the turn.
+    before = (course.slope > 0) == crossing.rising
+    low = ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0)
+    high = ca.if_else(ca.logic_and(turns, before), turn, 1.0)
     # Between a turn and an end z is nearly a parabola, else nearly a line.
-    part = ca.sqrt(ca.fmax((peak - level) / (peak - ca.if_else(before, z0, z1)), 0.0))
-    guess = ca.if_else(
-        turns,
-        ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part),
-        (level - z0) / (z1 - z0),
-    )
-    c = _within(guess, low, high)
+    end = ca.if_else(before, z0, z1)
+    part = ca.sqrt(ca.fmax((course.peak - level) / (course.peak - end), 0.0))
+    parabola = ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part)
+    line = (level - z0) / (z1 - z0)
+    c = _clamp(ca.if_else(turns, parabola, line), low, high)
     for _ in range(NEWTON):
-        c = _within(c - (arc.output(c) - level) / arc.slope(c), low, high)
-    return Crossing(changed, entered, upper, rising), ca.if_else(changed, c, 1.0)
+        c = _clamp(c - (arc.output(c) - level) / arc.slope(c), low, high)
+    return c
 
 
 def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
@@ -156,9 +223,11 @@ def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
     for _ in range(NEWTON):
         now = slope(c)
         moved = c - now * (c - before) / (now - after)
-        before, after, c = c, now, ca.if_else(now == after, c, _within(moved, 0.0, 1.0))
+        settled = now == after
+        before, after, c = c, now, ca.if_else(settled, c, _clamp(moved, 0.0, 1.0))
     return c
 
 
-def _within(c: ca.SX, low: Any, high: Any) -> ca.SX:
+def _clamp(c: ca.SX, low: Any, high: Any) -> ca.SX:
+    """c brought between low and high."""
     return ca.fmin(ca.fmax(c, low), high)

@@ -1,4 +1,7 @@
-"""Gaussian beliefs on CasADi expressions: move through a model, correct by a reading, cut at a bound (docs/filters.md)."""
+"""Gaussian beliefs on CasADi expressions: predict, correct by a reading, truncate at a bound.
+
+docs/filters.md derives them.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +13,33 @@ import casadi as ca
 
 
 class Gaussian(NamedTuple):
-    """Mean (N) and covariance (N x N, symmetric)."""
+    """A normal distribution of N variables.
+
+    Attributes:
+        mean: (N).
+        cov: covariance (N x N), symmetric.
+    """
 
     mean: Any
     cov: Any
 
 
 def triangle(cov: Any, entries: ca.Sparsity) -> Any:
-    """Those entries of a symmetric matrix, of its upper triangle, column by column."""
+    """The given entries of a symmetric matrix, of its upper triangle, column by column."""
     return ca.project(cov, entries).nz[:]
 
 
 def symmetric(column: Any, entries: ca.Sparsity) -> Any:
-    """The symmetric matrix whose `triangle` is given: 0, and known to be 0, outside these entries."""
+    """The symmetric matrix whose `triangle` is given; outside these entries it is known to be 0."""
     return ca.triu2symm(ca.SX(entries, column))
 
 
 def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
-    """f and its Jacobian at a column."""
+    """The value of f and its Jacobian at the column `at`."""
     X = ca.SX.sym("X", at.shape[0])
     value = f(X)
-    found, slope = ca.substitute([value, ca.jacobian(value, X)], [X], [at])
-    return found, slope
+    value_at, jacobian = ca.substitute([value, ca.jacobian(value, X)], [X], [at])
+    return value_at, jacobian
 
 
 def predict(
@@ -41,57 +49,85 @@ def predict(
     lasting: Any = 1.0,
     bend: Callable[[Any], tuple[Any, Any]] | None = None,
 ) -> Gaussian:
-    """The belief after x+ = f(x) + w, cov w = Q (N x N), to second order; exact for f of degree 2, lasting = 1.
+    """The belief after x+ = f(x) + w, to second order; exact for f of degree 2 and lasting = 1.
 
-    What f bends beyond its mean is not white: it keeps its sign for about `lasting` steps and counts that much more.
-    bend(x) = (G (N x M), b (M)): all that is bent in f(x) is, nearly, in G b(x); with few b, much cheaper.
+    Args:
+        belief: of x (N).
+        f: the model.
+        Q: covariance of w (N x N).
+        lasting: steps for which the error of linearisation keeps its sign. It is not white, and
+            counts that much more.
+        bend: bend(x) = (G (N x M), b (M)) such that all that is nonlinear in f(x) is, nearly, in
+            G b(x). With few b this is much cheaper. Default: G = I, b = f.
     """
     P, X = belief.cov, ca.SX.sym("X", belief.mean.shape[0])
     value = f(X)
-    spread, bent = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
-    rows = [row for row, nonlinear in enumerate(ca.which_depends(bent, X, 2, True)) if nonlinear]
-    mean, F, *curvatures = ca.substitute(
-        [value, ca.jacobian(value, X), *(ca.hessian(bent[row], X)[0] for row in rows)],
-        [X],
-        [belief.mean],
-    )
+    G, b = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
+    nonlinear = ca.which_depends(b, X, 2, True)
+    rows = [row for row, bends in enumerate(nonlinear) if bends]
+    hessians = [ca.hessian(b[row], X)[0] for row in rows]
+    expressions = [value, ca.jacobian(value, X), *hessians]
+    mean, F, *curvatures = ca.substitute(expressions, [X], [belief.mean])
     products = [H @ P for H in curvatures]
-    shift, excess = ca.SX(bent.shape[0], 1), ca.SX(bent.shape[0], bent.shape[0])
+    shift, excess = ca.SX(b.shape[0], 1), ca.SX(b.shape[0], b.shape[0])
     for row, M in zip(rows, products, strict=True):
         shift[row] = ca.trace(M) / 2
         for column, other in zip(rows, products, strict=True):
             excess[row, column] = lasting * ca.dot(M, other.T) / 2
-    return Gaussian(
-        mean + spread @ shift, _from_upper(F @ P @ F.T + Q + spread @ excess @ spread.T)
-    )
+    return Gaussian(mean + G @ shift, _from_upper(F @ P @ F.T + Q + G @ excess @ G.T))
 
 
 def advance(belief: Gaussian, f: Callable[[Any], Any], Q: Any, F: Any = None) -> Gaussian:
-    """The belief after x+ = f(x) + w, cov w = Q (N x N), to first order; F: the Jacobian to take (default: that of f at the mean)."""
+    """The belief after x+ = f(x) + w, to first order.
+
+    Args:
+        belief: of x (N).
+        f: the model.
+        Q: covariance of w (N x N).
+        F: the Jacobian to take (N x N); default: that of f at the mean.
+    """
     mean, slope = linearise(f, belief.mean) if F is None else (f(belief.mean), F)
     return Gaussian(mean, _from_upper(slope @ belief.cov @ slope.T + Q))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
-    """(the belief after one reading h x + v, variance of its innovation e); unchanged where `use` is 0.
+    """The belief after one reading h x + v, by Joseph's form.
 
-    Joseph's form, so that rounding cannot make the covariance indefinite.
+    In that form rounding cannot make the covariance indefinite.
+
+    Args:
+        belief: of x (N).
+        h: row of the reading (1 x N).
+        e: innovation, the reading less what was expected.
+        R: variance of v.
+        use: 0 leaves the belief as it is.
+
+    Returns:
+        The belief, and the variance of the innovation.
     """
     mean, P = belief
     S = h @ P @ h.T + R
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
-    return Gaussian(
-        mean + K @ ca.if_else(use, e, 0.0), _from_upper(half - (half @ h.T) @ K.T + R * (K @ K.T))
-    ), S
+    cov = half - (half @ h.T) @ K.T + R * (K @ K.T)
+    return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(cov)), S
 
 
 def truncate(
     belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float
 ) -> tuple[Gaussian, Any]:
-    """(the belief given that excess + h (x - x^) + v <= 0, 1 where that was used), by matching mean and covariance.
+    """The belief given that excess + h (x - x^) + v <= 0, by matching mean and covariance.
 
-    Used where `use` holds and the belief does not say so already: where its probability is below Phi(limit).
+    Args:
+        belief: of x (N), with the mean x^.
+        h: row of the bound (1 x N).
+        excess: by which the mean lies beyond the bound.
+        R: variance of v.
+        use: 0 leaves the belief as it is.
+        limit: a bound that holds with a probability of at least Phi(limit) is not used either.
+
+    Returns:
+        The belief, and 1 where the bound was used.
     """
     mean, P = belief
     std = ca.sqrt(h @ P @ h.T + R)
@@ -99,18 +135,23 @@ def truncate(
     used = ca.logic_and(use, alpha < limit)
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
-    return Gaussian(
-        mean - ratio * along, _from_upper(P - ratio * (ratio + alpha) * (along @ along.T))
-    ), used
+    cov = P - ratio * (ratio + alpha) * (along @ along.T)
+    return Gaussian(mean - ratio * along, _from_upper(cov)), used
 
 
 def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
-    """(the belief given low <= x_i <= high, by matching mean and covariance, the log of its chance); unchanged below a chance of 1e-6."""
+    """The belief given low <= x_i <= high, by matching mean and covariance.
+
+    It is unchanged where the probability of that is below 1e-6.
+
+    Returns:
+        The belief, and the logarithm of that probability.
+    """
     mean, P = belief
     std = ca.sqrt(P[i, i])
     a, b = (low - mean[i]) / std, (high - mean[i]) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
-    at_a, at_b = (ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi) for x in (a, b))
+    at_a, at_b = _density(a), _density(b)
     share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
     along = P[:, i] / std
@@ -126,11 +167,20 @@ def mix(first: Gaussian, second: Gaussian, share: Any) -> Gaussian:
 
 
 def hazard(alpha: Any) -> Any:
-    """phi(alpha) / Phi(alpha) of the standard normal distribution; its asymptotic series below -5 (1e-4 accurate there)."""
+    """phi(alpha) / Phi(alpha) of the standard normal distribution.
+
+    Below -5 by its asymptotic series, 1e-4 accurate there.
+    """
     near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
     exact = ca.exp(-(near**2) / 2) / (math.sqrt(math.pi / 2) * (1 + ca.erf(near / math.sqrt(2))))
     return ca.if_else(alpha > -5.0, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
 
 
+def _density(x: Any) -> Any:
+    """phi(x) of the standard normal distribution."""
+    return ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+
+
 def _from_upper(cov: Any) -> Any:
+    """The symmetric matrix with this upper triangle."""
     return ca.triu2symm(ca.triu(cov))

@@ -1,4 +1,7 @@
-"""Seeded search for minima of functions without useful gradients, many points per call: one objective, or a Pareto front."""
+"""Seeded search for minima of functions without useful gradients, many points per call.
+
+`evolve` minimises one objective; `pareto` finds the trade-off between several.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
+SAMPLES = 600  # random points from which a Pareto front begins, besides those that the caller gives
 NEIGHBOURS = 12  # weights that share their solutions
-TILT = 0.05  # part of the sum in the scalar cost, so that no objective is neglected where another one binds
+# Part of the sum in the scalar cost, so that no objective is neglected where another one binds.
+TILT = 0.05
 
 
 def evolve(
@@ -23,28 +28,40 @@ def evolve(
     start: Floats | None = None,
     spread: float = 0.05,
 ) -> tuple[Floats, float]:
-    """(x, cost) of the least cost found in the box by CMA-ES, Hansen and Ostermeier (2001); cost takes (size, d) and gives (size).
+    """The point of least cost found in a box by CMA-ES, Hansen and Ostermeier (2001).
 
-    From a random point with wide steps, or from `start` with steps of `spread` of the box.
+    Args:
+        cost: takes points (size, d) and gives their costs (size).
+        low, high: the corners of the box (d).
+        seed: of the random numbers.
+        size: points per round.
+        rounds: at most.
+        start: the point to begin from (d); default: a random one, with wide steps.
+        spread: the first steps from `start`, as a part of the box.
+
+    Returns:
+        The point x (d) and its cost.
     """
     from cmaes import CMA
 
-    d, span = low.size, high - low
-    mean, sigma = (
-        (np.random.default_rng(seed).uniform(0.2, 0.8, d), 0.3)
-        if start is None
-        else ((start - low) / span, spread)
-    )
+    span = high - low
+    if start is None:
+        mean = np.random.default_rng(seed).uniform(0.2, 0.8, low.size)
+        sigma = 0.3
+    else:
+        mean = (start - low) / span
+        sigma = spread
     search = CMA(mean=mean, sigma=sigma, seed=seed, population_size=size)
     best, least = mean, np.inf
     for _ in range(rounds):
         points = np.stack([search.ask() for _ in range(size)])
         inside = np.clip(points, 0.0, 1.0)
-        found = np.nan_to_num(cost(low + inside * span), posinf=1e300)
-        if found.min() < least:
-            best, least = inside[found.argmin()], float(found.min())
+        values = np.nan_to_num(cost(low + inside * span), posinf=1e300)
+        if values.min() < least:
+            best, least = inside[values.argmin()], float(values.min())
         outside = (1 + abs(least)) * ((points - inside) ** 2).sum(axis=1)
-        search.tell(list(zip(points, (found + outside).tolist(), strict=True)))
+        penalised = (values + outside).tolist()
+        search.tell(list(zip(points, penalised, strict=True)))
         if search.should_stop():
             break
     return low + best * span, least
@@ -60,92 +77,119 @@ def pareto(
     rounds: int = 120,
     tick: Callable[[], None] = lambda: None,
 ) -> tuple[Floats, Floats]:
-    """(points, costs) of a Pareto front of k objectives, by decomposition: MOEA/D with differential evolution, Li and Zhang (2009).
+    """A Pareto front of k objectives, by MOEA/D with differential evolution, Li and Zhang (2009).
 
-    costs takes (b, d) and gives (b, k), inf where a point is not admitted; starts (s, d) are points to begin from. Each
-    weight on a grid of that many divisions minimises the largest weighted loss, normalised between the least and greatest
-    costs on the front. tick is called after each round.
+    Each weight on a grid keeps the point whose largest weighted loss is least. Losses are scaled
+    to run from 0 at the least to 1 at the greatest cost on the front.
+
+    Args:
+        costs: takes points (b, d) and gives their costs (b, k), inf where a point is not admitted.
+        low, high: the corners of the box (d).
+        seed: of the random numbers.
+        starts: points to begin from (s, d).
+        divisions: of the grid of weights, along each objective.
+        rounds: of new points.
+        tick: called after each round.
+
+    Returns:
+        The points (f, d) of the front and their costs (f, k).
     """
     rng = np.random.default_rng(seed)
-    d, span = low.size, high - low
-    points = np.vstack([starts, low + span * rng.uniform(size=(600, d))])
-    found = costs(points)
-    weights = np.maximum(_grid(found.shape[1], divisions), 1e-3)
-    size, every = len(weights), np.arange(len(weights))
-    near = np.argsort(((weights[:, None] - weights) ** 2).sum(axis=2), axis=1)[:, :NEIGHBOURS]
-    mates = near.shape[1]
-    frame = _frame(found)
-    first = scalar(found, *frame, weights).argmin(axis=1)
-    points, found = points[first], found[first]
+    points = np.vstack([starts, low + (high - low) * rng.uniform(size=(SAMPLES, low.size))])
+    values = costs(points)
+    weights = np.maximum(_grid(values.shape[1], divisions), 1e-3)
+    near = _neighbours(weights)
+    frame = _frame(values)
+    chosen = scalar(values, *frame, weights).argmin(axis=1)
+    points, values = points[chosen], values[chosen]
     for turn in range(rounds):
-        one, two = (
-            np.where(
-                rng.uniform(size=size) < 0.1,
-                rng.integers(0, size, size),
-                near[every, rng.integers(0, mates, size)],
-            )
-            for _ in range(2)
-        )
-        children = np.where(
-            rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5),
-            points + 0.6 * (points[one] - points[two]),
-            points,
-        )
-        jump = (
-            (rng.uniform(size=(size, d)) < 1 / d)
-            * rng.normal(size=(size, d))
-            * rng.uniform(size=(size, 1)) ** 3
-        )
-        children = np.clip(children + 0.03 * span * jump, low, high)
-        given = costs(children)
+        children = _children(rng, points, near, low, high)
+        offered = costs(children)
         if turn % 5 == 0:
-            frame = _frame(np.vstack([found, given]))
-        offers = np.full((size, size), np.inf)
-        np.put_along_axis(
-            offers, near, np.take_along_axis(scalar(given, *frame, weights), near, axis=1), axis=1
-        )
-        best = offers.argmin(axis=1)
-        better = offers[every, best] < scalar(found, *frame, weights)[every, every]
-        points, found = (
-            np.where(better[:, None], children[best], points),
-            np.where(better[:, None], given[best], found),
-        )
+            frame = _frame(np.vstack([values, offered]))
+        present = scalar(values, *frame, weights).diagonal()
+        best, loss = _best_offers(scalar(offered, *frame, weights), near)
+        better = (loss < present)[:, None]
+        points = np.where(better, children[best], points)
+        values = np.where(better, offered[best], values)
         tick()
-    keep = undominated(found) & np.isfinite(found).all(axis=1)
-    keep[keep] = np.isin(
-        np.arange(keep.sum()), np.unique(found[keep].round(9), axis=0, return_index=True)[1]
-    )
-    return points[keep], found[keep]
+    kept = np.flatnonzero(undominated(values) & np.isfinite(values).all(axis=1))
+    _, firsts = np.unique(values[kept].round(9), axis=0, return_index=True)
+    distinct = kept[np.sort(firsts)]
+    return points[distinct], values[distinct]
 
 
-def scalar(found: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
-    """The scalar cost (w, b) of each of b points under each of w weights: the largest weighted loss, tilted by the sum."""
-    loss = weights[:, None] * ((found - least) / np.maximum(greatest - least, 1e-9))
+def scalar(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
+    """The scalar cost (w, b) of b points under each of w weights: the largest weighted loss.
+
+    A small part of the sum of the losses is added to it.
+
+    Args:
+        values: costs of the points (b, k).
+        least, greatest: costs (k) at which a loss is 0 and 1.
+        weights: (w, k).
+    """
+    loss = weights[:, None] * ((values - least) / np.maximum(greatest - least, 1e-9))
     return np.asarray(loss.max(axis=2) + TILT * loss.sum(axis=2))
 
 
-def undominated(found: Floats) -> Floats:
-    """Which points (b, k) no other one beats in all costs."""
-    worse = (found[:, None] >= found).all(axis=2) & (found[:, None] > found).any(axis=2)
+def undominated(values: Floats) -> np.ndarray:
+    """Which of b points, given by their costs (b, k), no other one beats in all costs."""
+    no_better = (values[:, None] >= values).all(axis=2)
+    worse = no_better & (values[:, None] > values).any(axis=2)
     return ~np.any(worse, axis=1)
 
 
-def _frame(found: Floats) -> tuple[Floats, Floats]:
-    """Least and greatest costs on the front of the points found so far."""
-    found = found[np.isfinite(found).all(axis=1)]
-    front = found[undominated(found)]
+def _children(
+    rng: np.random.Generator, points: Floats, near: Integers, low: Floats, high: Floats
+) -> Floats:
+    """A new point (w, d) for each weight from the points (w, d), by differences and rare jumps."""
+    size, d = points.shape
+    one = _mates(rng, near)
+    two = _mates(rng, near)
+    crossed = rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5)
+    children = np.where(crossed, points + 0.6 * (points[one] - points[two]), points)
+    jumps = rng.uniform(size=(size, d)) < 1 / d
+    jump = jumps * rng.normal(size=(size, d)) * rng.uniform(size=(size, 1)) ** 3
+    return np.clip(children + 0.03 * (high - low) * jump, low, high)
+
+
+def _mates(rng: np.random.Generator, near: Integers) -> Integers:
+    """For each weight, the number of a point to mate with: of a neighbour, or seldom of any."""
+    size, neighbours = near.shape
+    anywhere = rng.uniform(size=size) < 0.1
+    any_point = rng.integers(0, size, size)
+    neighbour = near[np.arange(size), rng.integers(0, neighbours, size)]
+    return np.where(anywhere, any_point, neighbour)
+
+
+def _neighbours(weights: Floats) -> Integers:
+    """The numbers of the nearest weights (w, at most NEIGHBOURS), itself first."""
+    distance = ((weights[:, None] - weights) ** 2).sum(axis=2)
+    return np.argsort(distance, axis=1)[:, :NEIGHBOURS]
+
+
+def _best_offers(losses: Floats, near: Integers) -> tuple[Integers, Floats]:
+    """For each weight, the best of its neighbours' new points: their number (w), scalar cost (w).
+
+    Args:
+        losses: scalar cost (w, w) under each weight (first axis) of each new point (second).
+        near: the neighbours of each weight (w, neighbours).
+    """
+    offers = np.full(losses.shape, np.inf)
+    np.put_along_axis(offers, near, np.take_along_axis(losses, near, axis=1), axis=1)
+    best = offers.argmin(axis=1)
+    return best, offers[np.arange(len(offers)), best]
+
+
+def _frame(values: Floats) -> tuple[Floats, Floats]:
+    """Least and greatest costs (k) on the front of the points so far, from their costs (b, k)."""
+    admitted = values[np.isfinite(values).all(axis=1)]
+    front = admitted[undominated(admitted)]
     return front.min(axis=0), front.max(axis=0)
 
 
 def _grid(k: int, divisions: int) -> Floats:
     """All k-tuples of multiples of 1 / divisions that add up to 1."""
-    return (
-        np.array(
-            [
-                parts
-                for parts in itertools.product(range(divisions + 1), repeat=k)
-                if sum(parts) == divisions
-            ]
-        )
-        / divisions
-    )
+    tuples = itertools.product(range(divisions + 1), repeat=k)
+    return np.array([parts for parts in tuples if sum(parts) == divisions]) / divisions

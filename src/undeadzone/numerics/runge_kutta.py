@@ -7,7 +7,17 @@ from typing import Any
 
 
 def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
-    """One step of length h [s] of x' = rate(x, c), c in [0, 1] the fraction of the step; k1 = rate(x, 0) if known."""
+    """One step of x' = rate(x, c).
+
+    Args:
+        rate: the right-hand side at the fraction c of the step, 0 <= c <= 1.
+        x: the state at the beginning.
+        h: length of the step [s].
+        k1: rate(x, 0), if it is known.
+
+    Returns:
+        The state at the end.
+    """
     k1 = rate(x, 0.0) if k1 is None else k1
     k2 = rate(x + h / 2 * k1, 0.5)
     k3 = rate(x + h / 2 * k2, 0.5)
@@ -16,7 +26,14 @@ def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> An
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
-    """The cubic through x0, x1 with slopes dx0, dx1 over a step h [s], at the fraction c of it; error O(h^4)."""
+    """The cubic through two points with given slopes, at the fraction c; error O(h^4).
+
+    Args:
+        x0, x1: values at the beginning and at the end.
+        dx0, dx1: slopes there [units of x per s].
+        h: length of the step [s].
+        c: fraction of the step.
+    """
     d = x1 - x0
     return x0 + c * (h * dx0 + c * (3 * d - h * (2 * dx0 + dx1) + c * (h * (dx0 + dx1) - 2 * d)))
 

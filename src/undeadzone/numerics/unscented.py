@@ -1,4 +1,7 @@
-"""The unscented transform on CasADi expressions: a Gaussian belief carried by 2 N + 1 points (docs/methods/ukf.md)."""
+"""The unscented transform on CasADi expressions: 2 N + 1 points carry a Gaussian belief.
+
+docs/methods/ukf.md derives it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,13 @@ ROUNDING = 1e-14  # of a variance: what is left of it after elimination is taken
 
 
 class Weights(NamedTuple):
-    """Scaled weights of van der Merwe (2004): of the mean's point in means and covariances, of every other point, and spread^2."""
+    """Scaled weights of van der Merwe (2004).
+
+    Attributes:
+        mean, cov: of the mean's point, in means and in covariances.
+        other: of every other point.
+        spread: the square of the distance of the points from the mean, in standard deviations.
+    """
 
     mean: float
     cov: float
@@ -23,14 +32,20 @@ class Weights(NamedTuple):
 
 
 def weights(size: int, alpha: float, beta: float, kappa: float) -> Weights:
-    """The weights for `size` variables, whose points lie alpha sqrt(size + kappa) standard deviations from the mean."""
+    """The weights for `size` variables.
+
+    The points lie alpha sqrt(size + kappa) standard deviations from the mean.
+    """
     spread = alpha**2 * (size + kappa)
     centre = 1 - size / spread
     return Weights(centre, centre + 1 - alpha**2 + beta, 0.5 / spread, spread)
 
 
 def factor(cov: Any) -> Any:
-    """Cholesky's L with L L' = cov; columns of a direction without variance are 0, so that rounding cannot stop it."""
+    """Cholesky's L with L L' = cov.
+
+    The column of a direction without variance is 0, so that rounding cannot stop it.
+    """
     size = cov.shape[0]
     L = ca.SX(size, size)
     for j in range(size):
@@ -43,11 +58,9 @@ def factor(cov: Any) -> Any:
 def points(belief: Gaussian, w: Weights) -> list[Any]:
     """The mean, then a point on either side of it along every column of the factor."""
     steps = ca.horzsplit(math.sqrt(w.spread) * factor(belief.cov))
-    return [
-        belief.mean,
-        *(belief.mean + step for step in steps),
-        *(belief.mean - step for step in steps),
-    ]
+    ahead = [belief.mean + step for step in steps]
+    behind = [belief.mean - step for step in steps]
+    return [belief.mean, *ahead, *behind]
 
 
 def mean(values: list[Any], w: Weights) -> Any:
@@ -56,15 +69,22 @@ def mean(values: list[Any], w: Weights) -> Any:
 
 
 def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
-    """The weighted covariance of deviations from two means."""
-    others = zip(first[1:], second[1:], strict=True)
-    return w.cov * first[0] @ second[0].T + w.other * sum(
-        (a @ b.T for a, b in others), ca.SX(first[0].shape[0], second[0].shape[0])
-    )
+    """The weighted covariance of the deviations of the points from two means."""
+    others = ca.SX(first[0].shape[0], second[0].shape[0])
+    for a, b in zip(first[1:], second[1:], strict=True):
+        others = others + a @ b.T
+    return w.cov * first[0] @ second[0].T + w.other * others
 
 
 def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
-    """The belief after x+ = f(x) + v, cov v = Q (N x N); exact where f is linear."""
+    """The belief after x+ = f(x) + v; exact where f is linear.
+
+    Args:
+        belief: of x (N).
+        f: the model.
+        Q: covariance of v (N x N).
+        w: the weights.
+    """
     moved = [f(point) for point in points(belief, w)]
     centre = mean(moved, w)
     off = [value - centre for value in moved]
@@ -74,7 +94,19 @@ def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, w: Weights) -> Ga
 def update(
     belief: Gaussian, h: Callable[[Any], Any], y: Any, R: Any, use: Any, w: Weights
 ) -> tuple[Gaussian, Any, Any]:
-    """(the belief after one reading y = h(x) + v, var v = R, its innovation, the variance of that); unchanged where `use` is 0."""
+    """The belief after one reading y = h(x) + v.
+
+    Args:
+        belief: of x (N).
+        h: the sensor.
+        y: the reading.
+        R: variance of v.
+        use: 0 leaves the belief as it is.
+        w: the weights.
+
+    Returns:
+        The belief, the innovation, and the variance of the innovation.
+    """
     spread = points(belief, w)
     read = [h(point) for point in spread]
     expected = mean(read, w)
@@ -86,4 +118,5 @@ def update(
 
 
 def _symmetric(cov: Any) -> Any:
+    """The symmetric matrix with this upper triangle, all of its entries stored."""
     return ca.triu2symm(ca.triu(ca.densify(cov)))

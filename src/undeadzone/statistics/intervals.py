@@ -1,6 +1,7 @@
-"""Statistics of a column of independent runs, each with the interval that covers its true value with probability LEVEL.
+"""Statistics of a column of independent runs, each with an interval of confidence LEVEL.
 
-None of them takes the column to be Gaussian. What each interval is, and for which samples it holds: docs/ensemble.md.
+None of them takes the column to be Gaussian. docs/ensemble.md says what each interval is, and for
+which samples it holds.
 """
 
 from __future__ import annotations
@@ -18,7 +19,12 @@ GROUPS: Final = 20  # of the jackknife
 
 
 class Interval(NamedTuple):
-    """An estimate and the interval around it; an infinite end is one that the runs do not bound."""
+    """An estimate and the interval that covers the true value with probability LEVEL.
+
+    Attributes:
+        value: the estimate.
+        low, high: the ends of the interval; infinite where the runs do not bound it.
+    """
 
     value: float
     low: float
@@ -26,58 +32,80 @@ class Interval(NamedTuple):
 
 
 class Extreme(NamedTuple):
-    """The least or largest of the runs, and the share of all runs that lies beyond it, at most."""
+    """The least or the largest of the runs.
+
+    Attributes:
+        value: the number.
+        beyond: the share of all possible runs that lies beyond it, at most.
+    """
 
     value: float
     beyond: float
 
 
 def describe(column: Floats) -> dict[str, Interval | Extreme]:
-    """Mean, standard deviation, QUANTILES, min and max of at least one number; infinite ones (no mean) are allowed, NaN is not."""
+    """Mean, standard deviation, QUANTILES, min and max of a column of runs.
+
+    Args:
+        column: one number or more; infinite ones are allowed, which have no mean, NaN is not.
+    """
     ordered = np.sort(column)
-    found: dict[str, Interval | Extreme] = {"mean": mean(ordered), "std": deviation(ordered)}
-    found |= {name: quantile(ordered, share) for name, share in QUANTILES.items()}
+    statistics: dict[str, Interval | Extreme] = {"mean": mean(ordered), "std": deviation(ordered)}
+    for name, share in QUANTILES.items():
+        statistics[name] = quantile(ordered, share)
     beyond = float(-np.expm1(np.log(1 - LEVEL) / ordered.size))
-    return found | {
-        "min": Extreme(float(ordered[0]), beyond),
-        "max": Extreme(float(ordered[-1]), beyond),
-    }
+    statistics["min"] = Extreme(float(ordered[0]), beyond)
+    statistics["max"] = Extreme(float(ordered[-1]), beyond)
+    return statistics
 
 
 def quantile(ordered: Floats, share: float) -> Interval:
-    """The quantile of a sorted column, itself one of the runs, between order statistics: how many runs lie below it is binomial."""
+    """A quantile of a column, itself one of the runs, between two others.
+
+    The interval rests on order statistics: how many runs lie below the true quantile is binomial.
+
+    Args:
+        ordered: the column, sorted.
+        share: the part of all runs that lies below the quantile, 0.5 for the median.
+    """
     n = ordered.size
-    low, high = (binomial(n, share, level) for level in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return Interval(
-        float(ordered[max(int(np.ceil(n * share)) - 1, 0)]),
-        float(ordered[low - 1]) if low > 0 else -np.inf,
-        float(ordered[high]) if high < n else np.inf,
-    )
+    below = binomial(n, share, (1 - LEVEL) / 2)
+    above = binomial(n, share, (1 + LEVEL) / 2)
+    value = float(ordered[max(int(np.ceil(n * share)) - 1, 0)])
+    low = float(ordered[below - 1]) if below > 0 else -np.inf
+    high = float(ordered[above]) if above < n else np.inf
+    return Interval(value, low, high)
 
 
 def binomial(n: int, share: float, level: float) -> int:
-    """The least k such that at most k of n runs have a property of that share with probability `level`, or more."""
+    """The quantile of the binomial distribution.
+
+    It is the least k such that at most k of n runs have a property of that share with probability
+    `level`, or more.
+    """
     from scipy.special import bdtr, bdtrik
 
     k = max(int(np.ceil(bdtrik(level, n, share))), 0)
-    return k - 1 if k > 0 and bdtr(k - 1, n, share) >= level else k
+    one_too_many = k > 0 and bdtr(k - 1, n, share) >= level
+    return k - 1 if one_too_many else k
 
 
 def mean(column: Floats) -> Interval:
-    """The mean, with Student's interval."""
+    """The mean of a sorted column, with Student's interval."""
     if not np.isfinite(column[[0, -1]]).all():
         return Interval(np.nan, np.nan, np.nan)
     value = float(np.mean(column))
-    half = (
-        float(student(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size))
-        if column.size > 1
-        else np.inf
-    )
+    if column.size == 1:
+        return Interval(value, -np.inf, np.inf)
+    half = float(student(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size))
     return Interval(value, value - half, value + half)
 
 
 def deviation(column: Floats) -> Interval:
-    """The standard deviation; the interval of its logarithm takes the kurtosis from the runs."""
+    """The standard deviation of a sorted column.
+
+    The interval is that of its logarithm, with the kurtosis of the runs.
+    """
     n = column.size
     if n < 2 or not np.isfinite(column[[0, -1]]).all():
         return Interval(np.nan, np.nan, np.nan)
@@ -85,7 +113,8 @@ def deviation(column: Floats) -> Interval:
     if value == 0:
         return Interval(0.0, 0.0, 0.0)
     kurtosis = float(np.mean(((column - np.mean(column)) / value) ** 4))
-    factor = float(np.exp(student(n - 1) * np.sqrt(max(kurtosis - (n - 3) / (n - 1), 0.0) / n) / 2))
+    variance = max(kurtosis - (n - 3) / (n - 1), 0.0) / n  # of 2 log(value)
+    factor = float(np.exp(student(n - 1) * np.sqrt(variance) / 2))
     return Interval(value, value / factor, value * factor)
 
 
@@ -93,20 +122,28 @@ def proportion(count: int, runs: int) -> Interval:
     """The share of runs with a property, between Clopper and Pearson's exact bounds."""
     from scipy.special import betaincinv
 
-    low = float(betaincinv(count, runs - count + 1, (1 - LEVEL) / 2)) if count > 0 else 0.0
-    high = float(betaincinv(count + 1, runs - count, (1 + LEVEL) / 2)) if count < runs else 1.0
+    low, high = 0.0, 1.0
+    if count > 0:
+        low = float(betaincinv(count, runs - count + 1, (1 - LEVEL) / 2))
+    if count < runs:
+        high = float(betaincinv(count + 1, runs - count, (1 + LEVEL) / 2))
     return Interval(count / runs, low, high)
 
 
 def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
-    """The standard error of estimate(mask of rows), by leaving out one of GROUPS groups of rows at a time."""
+    """The standard error of an estimate, by leaving out one of GROUPS groups of rows at a time.
+
+    Args:
+        estimate: takes a mask of the rows to use.
+        rows: number of rows.
+    """
     group = np.arange(rows) % GROUPS
     left_out = np.stack([estimate(group != g) for g in range(GROUPS)])
     return np.sqrt((GROUPS - 1) * left_out.var(axis=0))
 
 
 def student(freedom: int) -> float:
-    """Half the width of the interval in standard errors."""
+    """Half the width of Student's interval, in standard errors, for these degrees of freedom."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, (1 + LEVEL) / 2))

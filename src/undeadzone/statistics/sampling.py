@@ -1,6 +1,6 @@
-"""Designs: where in the unit cube each run lies, as a function of (seed, run) alone, without a table.
+"""Designs: where in the unit cube each run lies, as a function of (seed, run) alone.
 
-A Latin hypercube and Saltelli's design depend on the number of runs too.
+No table is kept. A Latin hypercube and Saltelli's design depend on the number of runs too.
 """
 
 from __future__ import annotations
@@ -13,15 +13,25 @@ from undeadzone.errors import InputError
 from undeadzone.statistics import sobol
 from undeadzone.support.arrays import Floats
 
-STREAM: Final = (
-    1 << 64
-)  # added to the seed, which is below 2^63: these numbers are none of those of the noise
-NUMBERS, KEYS = 0, 1
-ROUNDS: Final = 10
+# Added to the seed, which is below 2^63: these numbers are none of those of the noise.
+STREAM: Final = 1 << 64
+NUMBERS, KEYS = 0, 1  # kinds of random words of a column
+ROUNDS: Final = 10  # of the cipher that permutes runs
 
 
 def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
-    """Runs first .. first + count of `runs`, as points (count x entries) inside the open unit cube. Raises InputError."""
+    """Points inside the open unit cube (count x entries).
+
+    Args:
+        sampling: "random", "latin_hypercube", "sobol" or "saltelli".
+        seed: of the design.
+        first, count: the runs first .. first + count.
+        entries: dimensions of the cube.
+        runs: of the whole design.
+
+    Raises:
+        InputError: a number of runs or entries that the design does not allow.
+    """
     if runs < 1:
         raise InputError(f"ensemble.runs: expected 1 or more, found {runs}")
     if sampling == "saltelli":
@@ -53,24 +63,39 @@ def _stratified(u: Floats, seed: int, first: int, column: int, runs: int) -> Flo
 
 
 def permuted(index: Any, size: int, keys: Any) -> Any:
-    """Where a permutation of 0 .. size - 1, chosen by the keys, takes each index: a Feistel cipher, walked until it is within."""
+    """Where a permutation of 0 .. size - 1 takes each index: a Feistel cipher.
+
+    The cipher permutes the numbers of an even count of bits; it is repeated until the result is
+    below `size`.
+
+    Args:
+        index: numbers below `size` (uint64).
+        size: of the permutation.
+        keys: which permutation it is (uint64, one per round).
+    """
     half = np.uint64(max(1, (int(size - 1).bit_length() + 1) // 2))
+    places = _feistel(index, half, keys)
+    outside = places >= size
+    while outside.any():
+        places[outside] = _feistel(places[outside], half, keys)
+        outside = places >= size
+    return places
+
+
+def _feistel(value: Any, half: Any, keys: Any) -> Any:
+    """A permutation of the numbers of 2 `half` bits, by rounds that mix one half into the other."""
     mask = (np.uint64(1) << half) - np.uint64(1)
-
-    def cipher(value: Any) -> Any:
-        left, right = value >> half, value & mask
-        for key in keys:
-            left, right = right, left ^ (_mixed(right ^ key) & mask)
-        return left << half | right
-
-    found = cipher(index)
-    while (outside := found >= size).any():
-        found[outside] = cipher(found[outside])
-    return found
+    left, right = value >> half, value & mask
+    for key in keys:
+        left, right = right, left ^ (_mixed(right ^ key) & mask)
+    return left << half | right
 
 
 def _mixed(word: Any) -> Any:
-    """The finaliser of SplitMix64, Steele et al. (2014): every bit of the word changes half of the bits."""
+    """The finaliser of SplitMix64, Steele et al. (2014).
+
+    Every bit of the word changes half of the bits.
+    """
     word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return word ^ (word >> np.uint64(31))
@@ -82,27 +107,26 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
         return np.empty((count, entries))
     if entries > sobol.DIMENSIONS:
         raise InputError(
-            f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, found {entries}; use random"
+            f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, "
+            f"found {entries}; use random"
         )
     if first + count > 2 ** (sobol.BITS - 1):
         raise InputError(
-            f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; use random"
+            f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; "
+            "use random"
         )
     return sobol.points(seed, first, count, entries) + 0.5**sobol.BITS / 2
 
 
 def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
-    """The runs of A, then those of B, of A with column 1 of B, of A with column 2 of B, ..., Saltelli et al. (2010)."""
+    """The design of Saltelli et al. (2010), from two halves A and B of Sobol points.
+
+    The runs of A come first, then those of B, of A with column 1 of B, of A with column 2 of B, ...
+    """
     matrices = entries + 2
-    if entries == 0:
-        raise InputError("ensemble.sampling: saltelli needs an entry that varies, found none")
-    if runs % matrices:
-        power = 2 ** max(0, int(np.log2(runs / matrices)))
-        raise InputError(
-            f"ensemble.runs: saltelli with {entries} varied entries needs a multiple of {matrices} runs, "
-            f"at best times a power of 2 ({matrices * power} or {2 * matrices * power}), found {runs}"
-        )
-    each, parts = runs // matrices, []
+    _require_saltelli(entries, runs)
+    each = runs // matrices
+    parts = []
     for matrix in range(first // each, -(-(first + count) // each)):
         start, stop = max(first, matrix * each), min(first + count, (matrix + 1) * each)
         both = _sobol(seed, start - matrix * each, stop - start, 2 * entries)
@@ -111,3 +135,17 @@ def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Flo
             columns[matrix - 2] += entries
         parts.append(both[:, columns])
     return np.concatenate(parts) if parts else np.empty((0, entries))
+
+
+def _require_saltelli(entries: int, runs: int) -> None:
+    """Raise InputError unless so many runs make up Saltelli's design of so many entries."""
+    matrices = entries + 2
+    if entries == 0:
+        raise InputError("ensemble.sampling: saltelli needs an entry that varies, found none")
+    if runs % matrices:
+        power = 2 ** max(0, int(np.log2(runs / matrices)))
+        raise InputError(
+            f"ensemble.runs: saltelli with {entries} varied entries needs a multiple of {matrices} "
+            f"runs, at best times a power of 2 ({matrices * power} or {2 * matrices * power}), "
+            f"found {runs}"
+        )

@@ -1,6 +1,7 @@
-"""Which varied entry a metric depends on: rank correlations and Sobol indices of given runs, and those of Saltelli's design.
+"""Which varied entry a metric depends on: rank correlations and Sobol indices.
 
-X (runs x entries) and y (runs) are finite numbers. After Plischke, Borgonovo and Smith 2013 and Saltelli et al. 2010.
+They are estimated from given runs, after Plischke, Borgonovo and Smith 2013, or from the runs of
+Saltelli's design, Saltelli et al. 2010. X (runs x entries) and y (runs) are finite numbers.
 """
 
 from __future__ import annotations
@@ -10,14 +11,20 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.statistics.intervals import GROUPS, LEVEL, Interval, jackknife, student
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
 LEAST: Final = 2 * GROUPS  # runs, below which nothing is said
 PERMUTATIONS: Final = 200
 
 
 class Correlation(NamedTuple):
-    """A rank correlation, its interval, and the probability of one as large if there were none."""
+    """A rank correlation.
+
+    Attributes:
+        value: the correlation, between -1 and 1.
+        low, high: the interval of confidence LEVEL.
+        p: the probability of one as large if there were none.
+    """
 
     value: float
     low: float
@@ -26,7 +33,14 @@ class Correlation(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What the runs as they are tell of one entry; floor: what the first-order index reaches by chance once in twenty."""
+    """The dependence of y on one entry, from runs as they are.
+
+    Attributes:
+        spearman: Spearman's rank correlation.
+        partial: the same without what the other entries explain.
+        first: Sobol index of first order.
+        floor: what `first` reaches by chance once in twenty.
+    """
 
     spearman: Correlation
     partial: Correlation
@@ -35,110 +49,159 @@ class Given(NamedTuple):
 
 
 class Indices(NamedTuple):
-    """Sobol indices of one entry from Saltelli's design: alone, and with everything that it interacts with."""
+    """Sobol indices of one entry from Saltelli's design.
+
+    Attributes:
+        first: the share of the variance that it causes alone.
+        total: the same with everything that it interacts with.
+    """
 
     first: Interval
     total: Interval
 
 
 def given(X: Floats, y: Floats) -> list[Given]:
-    """Spearman's and the partial rank correlation and the first-order Sobol index of each entry; none for fewer than LEAST runs, or if all are alike."""
+    """The dependence of y on each entry, from runs as they are.
+
+    Args:
+        X: the varied entries (runs x entries).
+        y: the metric (runs).
+
+    Returns:
+        One per entry; none for fewer than LEAST runs, or if all of y are alike.
+    """
     n, d = X.shape
     if n < max(LEAST, d + 4) or np.ptp(y) == 0:
         return []
 
     def estimate(rows: Floats) -> Floats:
+        """Spearman's, partial, first order (3 x entries) from some of the runs."""
         return np.stack([*rank_correlations(X[rows], y[rows]), first_order(X[rows], y[rows])])
 
-    (spearman, partial, first), errors = (
-        estimate(np.full(n, True)),
-        student(GROUPS - 1) * jackknife(estimate, n),
-    )
+    spearman, partial, first = estimate(np.full(n, True))
+    errors = student(GROUPS - 1) * jackknife(estimate, n)
     floor = chance(y)
-    return [
-        Given(
-            _correlation(spearman[i], errors[0, i], n - 2),
-            _correlation(partial[i], errors[1, i], n - 1 - d),
-            _share(first[i], errors[2, i]),
-            floor,
-        )
-        for i in range(d)
-    ]
+    entries = []
+    for i in range(d):
+        alone = _correlation(spearman[i], errors[0, i], n - 2)
+        apart = _correlation(partial[i], errors[1, i], n - 1 - d)
+        entries.append(Given(alone, apart, _share(first[i], errors[2, i]), floor))
+    return entries
 
 
 def saltelli(blocks: Floats) -> list[Indices]:
-    """First and total order of each entry from the runs f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows); columns with a NaN are left out."""
+    """Sobol indices of each entry from the runs of Saltelli's design.
+
+    Args:
+        blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows); columns with a NaN are
+            left out.
+
+    Returns:
+        One per entry; none for fewer than LEAST columns.
+    """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < LEAST:
         return []
-    found = indices(blocks)
-    errors = student(GROUPS - 1) * jackknife(lambda kept: indices(blocks[:, kept]), blocks.shape[1])
-    return [
-        Indices(*map(_share, index, error)) for index, error in zip(found.T, errors.T, strict=True)
-    ]
+
+    def estimate(columns: Floats) -> Floats:
+        """The indices from some of the columns."""
+        return indices(blocks[:, columns])
+
+    first, total = indices(blocks)
+    errors = student(GROUPS - 1) * jackknife(estimate, blocks.shape[1])
+    entries = []
+    for i in range(len(first)):
+        entries.append(Indices(_share(first[i], errors[0, i]), _share(total[i], errors[1, i])))
+    return entries
 
 
 def indices(blocks: Floats) -> Floats:
-    """[first, total] (2 x entries) of the rows f_A, f_B, f_AB1, ...: Saltelli's 2010 and Jansen's estimators, 0 where nothing varies."""
-    f_A, f_B, *_ = blocks = blocks - blocks[:2].mean()
-    f_AB, variance = blocks[2:], blocks[:2].var()
-    return np.stack([(f_B * (f_AB - f_A)).mean(axis=1), ((f_A - f_AB) ** 2).mean(axis=1) / 2]) / (
-        variance or 1.0
-    )
+    """Sobol indices by Saltelli's estimator of 2010 (first) and Jansen's (total).
+
+    Args:
+        blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows).
+
+    Returns:
+        [first, total] (2 x entries); 0 where nothing varies.
+    """
+    blocks = blocks - blocks[:2].mean()
+    f_A, f_B, f_AB = blocks[0], blocks[1], blocks[2:]
+    variance = blocks[:2].var()
+    first = (f_B * (f_AB - f_A)).mean(axis=1)
+    total = ((f_A - f_AB) ** 2).mean(axis=1) / 2
+    return np.stack([first, total]) / (variance or 1.0)
 
 
 def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Spearman's correlation of each entry with y, and that of what the ranks of the other entries leave of both; 0 where nothing varies."""
+    """Spearman's correlation of each entry with y, and the partial one; 0 where nothing varies.
+
+    The partial one is of what the ranks of the other entries leave of both.
+    """
     ranks = np.column_stack([mean_ranks(column) for column in (*X.T, y)])
     ranks -= ranks.mean(axis=0)
     size = np.sqrt((ranks**2).sum(axis=0))
-    R = ranks.T @ ranks / np.outer(*2 * [np.where(size > 0, size, 1.0)])
-    P = np.linalg.pinv(R, hermitian=True)
+    size = np.where(size > 0, size, 1.0)
+    R = ranks.T @ ranks / np.outer(size, size)  # of the ranks of X and, last, of y
+    P = np.linalg.pinv(R, hermitian=True)  # the partial correlations, but for their scale
     scale = np.sqrt(np.diag(P)[:-1] * P[-1, -1])
     return R[:-1, -1], -P[:-1, -1] / np.where(scale > 0, scale, 1.0)
 
 
 def mean_ranks(x: Floats) -> Floats:
-    """From 1 for the least; numbers that are alike share the mean of their ranks."""
+    """Ranks from 1 for the least; numbers that are alike share the mean of theirs."""
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
 
 def first_order(X: Floats, y: Floats) -> Floats:
-    """The share of the variance of y that a straight line in each bin of x explains, without what it would explain by chance."""
+    """The share of the variance of y that each entry explains, without what it would by chance.
 
-    def of(x: Floats) -> float:
-        order = np.argsort(x, kind="stable")
-        return _explained(x[order], y[order])
-
-    return np.array([of(x) if np.ptp(x) > 0 else 0.0 for x in X.T])
+    An entry explains what a straight line in each of its bins does; 0 where it does not vary.
+    """
+    shares = np.zeros(X.shape[1])
+    for i, x in enumerate(X.T):
+        if np.ptp(x) > 0:
+            order = np.argsort(x, kind="stable")
+            shares[i] = _explained(x[order], y[order])
+    return shares
 
 
 def chance(y: Floats) -> float:
-    """The first-order index that an entry without influence exceeds with probability 1 - LEVEL, from permutations of y."""
-    random, x = np.random.default_rng(0), np.arange(y.size, dtype=float)
-    return float(
-        np.quantile([_explained(x, random.permutation(y)) for _ in range(PERMUTATIONS)], LEVEL)
-    )
+    """The first-order index that an entry without influence exceeds with probability 1 - LEVEL.
+
+    It is found from permutations of y.
+    """
+    random = np.random.default_rng(0)
+    x = np.arange(y.size, dtype=float)
+    shares = [_explained(x, random.permutation(y)) for _ in range(PERMUTATIONS)]
+    return float(np.quantile(shares, LEVEL))
 
 
 def _explained(x: Floats, y: Floats) -> float:
-    """1 - (variance about the lines) / (variance of y), both unbiased; x ascends, its n^(2/5) bins hold equally many runs."""
-    n, count = y.size, int(np.ceil(y.size**0.4))
+    """1 - (variance about a line in each bin) / (variance of y), both unbiased.
+
+    x ascends; its n^(2/5) bins hold equally many runs.
+    """
+    n = y.size
+    count = int(np.ceil(n**0.4))
     starts = np.arange(count) * n // count
     sizes = np.diff(starts, append=n)
-    dx, dy = (v - np.repeat(np.add.reduceat(v, starts) / sizes, sizes) for v in (x, y))
+    dx, dy = _from_means(x, starts, sizes), _from_means(y, starts, sizes)
     xx, xy = np.add.reduceat(dx * dx, starts), np.add.reduceat(dx * dy, starts)
     sloped = xx > 0
-    within = float((dy * dy).sum() - (xy[sloped] ** 2 / xx[sloped]).sum()) / (
-        n - count - int(sloped.sum())
-    )
+    freedom = n - count - int(sloped.sum())
+    within = float((dy * dy).sum() - (xy[sloped] ** 2 / xx[sloped]).sum()) / freedom
     total = float(y.var(ddof=1))
     return 1 - within / total if total > 0 else 0.0
 
 
+def _from_means(v: Floats, starts: Integers, sizes: Integers) -> Floats:
+    """v less its mean in each bin."""
+    return v - np.repeat(np.add.reduceat(v, starts) / sizes, sizes)
+
+
 def _correlation(r: float, error: float, freedom: int) -> Correlation:
-    """The interval is one of arctanh r; p is of Student's test."""
+    """A correlation with the interval of arctanh r, and p of Student's test."""
     from scipy.special import stdtr
 
     r = float(np.clip(r, -1.0, 1.0))
@@ -146,11 +209,11 @@ def _correlation(r: float, error: float, freedom: int) -> Correlation:
     if room < 1e-12:
         return Correlation(r, r, r, 0.0)
     low, high = np.tanh(np.arctanh(r) + np.array([-1, 1]) * error / room)
-    return Correlation(
-        r, float(low), float(high), float(2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / room)))
-    )
+    p = 2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / room))
+    return Correlation(r, float(low), float(high), float(p))
 
 
 def _share(value: float, error: float) -> Interval:
-    """Within 0 and 1, where the true one lies."""
-    return Interval(*(float(x) for x in np.clip([value, value - error, value + error], 0.0, 1.0)))
+    """A share with its interval, both between 0 and 1, where the true one lies."""
+    value, low, high = np.clip([value, value - error, value + error], 0.0, 1.0)
+    return Interval(float(value), float(low), float(high))

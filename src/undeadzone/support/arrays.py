@@ -1,4 +1,4 @@
-"""Numbers at the public surface: any array-like or nested TOML list in, checked float arrays out."""
+"""Numbers at the public surface: array-likes or nested TOML lists in, checked float arrays out."""
 
 from __future__ import annotations
 
@@ -22,35 +22,48 @@ else:
 
 
 def decode(kind: type, value: Any) -> Floats:
-    """Turn what TOML gave for an `Array` field into a float array; raises ValueError for msgspec to locate."""
+    """A float array from what TOML has for a field of type `Array`.
+
+    Raises:
+        ValueError: not numbers; msgspec says where.
+        NotImplementedError: a field of another type.
+    """
     if kind is not np.ndarray:
         raise NotImplementedError(kind)
     return numeric(value)
 
 
 def numeric(value: Any) -> Floats:
-    """A float array from numbers or nested lists; raises ValueError on text, booleans, ragged, non-finite or huge entries."""
+    """A float array from numbers or nested lists.
+
+    Raises:
+        ValueError: text, booleans, ragged lists, non-finite or huge entries.
+    """
     try:
         array = np.asarray(value)
     except ValueError:
         raise ValueError(
             "expected numbers in a rectangular list, found rows of different lengths"
         ) from None
-    if array.dtype == bool or array.dtype.kind not in "iuf":
-        found = "a boolean" if array.dtype == bool else f"{value!r:.60}"
-        raise ValueError(f"expected numbers, found {found}")
+    if array.dtype == bool:
+        raise ValueError("expected numbers, found a boolean")
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"expected numbers, found {value!r:.60}")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise ValueError("every number must be finite, found nan or inf")
-    if np.abs(array).max(initial=0.0) > LARGEST:
-        raise ValueError(
-            f"every number must be below {LARGEST:g} in size, found {np.abs(array).max():g}"
-        )
+    largest = np.abs(array).max(initial=0.0)
+    if largest > LARGEST:
+        raise ValueError(f"every number must be below {LARGEST:g} in size, found {largest:g}")
     return array
 
 
 def array(key: str, value: Any) -> Floats:
-    """`numeric` with the key named in the error. Raises InputError."""
+    """`numeric` with the key named in the error.
+
+    Raises:
+        InputError: not numbers.
+    """
     try:
         return numeric(value)
     except ValueError as error:
@@ -60,74 +73,102 @@ def array(key: str, value: Any) -> Floats:
 def matrix(
     key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = ""
 ) -> Floats:
-    """A 2-D float array of the given shape (None: any). Raises ShapeError that names key, expected and found shape."""
-    found = array(key, value)
-    if found.ndim == 0:
-        found = found.reshape(1, 1)
-    shape = found.shape
+    """A 2-D float array of a given shape; one number is a 1 x 1 matrix.
+
+    Args:
+        key: named in errors.
+        value: numbers or nested lists.
+        rows, columns: expected; None: any.
+        why: what the rows and columns are, for the error.
+
+    Raises:
+        InputError: not numbers.
+        ShapeError: another shape.
+    """
+    entries = array(key, value)
+    if entries.ndim == 0:
+        entries = entries.reshape(1, 1)
+    shape = entries.shape
     if (
-        found.ndim != 2
-        or rows not in (None, shape[0])
-        or columns not in (None, shape[1])
-        or 0 in shape
+        entries.ndim == 2
+        and 0 not in shape
+        and rows in (None, shape[0])
+        and columns in (None, shape[1])
     ):
-        exact = (
-            f"a {rows} x {columns} matrix"
-            if rows and columns
-            else f"a matrix with {rows} rows"
-            if rows
-            else f"a matrix with {columns} columns"
-        )
-        want = exact if rows or columns else "a matrix (a list of rows)"
-        have = (
-            f"a list of {shape[0]} number{'s' * (shape[0] != 1)}"
-            if found.ndim == 1
-            else " x ".join(map(str, shape))
-        )
-        raise ShapeError(f"{key}: expected {want}{why and ' (' + why + ')'}, found {have}")
-    return found
+        return entries
+    wanted = _matrix_text(rows, columns)
+    present = f"a list of {_count_text(shape[0])}" if entries.ndim == 1 else shape_text(shape)
+    raise ShapeError(f"{key}: expected {wanted}{_reason(why)}, found {present}")
 
 
 def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """A 1-D float array of `size`; one number is repeated, an n x 1 or 1 x n matrix flattened. Raises ShapeError."""
-    found = array(key, value)
-    if found.ndim == 2 and 1 in found.shape:
-        found = found.ravel()
-    if found.ndim == 0:
-        found = np.full(size, float(found))
-    if found.shape != (size,):
-        have = " x ".join(map(str, found.shape))
-        raise ShapeError(
-            f"{key}: expected {size} number{'s' * (size != 1)}{why and ' (' + why + ')'}, found {have}"
-        )
-    return found
+    """A 1-D float array; one number is repeated, an n x 1 or 1 x n matrix flattened.
+
+    Args:
+        key: named in errors.
+        value: numbers or nested lists.
+        size: expected.
+        why: what the entries are, for the error.
+
+    Raises:
+        InputError: not numbers.
+        ShapeError: another size.
+    """
+    entries = array(key, value)
+    if entries.ndim == 2 and 1 in entries.shape:
+        entries = entries.ravel()
+    if entries.ndim == 0:
+        entries = np.full(size, float(entries))
+    if entries.shape != (size,):
+        wanted, present = _count_text(size), shape_text(entries.shape)
+        raise ShapeError(f"{key}: expected {wanted}{_reason(why)}, found {present}")
+    return entries
 
 
 def series(key: str, value: Any) -> Floats:
-    """A 1-D float array of any size but 0. Raises InputError, ShapeError."""
-    found = array(key, value)
-    if found.size == 0:
+    """A 1-D float array of any size but 0.
+
+    Raises:
+        InputError: not numbers.
+        ShapeError: no number, or a table of them.
+    """
+    entries = array(key, value)
+    if entries.size == 0:
         raise ShapeError(f"{key}: expected at least one number, found none")
-    if found.ndim > 2 or (found.ndim == 2 and 1 not in found.shape):
-        raise ShapeError(
-            f"{key}: expected a list of numbers, found {' x '.join(map(str, found.shape))}"
-        )
-    return found.ravel()
+    if entries.ndim > 2 or (entries.ndim == 2 and 1 not in entries.shape):
+        raise ShapeError(f"{key}: expected a list of numbers, found {shape_text(entries.shape)}")
+    return entries.ravel()
+
+
+def shape_text(shape: Iterable[int]) -> str:
+    """The shape of an array as text: 2 x 3."""
+    return " x ".join(map(str, shape))
 
 
 def listed(numbers: Iterable[complex]) -> str:
     """Numbers, complex ones perhaps, as text: -1, -2+3j."""
-    return ", ".join(f"{s.real:.4g}{s.imag:+.4g}j" if s.imag else f"{s.real:.4g}" for s in numbers)
+    return ", ".join(map(_number_text, numbers))
 
 
 def scalar(
     key: str, value: Any, *, above: float | None = None, least: float | None = None
 ) -> float:
-    """One finite number within bounds. Raises InputError, ShapeError."""
-    found = array(key, value)
-    if found.size != 1:
-        raise ShapeError(f"{key}: expected one number, found {found.size}")
-    number = float(found.reshape(()))
+    """One finite number within bounds.
+
+    Args:
+        key: named in errors.
+        value: the number.
+        above: it must be greater.
+        least: it must not be less.
+
+    Raises:
+        InputError: not a number, or out of bounds.
+        ShapeError: several numbers.
+    """
+    entries = array(key, value)
+    if entries.size != 1:
+        raise ShapeError(f"{key}: expected one number, found {entries.size}")
+    number = float(entries.reshape(()))
     if above is not None and not number > above + 1 / LARGEST:
         raise InputError(f"{key}: must be greater than {above:g}, found {number:g}")
     if least is not None and not number >= least:
@@ -136,25 +177,68 @@ def scalar(
 
 
 def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """`vector` whose entries are >= 0. Raises InputError."""
-    found = vector(key, value, size, why)
-    if (found < 0).any():
-        raise InputError(f"{key}: must not be negative, found {found.min():g}")
-    return found
+    """`vector` whose entries are >= 0.
+
+    Raises:
+        InputError: not numbers, or a negative one.
+        ShapeError: another size.
+    """
+    entries = vector(key, value, size, why)
+    if (entries < 0).any():
+        raise InputError(f"{key}: must not be negative, found {entries.min():g}")
+    return entries
 
 
 def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """`vector` whose entries are > 0. Raises InputError."""
-    found = vector(key, value, size, why)
-    if (found <= 0).any():
-        raise InputError(f"{key}: must be positive, found {found.min():g}")
-    return found
+    """`vector` whose entries are > 0.
+
+    Raises:
+        InputError: not numbers, or one that is not positive.
+        ShapeError: another size.
+    """
+    entries = vector(key, value, size, why)
+    if (entries <= 0).any():
+        raise InputError(f"{key}: must be positive, found {entries.min():g}")
+    return entries
 
 
 def finite(value: Any) -> Any:
-    """A value for JSON, which has no nan or inf: None in their place, also within dictionaries, lists and tuples."""
+    """A value for JSON, which has no nan or inf: None in their place.
+
+    Dictionaries, lists and tuples are searched for them.
+    """
     if isinstance(value, dict):
         return {key: finite(child) for key, child in value.items()}
     if isinstance(value, list | tuple):
         return [finite(child) for child in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _number_text(number: complex) -> str:
+    """A number, with its imaginary part if it has one."""
+    if number.imag:
+        return f"{number.real:.4g}{number.imag:+.4g}j"
+    return f"{number.real:.4g}"
+
+
+def _count_text(count: int) -> str:
+    """So many numbers, as text."""
+    return "1 number" if count == 1 else f"{count} numbers"
+
+
+def _matrix_text(rows: int | None, columns: int | None) -> str:
+    """A matrix of that shape, as text."""
+    if rows and columns:
+        return f"a {rows} x {columns} matrix"
+    if rows:
+        return f"a matrix with {rows} rows"
+    if columns:
+        return f"a matrix with {columns} columns"
+    return "a matrix (a list of rows)"
+
+
+def _reason(why: str) -> str:
+    """What stands behind an expected shape."""
+    return f" ({why})" if why else ""

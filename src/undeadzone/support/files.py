@@ -13,7 +13,13 @@ from undeadzone.errors import FileError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its name once written; nothing is left half-written. Raises FileError."""
+    """A temporary path beside `path` that takes its name once written.
+
+    Nothing is left half-written.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
@@ -33,18 +39,28 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(text: str, path: Path) -> Path:
-    """Write a text file; nothing is left half-written. Raises FileError."""
+    """Write a text file in UTF-8; nothing is left half-written.
+
+    Raises:
+        FileError: it cannot be written.
+    """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
 
 
 def reason(error: Exception) -> str:
-    """Why a file could not be read or written, without its path: in the system's words where there are any."""
-    return os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+    """Why a file could not be read or written, without its path.
+
+    In the system's words where there are any.
+    """
+    if isinstance(error, OSError) and error.errno:
+        return os.strerror(error.errno)
+    return str(error)
 
 
 def _umask() -> int:
+    """The permissions that the system withholds from new files."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -1,4 +1,7 @@
-"""Nested named tuples of arrays, flattened to one vector and back, for NumPy values and CasADi symbols alike."""
+"""Nested named tuples of arrays, flattened to one vector and back.
+
+A tree holds NumPy values or CasADi symbols; its leaves are arrays, numbers or None.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,19 @@ from undeadzone.support.arrays import Floats
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted name, leaf) of every leaf in order; None holds nothing."""
+    """Every leaf in order with its dotted name; None holds nothing.
+
+    Args:
+        tree: the tree.
+        name: put before every name.
+    """
     if tree is None:
         return
     if isinstance(tree, tuple):
         fields = getattr(tree, "_fields", range(len(tree)))
         for field, child in zip(fields, tree, strict=True):
-            yield from leaves(child, f"{name}.{field}" if name else str(field))
+            dotted = f"{name}.{field}" if name else str(field)
+            yield from leaves(child, dotted)
     else:
         yield name, tree
 
@@ -41,7 +50,8 @@ def pack(tree: Any) -> Floats:
 
 def stack(tree: Any) -> ca.SX:
     """All entries of a CasADi tree as one column."""
-    return ca.vertcat(ca.SX(0, 1), *(ca.densify(ca.vec(ca.SX(leaf))) for _, leaf in leaves(tree)))
+    columns = [ca.densify(ca.vec(ca.SX(leaf))) for _, leaf in leaves(tree)]
+    return ca.vertcat(ca.SX(0, 1), *columns)
 
 
 def size(tree: Any) -> int:
@@ -64,17 +74,18 @@ def slices(like: Any) -> Any:
 
 def unpack(like: Any, column: ca.SX) -> Any:
     """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
+    return rebuild(like, _pieces(like, column))
 
-    def pieces() -> Iterator[ca.SX]:
-        start = 0
-        for _, leaf in leaves(like):
-            shape = np.shape(leaf)
-            rows = shape[0] if shape else 1
-            columns = shape[1] if len(shape) > 1 else 1
-            yield ca.reshape(column[start : start + rows * columns], rows, columns)
-            start += rows * columns
 
-    return rebuild(like, pieces())
+def _pieces(like: Any, column: ca.SX) -> Iterator[ca.SX]:
+    """The leaves of a tree of the shapes of `like`, filled from a column."""
+    start = 0
+    for _, leaf in leaves(like):
+        shape = np.shape(leaf)
+        rows = shape[0] if shape else 1
+        columns = shape[1] if len(shape) > 1 else 1
+        yield ca.reshape(column[start : start + rows * columns], rows, columns)
+        start += rows * columns
 
 
 def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
@@ -85,9 +96,13 @@ def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
 
 def names(tree: Any, prefix: str = "") -> list[str]:
     """An address for every number, in `pack` order: `plant.A[1,0]`, `sensor.right[0]`."""
-    found = []
+    addresses = []
     for name, leaf in leaves(tree, prefix):
         shape = np.shape(leaf)
+        if not shape:
+            addresses.append(name)
+            continue
         for index in np.ndindex(shape[::-1]):
-            found.append(name + (f"[{','.join(map(str, index[::-1]))}]" if shape else ""))
-    return found
+            places = ",".join(map(str, index[::-1]))
+            addresses.append(f"{name}[{places}]")
+    return addresses

@@ -1,0 +1,118 @@
+"""Interval arithmetic: no point of a box escapes, and bounds of smooth functions are tight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from undeadzone.engine import interval_arithmetic as arithmetic
+from undeadzone.engine.interval_arithmetic import SMOOTH, Interval
+from undeadzone.errors import InputError
+from undeadzone.support.arrays import Floats
+
+UNARY: dict[str, Callable[[Any], Any]] = {
+    "negative": np.negative,
+    "absolute": np.abs,
+    "square": np.square,
+    "inverse": np.reciprocal,
+    "sqrt": np.sqrt,
+    "exp": np.exp,
+    "log": np.log,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "cosh": np.cosh,
+}
+BINARY: dict[str, Callable[[Any, Any], Any]] = {
+    "add": np.add,
+    "subtract": np.subtract,
+    "product": np.multiply,
+    "quotient": np.divide,
+    "minimum": np.minimum,
+    "maximum": np.maximum,
+}
+ends = st.floats(-20.0, 20.0)
+
+
+def box(a: float, b: float) -> Interval:
+    """The interval between two numbers."""
+    return Interval(np.array(min(a, b)), np.array(max(a, b)))
+
+
+def within(a: Interval) -> Floats:
+    """Points of an interval, its ends among them."""
+    share = np.linspace(0.0, 1.0, 41)
+    return np.clip(a.low + share * (a.high - a.low), a.low, a.high)
+
+
+def holds(bound: Interval, values: Floats) -> bool:
+    """Whether all values that are numbers lie between the bounds."""
+    values = values[~np.isnan(values)]
+    return bool(((bound.low <= values) & (values <= bound.high)).all())
+
+
+@pytest.mark.parametrize("name", UNARY)
+@given(ends, ends)
+def test_no_value_of_a_function_escapes(name: str, a: float, b: float) -> None:
+    x = box(a, b)
+    with np.errstate(all="ignore"):
+        assert holds(getattr(arithmetic, name)(x), UNARY[name](within(x)))
+
+
+@pytest.mark.parametrize("name", BINARY)
+@given(ends, ends, ends, ends)
+def test_no_value_of_an_operation_escapes(
+    name: str, a: float, b: float, c: float, d: float
+) -> None:
+    x, y = box(a, b), box(c, d)
+    with np.errstate(all="ignore"):
+        values = BINARY[name](within(x)[:, None], within(y))
+        assert holds(getattr(arithmetic, name)(x, y), values.ravel())
+
+
+@pytest.mark.parametrize("exponent", [1, 2, 3, 7, -1, -2, 0.5, 17])
+@given(st.floats(0.1, 3.0), st.floats(0.1, 3.0))
+def test_no_power_escapes(exponent: float, a: float, b: float) -> None:
+    x = box(a, b)
+    assert holds(arithmetic.power(x, box(exponent, exponent)), within(x) ** exponent)
+
+
+def test_waves_reach_their_peaks_where_the_interval_does() -> None:
+    assert arithmetic.sin(box(0.0, 2.0)).high == 1.0
+    assert arithmetic.sin(box(0.0, 1.5)).high == pytest.approx(np.sin(1.5))
+    assert arithmetic.cos(box(3.0, 4.0)).low == -1.0
+    assert arithmetic.cos(box(-0.1, 7.0)) == (-1.0, 1.0)
+
+
+def test_beyond_its_domain_a_function_has_no_bound() -> None:
+    with np.errstate(all="ignore"):
+        assert arithmetic.log(box(-1.0, 1.0)) == (-np.inf, np.inf)
+        assert arithmetic.asin(box(0.0, 1.1)) == (-np.inf, np.inf)
+        assert arithmetic.inverse(box(-1.0, 1.0)) == (-np.inf, np.inf)
+
+
+def test_nothing_times_anything_is_nothing() -> None:
+    with np.errstate(all="ignore"):
+        assert arithmetic.product(box(0.0, 0.0), box(-np.inf, np.inf)) == (0.0, 0.0)
+
+
+def test_what_is_exact_is_not_widened() -> None:
+    assert arithmetic.add(box(0.5, 1.0), box(0.25, 2.0)) == (0.75, 3.0)
+    assert arithmetic.twice(box(0.1, 0.2)) == (0.2, 0.4)
+
+
+def test_conditions_are_decided_or_refused() -> None:
+    assert arithmetic.less(box(0.0, 1.0), box(2.0, 3.0)).low == 1.0
+    assert arithmetic.at_most(box(2.0, 3.0), box(0.0, 1.0)).high == 0.0
+    assert arithmetic.equal(box(1.0, 1.0), box(1.0, 1.0)).low == 1.0
+    assert arithmetic.unequal(box(1.0, 1.0), box(2.0, 3.0)).low == 1.0
+    assert arithmetic.sign(box(-2.0, -1.0)).high == -1.0
+    with pytest.raises(InputError, match=SMOOTH):
+        arithmetic.less(box(0.0, 2.0), box(1.0, 3.0))
