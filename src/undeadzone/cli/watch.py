@@ -31,14 +31,14 @@ def watch(scenario: Path, as_json: bool) -> int:
     and passed through, and so is a header line. Samples are simulation.step apart. An empty or NaN reading counts as
     missing: the estimate is predicted, not corrected. The observer and [model] (or [plant]) of the scenario are used.
     """
-    from undeadzone.scenario.problem import believed_plant
+    from undeadzone.scenario.problem import modelled_plant
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.online import Online
 
     problem = read(scenario)
     online = Online(
         problem.observer,
-        believed_plant(problem),
+        modelled_plant(problem),
         problem.sensor,
         problem.simulation.step,
         problem.simulation.substeps,

@@ -13,7 +13,8 @@ from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.scenario.problem import require_bounded_error, require_visible
+from undeadzone.scenario.problem import require_visible
+from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.sensor import Sensor, present, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
