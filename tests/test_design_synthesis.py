@@ -22,9 +22,10 @@ from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check
+from undeadzone.synthesis.candidates import candidate_of
 from undeadzone.synthesis.criteria import certified, make_task, watched
 from undeadzone.synthesis.design import design, rounds
-from undeadzone.synthesis.gain_search import Weights, score
+from undeadzone.synthesis.gain_search import Weights
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {
@@ -111,7 +112,7 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
 def test_gains_are_those_of_a_step_by_step_simulation() -> None:
     scenario = scene(simulation=SAMPLED)
     problem = resolve_scenario(scenario)
-    found = score(make_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
+    found = candidate_of(make_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
     noise, mismatch = naive(scenario)
     assert found.noise == pytest.approx(noise, rel=1e-9)
     assert found.mismatch == pytest.approx(mismatch, rel=1e-6)
@@ -131,7 +132,7 @@ def test_noise_gain_is_what_a_noisy_run_shows() -> None:
     run = simulate(scenario)
     late = run.t > 20
     error = np.hstack([run.z - run.z_hat, run.info.widths - run.d_hat])[late]
-    gain = score(
+    gain = candidate_of(
         make_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])
     ).noise
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(gain * noise, rel=0.05)
@@ -150,7 +151,7 @@ def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> N
     for simulation in ({"step": 1e-3}, {"time": "sampled", "step": 1e-3}):
         problem = resolve_scenario(scene(**changes, simulation=simulation))
         per_second = 1.0 if problem.model.Ts is None else 1e3
-        found = score(
+        found = candidate_of(
             make_task(problem, 0.01),
             problem.observer.params.L * per_second,
             problem.observer.params.gamma * per_second,

@@ -113,7 +113,7 @@ def _process_noise(model: System, disturbance: object) -> Floats | None:
 
 
 def determined(problem: Problem, schedule: Schedule) -> list[bool]:
-    """Which states the readings along a schedule determine; of a nonlinear model none are listed."""
+    """Which states the readings along a schedule determine (n); none are listed if nonlinear."""
     model, jump = problem.model, problem.sensor.kind == "jump"
     if model.nonlinear:
         return []
