@@ -7,7 +7,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.criteria import Task, certified, score
+from undeadzone.synthesis.criteria import certified, score
+from undeadzone.synthesis.task import Task
 
 REACH: Final = 5.0  # times the plant's fastest pole: the largest gains in L that are tried
 SPEED: Final = (0.01, 100.0)  # gamma between these times the plant's slowest and fastest pole
