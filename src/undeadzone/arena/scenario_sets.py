@@ -20,8 +20,8 @@ def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
 
 
 def given(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
-    """Scenarios of one's own, likewise. Raises FileError, InputError."""
-    found = {Path(path).stem: read(path) for path in paths}
-    if len(found) < len(paths):
+    """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError."""
+    own = {Path(path).stem: read(path) for path in paths}
+    if len(own) < len(paths):
         raise InputError("arena: two scenarios have the same file name; rename one")
-    return found
+    return own
