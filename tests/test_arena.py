@@ -21,8 +21,9 @@ from undeadzone.arena import leaderboard
 from undeadzone.arena import tune as tuning
 from undeadzone.arena import tuned_file as tuned
 from undeadzone.arena.contest import run_contest
+from undeadzone.arena.entry import entered, numbers
 from undeadzone.arena.leaderboard import CAP, REFUSED, intervals, regrets
-from undeadzone.arena.methods import METHODS, catalogue, entered, middle, numbers
+from undeadzone.arena.methods import METHODS, catalogue, middle
 from undeadzone.arena.metric import Result, Worth
 from undeadzone.arena.prior_knowledge import declaration, situation
 from undeadzone.arena.scenario_sets import given, scenarios

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 import undeadzone
+from undeadzone.arena.entry import entered
 from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, RESAMPLES, Row, leaderboard, regrets
-from undeadzone.arena.methods import NOTHING, Numbers, catalogue, entered
+from undeadzone.arena.methods import NOTHING, Numbers, catalogue
 from undeadzone.arena.metric import TAIL, Result
 from undeadzone.arena.prior_knowledge import situation
 from undeadzone.arena.trials import score, signals

@@ -14,7 +14,10 @@ from undeadzone.scenario.schema import Scenario
 
 
 def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
-    """The arena's own scenarios, by file name without its suffix. Each method takes the place of their observer."""
+    """The arena's own scenarios, by file name without its suffix.
+
+    Each method takes the place of their observer.
+    """
     with as_file(files("undeadzone.arena") / "scenarios" / kind) as folder:
         return {path.stem: read(path) for path in sorted(folder.glob("*.toml"))}
 

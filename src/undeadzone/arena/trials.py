@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.arena.entry import entered
+from undeadzone.arena.entry import numbers as built_in
 from undeadzone.arena.leaderboard import FRAME
-from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, entered, require
-from undeadzone.arena.methods import numbers as built_in
+from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, require
 from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of

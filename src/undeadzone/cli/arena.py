@@ -115,7 +115,8 @@ def _held(
     processes: int | None,
 ) -> Contest:
     from undeadzone.arena.contest import run_contest
-    from undeadzone.arena.methods import catalogue, numbers
+    from undeadzone.arena.entry import numbers
+    from undeadzone.arena.methods import catalogue
 
     runs = len(grounds) * len(seeds) * (len(catalogue()) if names is None else len(names) + 2)
     with progress("arena", runs, "runs") as advance:
