@@ -23,7 +23,6 @@ from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.trajectories import Trajectory, settling, trajectories
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
-from undeadzone.cli.check import plain
 from undeadzone.errors import UndeadzoneError
 from undeadzone.report.gains_page import figures, gains_page
 from undeadzone.report.proof_figures import courses as courses_figure
@@ -31,6 +30,7 @@ from undeadzone.report.proof_figures import nyquist, root_locus
 from undeadzone.report.trade_figures import ellipses
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.assessment import Assessment, assess, attack
+from undeadzone.synthesis.words import plain
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
