@@ -40,11 +40,23 @@ def scenario(tmp_path: Path) -> Path:
 
 def test_version_and_help() -> None:
     assert re.fullmatch(r"undeadzone, version \d+\.\d+\.\d+\n", undeadzone("--version").stdout)
+    assert undeadzone("-V").stdout == undeadzone("--version").stdout
     for command in ([], ["run"], ["paper"], ["init"], ["watch"]):
         shown = undeadzone(*command, "--help")
         assert shown.returncode == 0
         assert "undeadzone" in shown.stdout
         assert "Example" in shown.stdout or command == []
+
+
+@pytest.mark.parametrize(("option", "code"), [("--version", 0), ("--nonsense", 2)])
+def test_the_package_runs_as_the_command_does(option: str, code: int) -> None:
+    module = subprocess.run(
+        [sys.executable, "-m", "undeadzone", option], capture_output=True, text=True, check=False
+    )
+    command = undeadzone(option)
+    assert module.returncode == command.returncode == code
+    assert module.stdout == command.stdout
+    assert module.stderr.partition(": ")[2] == command.stderr.partition(": ")[2]
 
 
 def test_help_imports_nothing_heavy() -> None:
