@@ -50,7 +50,7 @@ class Done(NamedTuple):
 
 
 def run(*arguments: str | Path) -> Done:
-    """A command in this process, so that nothing is imported twice; `main` turns errors into exit code 2."""
+    """A command in this process, so that nothing is imported twice; errors give exit code 2."""
     result = CliRunner().invoke(group, [*map(str, arguments)], standalone_mode=False)
     if isinstance(result.exception, UndeadzoneError | ClickException):
         return Done(
@@ -155,7 +155,8 @@ def test_check_of_an_edge_never_reached_names_the_cure(paper: Callable[..., Path
     done = run(
         "check",
         paper(
-            reference='reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }'
+            reference='reference = { kind = "sine", amplitude = 1.0, '
+            "frequency = 1.0, offset = 0.5 }"
         ),
         *QUIET,
     )
@@ -357,8 +358,10 @@ def test_help_teaches_by_an_example(command: str) -> None:
 def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
-        f"group.main(['check', {str(paper())!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
+        f"arguments = ['check', {str(paper())!r}, '--no-figures', '--json']\n"
+        "group.main(arguments, standalone_mode=False)\n"
+        "heavy = 'numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (
         subprocess.run(

@@ -22,7 +22,7 @@ def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
         return {path.stem: read(path) for path in sorted(folder.glob("*.toml"))}
 
 
-def given(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
+def from_files(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
     """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError."""
     own = {Path(path).stem: read(path) for path in paths}
     if len(own) < len(paths):

@@ -110,11 +110,11 @@ def arena(
     full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
     scenarios, and the worst, with 95 % intervals. See docs/arena.md.
     """
-    from undeadzone.arena.scenario_sets import given
+    from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
 
     names = None if methods is None else _names(methods)
-    own = given(scenarios)
+    own = from_files(scenarios)
     folder = out or FOLDER
     if tuning:
         return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json)

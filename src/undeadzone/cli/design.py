@@ -116,15 +116,15 @@ def design(
         return 1
     aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
-        found = search(planned, aim, margin=margin, seed=seed, progress=advance)
-    designed = with_gains(planned, found)
+        result = search(planned, aim, margin=margin, seed=seed, progress=advance)
+    designed = with_gains(planned, result)
     summary = assess_gains(designed)
     folder = folder_for(out, no_figures, f"{scenario.stem}-design")
-    written = [] if folder is None else _written(found, designed, folder, not no_figures)
+    written = [] if folder is None else _written(result, designed, folder, not no_figures)
     if as_json:
-        print_json(_numbers(found) | summary | {"files": [str(path) for path in written]})
+        print_json(_numbers(result) | summary | {"files": [str(path) for path in written]})
     else:
-        print_pairs(_words(found, summary, designed) | named_files(written))
+        print_pairs(_words(result, summary, designed) | named_files(written))
     return 0
 
 

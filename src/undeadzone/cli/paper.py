@@ -30,10 +30,10 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     folder = folder_for(out, no_figures, "paper-results")
     written = []
     with progress("auditing the paper", None) as advance:
-        found = audit(progress=advance)
+        result = audit(progress=advance)
         if folder is not None:
-            written = write(found, folder, figures=not no_figures, progress=advance)
-    summary = found.summary()
+            written = write(result, folder, figures=not no_figures, progress=advance)
+    summary = result.summary()
     if as_json:
         print_json(summary)
     else:

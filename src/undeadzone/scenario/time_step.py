@@ -12,7 +12,7 @@ from undeadzone.observers import NumericObserver, Observer
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.support.arrays import scalar
 
 STABLE: Final = 2.5  # largest |pole| times a Runge-Kutta step: beyond about 2.78 it is unstable
 MEMORY: Final = 4e9  # [bytes] of signals that one run may hold

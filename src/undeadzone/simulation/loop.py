@@ -71,7 +71,7 @@ class Scale(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Every number of the loop, given at run time.
+    """Every number of the loop; they enter at run time.
 
     Attributes:
         plant, observer, controller: the params of each part, trees of numbers.

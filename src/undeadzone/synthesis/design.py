@@ -70,24 +70,24 @@ def design(
     before = None if present is None else candidate_of(task, *present)
     linear = problem.model.linear
     if maximise == "knee":
-        found = balanced(task, linear, before, seed, progress)
+        result = balanced(task, linear, before, seed, progress)
     else:
         weights = maximise if isinstance(maximise, Weights) else RATE
-        found = fastest(task, linear, weights, seed, progress)
-    never = rates(linear, found.best.L, found.best.gamma, task.whole).never
+        result = fastest(task, linear, weights, seed, progress)
+    never = rates(linear, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,
         chosen=_in_words(maximise),
         seed=seed,
         Ts=problem.model.Ts,
-        **_proof(problem, found),
+        **_proof(problem, result),
         never=list(never),
         states=determined(problem, task.whole),
-        remarks=list(found.remarks),
-        best=_point(found.best),
+        remarks=list(result.remarks),
+        best=_point(result.best),
         present=None if before is None else _point(before),
         identifiable=knowledge(problem, task.whole, None),
-        front=[_point(candidate) for candidate in found.front],
+        front=[_point(candidate) for candidate in result.front],
     )
 
 
@@ -136,10 +136,10 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
     return gains
 
 
-def _proof(problem: Problem, found: Synthesis) -> dict[str, Any]:
+def _proof(problem: Problem, result: Synthesis) -> dict[str, Any]:
     """The model of a design and the proof of its gains, as its file holds them."""
     A, B, C = problem.model.linear
-    certificate = found.certificate
+    certificate = result.certificate
     return {
         "A": A.tolist(),
         "B": B.tolist(),
