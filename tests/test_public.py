@@ -79,7 +79,8 @@ def test_what_public_functions_return_is_public() -> None:
         public = getattr(undeadzone, name)
         if not isinstance(public, type) and callable(public):
             returned |= set(re.findall(r"\w+", public.__annotations__["return"]))
-    classes = {name for name in returned if name[0].isupper()} - {"Any", "Path", "None"}
+    elsewhere = {"Any", "Path", "None", "Figure"}  # of Python and matplotlib
+    classes = {name for name in returned if name[0].isupper()} - elsewhere
     assert {"Run", "Design", "Tuned"} <= classes
     assert classes <= set(NAMES)
 
