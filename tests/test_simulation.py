@@ -16,6 +16,8 @@ from scipy.linalg import expm
 from scenes import PAPER_PLANT, scene
 from undeadzone.errors import InputError, TrackingError
 from undeadzone.observers import Certified, Luenberger
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation import exogenous
 from undeadzone.simulation.compare import compare, labels
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
@@ -256,3 +258,15 @@ def test_labels_prefer_a_switch_and_fall_back_to_the_method() -> None:
     )
     assert labels(plain, silent) == ("certified", "certified, silence")
     assert labels(plain, plain) == ("certified", "certified")
+
+
+@pytest.mark.parametrize("order", [4, 8])
+def test_true_widths_of_a_drifting_zone_do_not_depend_on_the_order(order: int) -> None:
+    """Taylor series hold `order` columns an input where Runge-Kutta holds three instants."""
+    options = {"duration": 2.0, "step": 0.01, "time": "continuous"}
+    drifting = {"right": 1.0, "left": 0.7, "drift": 0.1}
+    plain = resolve_scenario(scene(sensor=drifting, simulation=options))
+    series = resolve_scenario(scene(sensor=drifting, simulation=options | {"order": order}))
+    expected = exogenous.widths(plain, exogenous.exogenous(plain))
+    np.testing.assert_array_equal(exogenous.widths(series, exogenous.exogenous(series)), expected)
+    assert np.ptp(expected[:, 0]) > 0.01

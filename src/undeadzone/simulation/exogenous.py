@@ -151,7 +151,11 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
 def widths(problem: Problem, exogenous: Floats) -> Floats:
     """The true d_r, d_l at the start of each step (N x 2 x p)."""
     p = problem.plant.p
-    instants = 1 if problem.plant.Ts is not None else len(INSTANTS)
+    order = problem.scenario.simulation.order
+    if problem.plant.Ts is not None:
+        instants = 1
+    else:
+        instants = order if order > RUNGE_KUTTA else len(INSTANTS)
     first = exogenous[:, : exogenous.shape[1] // instants]
     wear = first[:, -3 * p : -p]
     return np.stack([problem.sensor.right, problem.sensor.left]) * (1 + wear.reshape(-1, 2, p))
