@@ -6,7 +6,7 @@ import math
 import os
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -32,13 +32,52 @@ def read(path: str | os.PathLike[str]) -> Scenario:
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do.
     """
+    return parse(_text(path), Path(path).parent)
+
+
+def read_for_logs(path: str | os.PathLike[str]) -> Scenario:
+    """The scenario in a TOML file of which only plant, sensor and observer are used, along a log.
+
+    Reference, controller and the sensor's widths may be left out; others stand in for them.
+
+    Args:
+        path: the file; the files that it names are relative to its folder.
+
+    Raises:
+        FileError: the file cannot be read.
+        InputError: with the key, what was found and what to do.
+    """
+    data = _tables(_text(path))
+    for name, table in _STAND_INS.items():
+        data.setdefault(name, table)
+    sensor, observer = data.setdefault("sensor", {}), data.get("observer")
+    method = observer.get("method") if isinstance(observer, dict) else None
+    if isinstance(sensor, dict):
+        for width in ("right", "left"):
+            if width not in sensor and method in _TOLD_THE_WIDTHS:
+                raise InputError(
+                    f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
+                )
+        data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
+    return convert(data, Path(path).parent)
+
+
+# What stands for tables that a scenario for logs leaves out.
+_STAND_INS: Final = {
+    "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
+    "controller": {"method": "pd"},
+}
+_TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
+
+
+def _text(path: str | os.PathLike[str]) -> str:
+    """The text of a file. Raises FileError."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
-    return parse(text, Path(path).parent)
 
 
 def parse(text: str, folder: Path = Path()) -> Scenario:
@@ -51,13 +90,17 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
     Raises:
         InputError: with the key, what was found and what to do.
     """
+    return convert(_tables(text), folder)
+
+
+def _tables(text: str) -> dict[str, Any]:
+    """The tables of a TOML text. Raises InputError."""
     try:
-        data = tomllib.loads(text)
+        return tomllib.loads(text)
     except RecursionError:
         raise InputError("not valid TOML: nested too deeply") from None
     except ValueError as error:
         raise InputError(f"not valid TOML: {error}") from None
-    return convert(data, folder)
 
 
 def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:

@@ -1,0 +1,149 @@
+"""Samples put on the steps of a scenario: other steps are refused, gaps become missing samples."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import FileError
+from undeadzone.logs.samples import Samples
+from undeadzone.support.arrays import Floats
+
+TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples may be from it
+JITTER: Final = 0.25  # of the step: how far a sample may be from where it should be
+LONGEST: Final = 100_000  # steps of a gap
+WATCHED: Final = 1000  # intervals whose median is compared with the step
+
+
+class Regular(NamedTuple):
+    """Samples one step apart.
+
+    Attributes:
+        t: times (N) [s].
+        y: readings (N x p), NaN where one is missing.
+        u: inputs (N x m), NaN where one is missing.
+    """
+
+    t: Floats
+    y: Floats
+    u: Floats
+
+
+class Grid:
+    """Puts samples on the steps of a scenario, block after block.
+
+    Args:
+        step: of the scenario [s].
+        source: the log, for messages.
+
+    Attributes:
+        gaps: how many samples were missing altogether, between others.
+        measured: the usual time between two samples [s]; None without times.
+    """
+
+    def __init__(self, step: float, source: str) -> None:
+        self.gaps = 0
+        self.measured: float | None = None
+        self._step, self._source = step, source
+        self._count = 0  # samples so far
+        self._last: float | None = None  # time of the last sample [s]
+        self._intervals = np.empty(0)  # the first ones [s]
+
+    def place(self, samples: Samples, timed: bool) -> Regular:
+        """The samples one step apart; those in gaps are missing.
+
+        Args:
+            samples: the next ones of the log.
+            timed: whether they have times in seconds.
+
+        Raises:
+            FileError: they are another step apart, irregular, or go back in time.
+        """
+        if not timed:
+            t = (self._count + np.arange(len(samples.t))) * self._step
+            self._count += len(samples.t)
+            return Regular(t, samples.y, samples.u)
+        kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
+        t, y, u = samples.t[kept], samples.y[kept], samples.u[kept]
+        if not t.size:
+            return Regular(t, y, u)
+        steps = self._steps(t, samples.lines[kept])
+        self._last = float(t[-1])
+        return self._filled(t, y, u, steps)
+
+    def _steps(self, t: Floats, lines: Floats) -> Floats:
+        """How many steps each sample is after the one before (N). Raises FileError."""
+        before = np.nan if self._last is None else self._last
+        intervals = np.diff(t, prepend=before)
+        if self._last is None:
+            intervals[0] = self._step
+        self._require_order(intervals, t, lines)
+        known = intervals[1:] if self._last is None else intervals
+        self._require_step(known)
+        steps = np.rint(intervals / self._step)
+        off = np.abs(intervals - steps * self._step)
+        bad = np.flatnonzero((steps < 1) | (off > JITTER * self._step) | (steps > LONGEST))
+        if bad.size:
+            k = int(bad[0])
+            raise FileError(
+                f"{self._source}, line {lines[k]}: t = {t[k]:.9g} s is {intervals[k]:.6g} s after "
+                f"the sample before; expected a multiple of the step, {self._step:g} s, and at "
+                f"most {LONGEST} of them: bring the log onto regular steps (never by interpolating "
+                "readings), or split it"
+            )
+        return steps
+
+    def _require_order(self, intervals: Floats, t: Floats, lines: Floats) -> None:
+        """Raise FileError where time does not increase."""
+        back = np.flatnonzero(intervals <= 0)
+        if back.size:
+            k = int(back[0])
+            raise FileError(
+                f"{self._source}, line {lines[k]}: time does not increase: {t[k]:.9g} s after "
+                f"{t[k] - intervals[k]:.9g} s; sort the lines, or give each run by itself"
+            )
+
+    def _require_step(self, intervals: Floats) -> None:
+        """Raise FileError where samples are usually not one step apart."""
+        if self._intervals.size >= WATCHED or not intervals.size:
+            return
+        self._intervals = np.append(self._intervals, intervals)[:WATCHED]
+        usual = float(np.median(self._intervals))
+        self.measured = usual
+        if abs(usual - self._step) <= TOLERANCE * self._step:
+            return
+        raise FileError(
+            f"{self._source}: its samples are {usual:.6g} s apart, but the scenario's step is "
+            f"{self._step:g} s: set simulation.step = {usual:.6g} if the log is right"
+            f"{_unit_hint(usual / self._step)}"
+        )
+
+    def _filled(self, t: Floats, y: Floats, u: Floats, steps: Floats) -> Regular:
+        """The samples, and missing ones in the gaps before them."""
+        total = int(steps.sum())
+        if total == t.size:
+            self._count += total
+            return Regular(t, y, u)
+        self.gaps += total - t.size
+        self._count += total
+        at = np.cumsum(steps).astype(int) - 1
+        full = Regular(
+            np.full(total, np.nan),
+            np.full((total, y.shape[1]), np.nan),
+            np.full((total, u.shape[1]), np.nan),
+        )
+        for whole, part in zip(full, (t, y, u), strict=True):
+            whole[at] = part
+        following = at[np.searchsorted(at, np.arange(total))]
+        behind = np.arange(total) - following  # steps before the next sample, 0 at samples
+        full.t[:] = full.t[following] + behind * self._step
+        return full
+
+
+def _unit_hint(ratio: float) -> str:
+    """What to do where the steps differ by a power of 1000: times in another unit, perhaps."""
+    for power, unit in ((1000.0, "ms"), (1e6, "us"), (1e9, "ns")):
+        if abs(ratio / power - 1) < TOLERANCE:
+            return f"; if its times are in {unit}, say so in the header: t [{unit}]"
+    return ""

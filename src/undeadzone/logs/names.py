@@ -1,0 +1,267 @@
+"""Which column is which: by the names that a user gives, else by the usual names of t, y and u."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.logs.column import COUNTS, SECONDS, Title
+
+TIMES: Final = ("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec")
+READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
+INPUTS: Final = ("u", "input", "in", "command", "control")
+_INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
+_SHOWN: Final = 12  # names in a message
+
+
+class Layout(NamedTuple):
+    """Where a log has what.
+
+    Attributes:
+        time: number of the column of times; None: there are none.
+        readings: numbers of the columns of the readings (p).
+        inputs: numbers of the columns of the inputs (m).
+        seconds: length of a unit of time [s]; None where times count samples.
+        reading_units, input_units: units that the header names, "" where it names none.
+        said: in words, which column was taken for what.
+    """
+
+    time: int | None
+    readings: list[int]
+    inputs: list[int]
+    seconds: float | None
+    reading_units: list[str]
+    input_units: list[str]
+    said: str
+
+    @property
+    def columns(self) -> list[int]:
+        """The columns that are used: the time if there is one, readings, inputs."""
+        first = [] if self.time is None else [self.time]
+        return first + self.readings + self.inputs
+
+
+def parse_columns(text: str | None) -> dict[str, str]:
+    """The columns that --columns names, by signal.
+
+    Args:
+        text: `y=angle,u=voltage`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
+
+    Returns:
+        A column's name or number (from 1) by `t`, `y[0]`, ..., `u[0]`, ...; `y` means `y[0]`.
+
+    Raises:
+        InputError: it is written otherwise.
+    """
+    chosen: dict[str, str] = {}
+    for part in filter(None, (text or "").split(",")):
+        key, equals, name = (piece.strip() for piece in part.partition("="))
+        if not equals or not name or not re.fullmatch(r"t|[yu](\[\d+\])?", key):
+            raise InputError(
+                f"--columns: expected t=NAME, y=NAME, u=NAME or y[0]=NAME with commas between, "
+                f"found {part!r}"
+            )
+        if key in ("y", "u"):
+            key += "[0]"
+        if key in chosen:
+            raise InputError(f"--columns: {key} is named twice")
+        chosen[key] = name
+    return chosen
+
+
+def layout_of_titles(
+    titles: Sequence[Title], p: int, m: int, chosen: Mapping[str, str], source: str
+) -> Layout:
+    """Where a log with a header has what.
+
+    Args:
+        titles: what its header says.
+        p, m: numbers of readings and inputs that the plant has.
+        chosen: columns that the user names; see `parse_columns`.
+        source: the log, for messages.
+
+    Raises:
+        FileError: a column cannot be told, or is used twice; names near it are listed.
+    """
+    _refuse_others(chosen, p, m)
+    time = _time(titles, chosen, source)
+    readings = _signals(titles, "y", p, READINGS, chosen, source)
+    inputs = _signals(titles, "u", m, INPUTS, chosen, source)
+    return _layout(titles, time, readings, inputs, source)
+
+
+def layout_of_order(width: int, p: int, m: int, chosen: Mapping[str, str], source: str) -> Layout:
+    """Where a log without a header has what: (time,) readings, inputs, in this order.
+
+    Args:
+        width: how many columns there are.
+        p, m: numbers of readings and inputs that the plant has.
+        chosen: columns that the user names by number; see `parse_columns`.
+        source: the log, for messages.
+
+    Raises:
+        FileError: there are more or fewer columns, or a number is none of theirs.
+    """
+    if chosen:
+        titles = [Title(str(k + 1), "") for k in range(width)]
+        return layout_of_titles(titles, p, m, chosen, source)
+    if width not in (p + m, p + m + 1):
+        raise FileError(
+            f"{source}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, "
+            f"found {width}; give the columns a header, or name them by --columns y=1,u=2"
+        )
+    first = width - p - m
+    names = ["t"] * first + _indexed("y", p) + _indexed("u", m)
+    titles = [Title(name, "") for name in names]
+    readings = list(range(first, first + p))
+    inputs = list(range(first + p, width))
+    return _layout(titles, 0 if first else None, readings, inputs, source)
+
+
+def _indexed(signal: str, count: int) -> list[str]:
+    """The names of a signal's columns: y, or y[0], y[1], ..."""
+    return [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
+
+
+def _layout(
+    titles: Sequence[Title], time: int | None, readings: list[int], inputs: list[int], source: str
+) -> Layout:
+    """A layout, once no column is used twice and the unit of time is known."""
+    used = readings + inputs + ([] if time is None else [time])
+    for column in used:
+        if used.count(column) > 1:
+            raise FileError(f"{source}: column {titles[column].name!r} would be used twice")
+    seconds: float | None = 1.0
+    if time is not None:
+        seconds = _seconds(titles[time], source)
+    roles = [] if time is None else [f"t from {titles[time].name!r}"]
+    for signal, columns in (("y", readings), ("u", inputs)):
+        roles.append(f"{signal} from {', '.join(repr(titles[k].name) for k in columns)}")
+    return Layout(
+        time,
+        readings,
+        inputs,
+        seconds,
+        [titles[k].unit for k in readings],
+        [titles[k].unit for k in inputs],
+        ", ".join(roles),
+    )
+
+
+def _seconds(title: Title, source: str) -> float | None:
+    """The length of a unit of time [s]; None where it counts samples. Raises FileError."""
+    unit = title.unit.lower()
+    if unit in COUNTS:
+        return None
+    if unit not in SECONDS:
+        raise FileError(
+            f"{source}: unit of time not understood: {title.unit!r}; use s, ms, us, min, h or "
+            "samples"
+        )
+    return SECONDS[unit]
+
+
+def _refuse_others(chosen: Mapping[str, str], p: int, m: int) -> None:
+    """Raise InputError for a signal that the plant does not have."""
+    known = ["t"]
+    known += [f"y[{i}]" for i in range(p)]
+    known += [f"u[{i}]" for i in range(m)]
+    for key in chosen:
+        if key not in known:
+            raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[1:])}")
+
+
+def _time(titles: Sequence[Title], chosen: Mapping[str, str], source: str) -> int | None:
+    """The number of the column of times; None where there is none. Raises FileError."""
+    if "t" in chosen:
+        return _named(titles, chosen["t"], "t", source)
+    for name in TIMES:
+        same = _same(titles, name)
+        if len(same) > 1:
+            raise FileError(f"{source}: several columns are named {name!r}; --columns t=NUMBER")
+        if same:
+            return same[0]
+    return None
+
+
+def _signals(
+    titles: Sequence[Title],
+    signal: str,
+    count: int,
+    usual: Sequence[str],
+    chosen: Mapping[str, str],
+    source: str,
+) -> list[int]:
+    """The numbers of the columns of a signal. Raises FileError."""
+    wanted = [f"{signal}[{i}]" for i in range(count)]
+    named = [key for key in wanted if key in chosen]
+    if named and len(named) < count:
+        missing = next(key for key in wanted if key not in chosen)
+        raise InputError(f"--columns: {missing} is missing; the plant has {count} of {signal}")
+    if named:
+        return [_named(titles, chosen[key], key, source) for key in wanted]
+    for name in usual:
+        columns = _usual(titles, name, count)
+        if len(columns) == count:
+            return columns
+        if columns:
+            raise FileError(
+                f"{source}: the plant has {count} of {signal}, the log {len(columns)}: "
+                f"{_listed([titles[k] for k in columns])}; say which by --columns {wanted[0]}=NAME"
+            )
+    raise FileError(
+        f"{source}: no name says which column holds {signal}; there are {_listed(titles)}"
+        f"{_near(titles, usual)}; say which by --columns {signal}=NAME"
+    )
+
+
+def _usual(titles: Sequence[Title], name: str, count: int) -> list[int]:
+    """The columns of a usual name: the one of that name, or those with an index, in order."""
+    same = _same(titles, name)
+    if same and (count == 1 or len(same) > 1):
+        return same
+    indexed = []
+    for k, title in enumerate(titles):
+        match = _INDEXED.match(title.name.lower())
+        if match and match[1] == name:
+            indexed.append((int(match[2]), k))
+    return [k for _, k in sorted(indexed)] or same
+
+
+def _same(titles: Sequence[Title], name: str) -> list[int]:
+    """The columns of that name, be they written large or small."""
+    return [k for k, title in enumerate(titles) if title.name.lower() == name.lower()]
+
+
+def _named(titles: Sequence[Title], name: str, key: str, source: str) -> int:
+    """The column of that name or number (from 1). Raises FileError with the nearest names."""
+    exact = [k for k, title in enumerate(titles) if title.name == name]
+    same = exact or _same(titles, name)
+    if len(same) == 1:
+        return same[0]
+    if not same and name.isdigit() and 1 <= int(name) <= len(titles):
+        return int(name) - 1
+    how = "several columns are named" if same else "no column"
+    raise FileError(
+        f"{source}: --columns {key}: {how} {name!r}; there are {_listed(titles)}"
+        f"{_near(titles, [name])}"
+    )
+
+
+def _near(titles: Sequence[Title], names: Sequence[str]) -> str:
+    """A hint at the names of columns that are near some names."""
+    lower = {title.name.lower(): title.name for title in titles}
+    for name in names:
+        near = difflib.get_close_matches(name.lower(), lower, 1)
+        if near:
+            return f"; did you mean {lower[near[0]]!r}?"
+    return ""
+
+
+def _listed(titles: Sequence[Title]) -> str:
+    """The names of columns, for a message."""
+    shown = ", ".join(repr(title.name) for title in titles[:_SHOWN])
+    return shown + (", ..." if len(titles) > _SHOWN else "")

@@ -1,0 +1,198 @@
+"""Samples from the lines of a CSV log, as they come in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from undeadzone.errors import FileError
+from undeadzone.logs.dialect import LARGEST, Dialect, dialect_of, is_content
+from undeadzone.logs.names import Layout, layout_of_order, layout_of_titles
+from undeadzone.logs.text import Text
+from undeadzone.support.arrays import Floats
+
+Lines = npt.NDArray[np.int64]
+
+
+class Samples(NamedTuple):
+    """Samples of a log.
+
+    Attributes:
+        t: times (N) [s], or sample numbers; NaN where there is none or the line cannot be read.
+        y: readings (N x p), NaN where one is missing.
+        u: inputs (N x m), NaN where one is missing.
+        lines: number of each line in the log (N).
+    """
+
+    t: Floats
+    y: Floats
+    u: Floats
+    lines: Lines
+
+
+class LogReader:
+    """The samples of a CSV log, from bytes as they come in.
+
+    Args:
+        source: the log, for messages.
+        p, m: numbers of readings and inputs that the plant has.
+        chosen: columns that the user names; see `names.parse_columns`.
+        strict: whether a line that cannot be read is an error; else it is counted, and its
+            sample is missing.
+        header: whether a log without a header is refused, unless the user names columns.
+
+    Attributes:
+        layout: where the log has what; None before its first sample.
+        unreadable: how many lines could not be read.
+        why: why the first of these could not; empty if all could.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        p: int,
+        m: int,
+        chosen: Mapping[str, str],
+        strict: bool = False,
+        header: bool = False,
+    ) -> None:
+        self.layout: Layout | None = None
+        self.unreadable = 0
+        self.why = ""
+        self._source, self._p, self._m = source, p, m
+        self._chosen, self._strict, self._header = chosen, strict, header
+        self._text = Text(source)
+        self._dialect: Dialect | None = None
+        self._first: list[tuple[int, str]] = []  # lines that wait for the dialect to be known
+        self._count = 0  # lines read
+
+    def feed(self, data: bytes, last: bool = False) -> Samples:
+        """The samples in the lines that are whole now.
+
+        Args:
+            data: the bytes that came in.
+            last: whether no more will come.
+
+        Raises:
+            FileError: this is no text, a column cannot be told, or a line cannot be read and
+                `strict` is set.
+        """
+        numbered = self._first + self._numbered(self._text.feed(data, last))
+        self._first = []
+        if self._dialect is None and numbered:
+            lines = [line for _, line in numbered[:3]]
+            dialect = dialect_of(lines)
+            if dialect.heads and len(lines) < 2 and not last:
+                self._first = numbered  # a line of units may follow
+                return self._none()
+            self._dialect = dialect
+            self.layout = self._layout(dialect)
+            self._require_readable(dialect, numbered[dialect.heads :])
+            numbered = numbered[dialect.heads :]
+        if not numbered or self._dialect is None or self.layout is None:
+            return self._none()
+        return self._samples(numbered, self._dialect, self.layout)
+
+    def _numbered(self, lines: Sequence[str]) -> list[tuple[int, str]]:
+        """The lines with content, with their numbers."""
+        first = self._count + 1
+        self._count += len(lines)
+        return [(k, line) for k, line in enumerate(lines, first) if is_content(line)]
+
+    def _layout(self, dialect: Dialect) -> Layout:
+        """Where the log has what. Raises FileError."""
+        if dialect.titles is not None:
+            return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
+        if self._header and not self._chosen:
+            raise FileError(
+                f"{self._source}: without a header nobody can tell which column is which; add "
+                "one, t,y,u, or name the columns by number: --columns t=1,y=2,u=3"
+            )
+        return layout_of_order(dialect.width, self._p, self._m, self._chosen, self._source)
+
+    def _require_readable(self, dialect: Dialect, lines: Sequence[tuple[int, str]]) -> None:
+        """Raise FileError where the first line without a header says nothing of the columns."""
+        if dialect.titles is None and lines:
+            number, line = lines[0]
+            why = self._problem(dialect.cells(line), dialect)
+            if why:
+                raise FileError(f"{self._source}, line {number}: {why}")
+
+    def _none(self) -> Samples:
+        """No samples."""
+        shapes = (np.empty(0), np.empty((0, self._p)), np.empty((0, self._m)))
+        return Samples(*shapes, np.empty(0, np.int64))
+
+    def _samples(
+        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
+    ) -> Samples:
+        """The samples in these lines."""
+        values = _at_once([line for _, line in numbered], dialect, layout)
+        if values is None:
+            values = self._one_by_one(numbered, dialect, layout)
+        values[np.isinf(values)] = np.nan
+        first = 0 if layout.time is None else 1
+        t = values[:, 0] if first else np.full(len(values), np.nan)
+        if first and layout.seconds is not None:
+            t = t * layout.seconds
+        end = first + self._p
+        lines = np.array([number for number, _ in numbered], np.int64)
+        return Samples(t, values[:, first:end], values[:, end:], lines)
+
+    def _one_by_one(
+        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
+    ) -> Floats:
+        """The numbers of the columns that are used; a line that cannot be read gives NaN."""
+        values = np.full((len(numbered), len(layout.columns)), np.nan)
+        for row, (number, line) in enumerate(numbered):
+            cells = dialect.cells(line)
+            if len(cells) == dialect.width:
+                read = [dialect.number(cells[k]) for k in layout.columns]
+                if None not in read:
+                    values[row] = read
+                    continue
+            self._refuse(number, self._problem(cells, dialect))
+        return values
+
+    def _problem(self, cells: Sequence[str], dialect: Dialect) -> str:
+        """Why a line cannot be read; empty if it can."""
+        if len(cells) != dialect.width:
+            return f"expected {dialect.width} values, found {len(cells)}"
+        for k in self.layout.columns if self.layout else ():
+            if dialect.number(cells[k]) is None:
+                return f"expected a number or nothing, found {cells[k]!r:.40}"
+        return ""
+
+    def _refuse(self, number: int, why: str) -> None:
+        """Count a line that cannot be read. Raises FileError where `strict` is set."""
+        if self._strict:
+            raise FileError(
+                f"{self._source}, line {number}: {why}; without --strict such a line counts as a "
+                "missing sample"
+            )
+        self.unreadable += 1
+        self.why = self.why or f"line {number}: {why}"
+
+
+def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:
+    """The numbers of the columns that are used, read by NumPy; None where a line is not plain."""
+    if dialect.separator == " ":
+        return None
+    between = {line.count(dialect.separator) for line in lines}
+    if between != {dialect.width - 1}:
+        return None
+    plain = lines
+    if dialect.separator != "," and any("," in line for line in lines):
+        plain = [line.replace(",", ".") for line in lines]
+    try:
+        values = np.loadtxt(
+            plain, delimiter=dialect.separator, usecols=layout.columns, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    with np.errstate(invalid="ignore"):
+        strange = (np.abs(values) > LARGEST) & np.isfinite(values)
+    return None if strange.any() else values

@@ -1,0 +1,47 @@
+"""An observer that computes in Python, along a record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from undeadzone.engine.interpret import CHUNK
+from undeadzone.interfaces import Estimate, NumericObserver, Reading
+from undeadzone.sensor import Zone, side
+from undeadzone.support.arrays import Floats
+
+
+def numeric_along(
+    observer: NumericObserver,
+    sensor: Zone,
+    y: Floats,
+    u: Floats,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Estimate, Floats]:
+    """The estimates of an observer that computes in Python.
+
+    Args:
+        observer: the observer.
+        sensor: the dead zone, for its threshold.
+        y: readings (N x p), NaN where one is missing.
+        u: inputs (N x m), NaN where the last one is held.
+        seed: of its random numbers.
+        progress: called with the number of steps just done.
+
+    Returns:
+        The estimates, a row for each sample in each field, and the measured sides (N x p).
+    """
+    state = observer.start(seed)
+    held = np.zeros(u.shape[1])
+    sides = side(y, sensor.threshold)
+    rows = []
+    for k in range(len(y)):
+        held = np.where(np.isfinite(u[k]), u[k], held)
+        state, estimate = observer.correct(state, Reading(y[k].copy(), sides[k].copy()))
+        rows.append(estimate)
+        state = observer.predict(state, held)
+        if progress is not None and (k + 1) % CHUNK == 0:
+            progress(CHUNK)
+    return Estimate(*[np.stack(field) for field in zip(*rows, strict=True)]), sides
