@@ -22,7 +22,8 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Estimate, Kalman
-from undeadzone.observers.parts.unknown_inputs import coloured, tolerances
+from undeadzone.observers.parts.model_tolerance import tolerances
+from undeadzone.observers.parts.unknown_inputs import coloured
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
