@@ -53,5 +53,13 @@ class Auto(
         return not any(claim is None or np.any(claim) for claim in claims)
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The chosen observer for a model, continuous or sampled. Raises InputError, its kinds."""
+        """The chosen observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: and its kinds, those of the chosen observer.
+        """
         return self.chosen(model, sensor).build(model, sensor)

@@ -57,7 +57,16 @@ class Censored(
     silence: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         prior = build_prior(
             model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR
         )

@@ -58,7 +58,14 @@ class Certified(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled.
 
-        Raises InputError, ShapeError; ProofError for a design that does not hold.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            ProofError: for a design that does not hold.
         """
         p = model.p
         L, gain = self._gains(model)

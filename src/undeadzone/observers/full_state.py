@@ -30,7 +30,12 @@ class FullState(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The reference line for a model, continuous or sampled.
 
-        Its step raises InputError where no true state is given.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: by its step, where no true state is given.
         """
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:

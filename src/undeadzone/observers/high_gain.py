@@ -49,7 +49,15 @@ class HighGain(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled.
 
-        Raises InputError, ShapeError, StepError, StructureError.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+            StepError: for a step that is too coarse for it.
         """
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         epsilon = self._epsilon(model)

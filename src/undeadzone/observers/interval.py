@@ -70,7 +70,14 @@ class Interval(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a linear model, continuous or sampled.
 
-        Raises InputError, ShapeError, StructureError.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
         """
         if model.nonlinear:
             raise InputError(

@@ -48,7 +48,16 @@ class Kalman(
     drift: float = 0.0
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "

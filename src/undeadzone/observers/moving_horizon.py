@@ -61,7 +61,16 @@ class MovingHorizon(
     solver: Literal["daqp", "osqp"] = "daqp"
 
     def build(self, model: System, sensor: Zone) -> NumericObserver:
-        """The estimator for a sampled model. Raises InputError, ShapeError."""
+        """The estimator for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "

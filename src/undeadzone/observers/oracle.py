@@ -32,7 +32,15 @@ class Oracle(
     silence: bool = False
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises ShapeError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            ShapeError: for an option of another shape.
+        """
         widths = np.stack([sensor.right, sensor.left], axis=1)
         gain, gamma = gains(self.L, model), np.zeros(model.p)
         start, limit = np.zeros(model.n), np.full(model.p, np.inf)

@@ -51,7 +51,16 @@ class ParticleFilter(
     particles: int = 500
 
     def build(self, model: System, sensor: Zone) -> NumericObserver:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
         prior = joint_prior(self, model, sensor, DEFAULTS)

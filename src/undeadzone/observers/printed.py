@@ -63,7 +63,13 @@ class Printed(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a continuous-time linear model of one output.
 
-        Raises InputError, StructureError.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            StructureError: for a model on which it does not exist.
         """
         if model.Ts is not None or model.nonlinear or model.p != 1:
             raise InputError(

@@ -61,7 +61,14 @@ class RobustGradient(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled.
 
-        Raises InputError, ShapeError, StructureError.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
         """
         if sensor.kind == "jump":
             raise InputError(

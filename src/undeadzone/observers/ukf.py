@@ -51,7 +51,16 @@ class UKF(
     kappa: float = 0.5
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         weights = self._weights(model.n + 2 * model.p)
 
         def correct(

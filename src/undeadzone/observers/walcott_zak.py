@@ -65,7 +65,15 @@ class WalcottZak(
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer for a model, continuous or sampled.
 
-        Raises InputError, ShapeError, StepError, StructureError.
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+            StepError: for a step that is too coarse for it.
         """
         L = injection(model, self.L, self.poles, self.speed, 10.0)
         rho, boundary = self._layer(model)
