@@ -1,4 +1,7 @@
-"""The observer that is chosen from what is claimed: which one, that it is that one, that it never sees the truth, that it leads."""
+"""The observer that is chosen from what is claimed.
+
+Which one, that it is that one, that it never sees the truth, that it leads.
+"""
 
 from __future__ import annotations
 

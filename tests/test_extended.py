@@ -1,4 +1,7 @@
-"""The extended filter against the filters that it must be and an independent twin; what it finds out about arms, and whether its claims hold."""
+"""The extended filter against the filters that it must be and an independent twin.
+
+What it finds out about arms, and whether its claims hold.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ def arm(kind: Any = TwoLink, Ts: float = TS, **numbers: float) -> System:
 
 
 class Watched(NamedTuple):
-    """An arm's states and what was estimated, a row per sample; extra: the last unknowns beside [x; d]."""
+    """An arm's states and what was estimated, a row per sample.
+
+    extra: the last unknowns beside [x; d].
+    """
 
     x: Floats
     found: Estimate
@@ -56,7 +62,10 @@ class Watched(NamedTuple):
 
 
 def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watched]:
-    """How the filter watches an arm that follows a path by its true state: (path, seed, widths, x0, disturbance, params) -> `Watched`."""
+    """How the filter watches an arm that follows a path by its true state.
+
+    It is (path, seed, widths, x0, disturbance, params) -> `Watched`.
+    """
     N, seen = arm.p, watch(options, arm, where)
 
     def run(
@@ -148,7 +157,10 @@ PENDULUMS = Plant(
 
 
 def pendulums(X: Any, u: float, Ts: float) -> Any:
-    """One step of `PENDULUMS` for [x; d; p; g, k], by RK4 of the literal formulas; the disturbance and what is constant, too."""
+    """One step of `PENDULUMS` for [x; d; p; g, k], by RK4 of the literal formulas.
+
+    The disturbance and what is constant, too.
+    """
     a, b = X[:2], X[2:4]
     g, k, force = 9.0 + X[9], 2.0 + X[10], u + X[8]
 
@@ -185,13 +197,23 @@ def slope(f: Callable[[Any], Any], X: Floats) -> Floats:
 
 @pytest.mark.parametrize(("blind", "seed"), [(False, 1), (False, 2), (True, 3)])
 def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
-    """A dense twin in NumPy: readings one after the other, each on its branch; blind takes every reading for z."""
+    """A dense twin in NumPy: readings one after the other, each on its branch.
+
+    `blind` takes every reading for z.
+    """
     Ts = 0.02
     model, where, rng = sampled(system(PENDULUMS), Ts, 1), zone(2, Ts), np.random.default_rng(seed)
     options = Extended(
-        right=RANGE, left=[0.0, 0.1], start=[0.1, -0.2, 0.5, 0.0], x_std=[0.1, 0.1, 0.3, 0.2], drift=0.01, silence=False, blind=blind,
-        uncertain={"g": 0.5, "k": 0.2}, **SHAKEN,
-    )  # fmt: skip
+        right=RANGE,
+        left=[0.0, 0.1],
+        start=[0.1, -0.2, 0.5, 0.0],
+        x_std=[0.1, 0.1, 0.3, 0.2],
+        drift=0.01,
+        silence=False,
+        blind=blind,
+        uncertain={"g": 0.5, "k": 0.2},
+        **SHAKEN,
+    )
     observer = options.build(model, where)
     step, state = on_numbers(observer, model), observer.init(observer.params)
     widths = np.zeros(4) if blind else np.array([0.085, 0.085, 0.05, 0.05])
@@ -225,7 +247,10 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
 
 
 def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
-    """Two carts: one filter of 10 unknowns, or two of 5, to rounding; a torque on one is an acceleration of it."""
+    """Two carts: one filter of 10 unknowns, or two of 5, to rounding.
+
+    A torque on one is an acceleration of it.
+    """
     carts = Plant(
         states=["a", "b", "v", "w"],
         inputs=["s", "t"],
@@ -269,13 +294,14 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
 
 @pytest.mark.parametrize("joints", ["coupled", "separate"])
 def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
-    """20 s of sines through 0, an exact model: widths to 5 %; the centres by weight alone where the covariance knows of it."""
+    """20 s of sines through 0, an exact model: widths to 5 %.
+
+    The centres by weight alone where the covariance knows of it.
+    """
     model, widths = arm(Ts=1e-3), np.array([[0.05, 0.08], [0.08, 0.05]])
-    options = (
-        {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1}
-        if joints == "separate"
-        else EXACT
-    )
+    options = EXACT
+    if joints == "separate":
+        options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1}
     path = sines(20.0, 0.5, [2.0, 4.0], 1e-3)
     found = watcher(
         Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options),
@@ -294,7 +320,10 @@ def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
 
 
 def test_homing_tells_the_centre_that_nothing_else_does() -> None:
-    """One link on a table: no force tells where it points, so that only a known start tells d_r from d_l."""
+    """One link on a table: no force tells where it points.
+
+    Only a known start tells d_r from d_l.
+    """
     model, widths = arm(OneLink, g=0.0), np.array([0.05, 0.08])
     path = sines(8.0, 0.5, [3.0], TS)
     homed, lost = (
@@ -339,7 +368,10 @@ def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
 
 
 def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
-    """An arm at rest beyond its edges reads z - d_r, z + d_l: so it is believed, where nothing knows of a dead zone."""
+    """An arm at rest beyond its edges reads z - d_r, z + d_l.
+
+    So it is believed, where nothing knows of a dead zone.
+    """
     model, widths = arm(), np.array([[0.05, 0.08], [0.08, 0.05]])
     rest = np.tile([0.4, -0.5, 0.0, 0.0, 0.0, 0.0], (1500, 1))
     options: dict[str, Any] = {
@@ -359,7 +391,10 @@ def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
 
 
 def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
-    """Readings show z itself; that they are 0, or not, bounds each width: from both sides in the end."""
+    """Readings show z itself; that they are 0, or not, bounds each width.
+
+    From both sides in the end.
+    """
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
     model, widths, path = (
         sampled(flow, TS, 1),
@@ -393,7 +428,10 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
 def test_claims_are_true_over_random_arms(
     options: dict[str, Any], rms: float, payload: float
 ) -> None:
-    """2 standard deviations hold the truth in 95 %: at least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed."""
+    """2 standard deviations hold the truth in 95 %.
+
+    At least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed.
+    """
     Ts, runs = 4e-3, 25
     model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, 0.5, PULSES, Ts), START
     run = watcher(

@@ -1,4 +1,7 @@
-"""The measured-side Kalman filter against textbook twins, and its claims against the truth; the Gaussian maths beneath it."""
+"""The measured-side Kalman filter against textbook twins, and its claims against the truth.
+
+So is the Gaussian maths beneath it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from benchmarks import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.stats import norm
+from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
 from undeadzone import sensor
@@ -23,6 +26,7 @@ from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
 from undeadzone.observers.parts import measured_kalman as filtering
 from undeadzone.observers.parts.measured_kalman import State
+from undeadzone.observers.parts.prior import build_prior, width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -53,16 +57,10 @@ def covariance(state: State) -> Floats:
 
 def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
     """f of CasADi symbols, at numbers."""
-    symbols = [
-        ca.SX.sym("a", *np.reshape(value, (len(np.atleast_1d(value)), -1)).shape)
-        for value in values
-    ]
-    return [
-        found.full()
-        for found in ca.Function("f", symbols, list(f(*symbols))).call(
-            [ca.DM(value) for value in values]
-        )
-    ]
+    numbers = [ca.DM(value) for value in values]
+    symbols = [ca.SX.sym("a", *number.shape) for number in numbers]
+    function = ca.Function("f", symbols, list(f(*symbols)))
+    return [result.full() for result in function.call(numbers)]
 
 
 # --- Gaussian maths
@@ -79,7 +77,7 @@ def test_covariance_and_triangle_are_inverse(seed: int) -> None:
 
 @given(seeds)
 def test_prediction_is_exact_for_second_degree(seed: int) -> None:
-    """Mean and covariance of random quadratic maps by Gauss-Hermite quadrature, which is exact for them."""
+    """Random quadratic maps, for which Gauss-Hermite quadrature of mean and covariance is exact."""
     rng = np.random.default_rng(seed)
     H, F, mean, root, Q = (
         rng.normal(size=(2, 3, 3)),
@@ -120,7 +118,7 @@ def test_hazard_agrees_with_scipy() -> None:
 
 @given(seeds, st.just(0.0) | st.floats(0.01, 2.0))
 def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) -> None:
-    """Against quadrature of the belief in q = h x times the probability Phi(-q / sqrt R) that q + v <= 0."""
+    """Against quadrature of the belief in q = h x times P(q + v <= 0) = Phi(-q / sqrt R)."""
     rng = np.random.default_rng(seed)
     root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
     P, mean = root @ root.T, rng.normal(size=3)
@@ -187,7 +185,10 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
 def textbook(
     model: System, given: Kalman, noise: float, ys: Floats, us: Floats
 ) -> list[tuple[Floats, Floats]]:
-    """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook: all outputs at once, K = P H' S^-1."""
+    """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook.
+
+    All outputs at once, K = P H' S^-1.
+    """
     A, B, C = model.linear
     n, p = model.n, model.p
     (lo, hi), (low, high) = given.right, given.left or given.right  # type: ignore[misc]
@@ -245,7 +246,10 @@ def test_where_every_reading_is_active_it_is_the_textbook_filter(
 
 @given(seeds, st.integers(1, 3))
 def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> None:
-    """The estimate of the last state and of d minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2 over theta = [x(0); d]."""
+    """The estimate of the last state and of d is that of the best theta = [x(0); d].
+
+    It minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2.
+    """
     rng = np.random.default_rng(seed)
     model = sampled(random_plant(rng, n), TS)
     A, B, C = model.linear
@@ -343,7 +347,10 @@ def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
 
 @pytest.mark.parametrize("reach", ["both edges", "right edge only"])
 def test_claims_are_true_over_random_problems(reach: str) -> None:
-    """300 problems: coverage within three standard errors of 95 % or more, NEES and NIS near 1 (chi-square, 4 sigma)."""
+    """300 problems: coverage within three standard errors of 95 % or more.
+
+    NEES and NIS are near 1 (chi-square, 4 sigma).
+    """
     found = coverage.observe(coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5))
     assert found.covered().min() > 0.91
     assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
@@ -364,7 +371,10 @@ def test_an_edge_that_is_never_reached_keeps_its_prior() -> None:
 @pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])
 @pytest.mark.parametrize("reach", ["grazing", "right edge only"])
 def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, reach: str) -> None:
-    """filterpy's EKF and UKF where an edge is hardly or never reached, on problems that ours gets right."""
+    """filterpy's EKF and UKF where an edge is hardly or never reached.
+
+    Ours gets these problems right.
+    """
     pytest.importorskip("filterpy")
     problems = coverage.problems(reach, coverage.World(), 2, 12, 7)
     ours, theirs = (
@@ -490,3 +500,38 @@ def test_wrong_options_are_named(
 def test_continuous_time_is_refused_with_what_to_do() -> None:
     with pytest.raises(InputError, match=r"set simulation\.time"):
         simulate(scene(observer=OPTIONS))
+
+
+# --- Its parts
+
+
+def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
+    """Independent widths: each has the mean of a truncated normal; the covariance stays."""
+    ranges = np.array([[0.5, 1.2], [0.0, 0.4]])
+    mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.2])
+    params = filtering.Params(*[None] * 10)._replace(ranges=ranges)
+
+    def shown(mean: Any, cov: Any) -> list[Any]:
+        belief, log_chance = filtering.within_ranges(params, 1, Gaussian(mean, cov))
+        return [*belief, log_chance]
+
+    cut_mean, cov, log_chance = evaluate(shown, mean, np.diag(std**2))
+    a, b = (ranges.T - mean[1:]) / std[1:]
+    expected = truncnorm.mean(a, b, loc=mean[1:], scale=std[1:])
+    assert cut_mean[:, 0] == pytest.approx([3.0, *expected])
+    assert (cov == np.diag(std**2)).all()
+    chances = norm.cdf(b) - norm.cdf(a)
+    assert log_chance[0, 0] == pytest.approx(np.log(chances).sum())
+
+
+def test_a_prior_is_uniform_over_its_ranges() -> None:
+    where = zone(noise=0.1)
+    prior = build_prior(MODEL, where, [0.5, 2.0], [0.0, 1.0], None, None, None, wear=0.01)
+    assert prior.mean.tolist() == [0.0, 0.0, 1.25, 0.5]
+    assert prior.std == pytest.approx([10.0, 10.0, 1.5 / np.sqrt(12), 1.0 / np.sqrt(12)])
+    assert pytest.approx([0.01]) == prior.R
+    assert prior.drift == pytest.approx(np.full(2, 0.02**2 * TS))
+
+
+def test_the_left_widths_have_the_ranges_of_the_right_ones_by_default() -> None:
+    assert width_ranges([0.5, 2.0], None, 2).tolist() == [[0.5, 2.0]] * 4
