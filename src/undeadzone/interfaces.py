@@ -97,8 +97,8 @@ class Traits(NamedTuple):
         width_max: upper bound d_M of the widths (p), onto which they are projected.
         adapts: whether it estimates the widths.
         uncertain: names of the model's parameters that it estimates, as theta.
-        start_std: standard deviation of x(0) about the declared start (n); None: no start is
-            declared.
+        start_std: standard deviation of x(0) about the claimed start (n); None: no start is
+            claimed.
     """
 
     L: Floats | None = None

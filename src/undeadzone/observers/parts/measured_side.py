@@ -161,21 +161,33 @@ def measured_side_step(
     active = reading.side != 0
     over, under = silent_violation(setup, p, s, z, reading)
     correct = correct_jump if setup.kind == "jump" else correct_deadzone
-    said = correct(s, z, y, reading.side, over, under)
+    correction = correct(s, z, y, reading.side, over, under)
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
     right = Edge(
-        soft * said.drive_right, said.adapt_right, s.right, p.right0, s.right_gain, p.gamma
+        drive=soft * correction.drive_right,
+        adapted=correction.adapt_right,
+        width=s.right,
+        width0=p.right0,
+        gain=s.right_gain,
+        gamma=p.gamma,
     )
-    left = Edge(soft * said.drive_left, said.adapt_left, s.left, p.left0, s.left_gain, p.gamma)
+    left = Edge(
+        drive=soft * correction.drive_left,
+        adapted=correction.adapt_left,
+        width=s.left,
+        width0=p.left0,
+        gain=s.left_gain,
+        gamma=p.gamma,
+    )
     change_right, right_gain = law.move(p.law, right)
     change_left, left_gain = law.move(p.law, left)
-    x = model.move(p.model, s.x, u) + p.L @ (soft * said.e)
+    x = model.move(p.model, s.x, u) + p.L @ (soft * correction.e)
     after = State(
         x, keep * s.right + change_right, keep * s.left + change_left, right_gain, left_gain
     )
     if model.Ts is not None:
         after = into_bounds(law, p, after)
-    return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, said.e)
+    return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e)
 
 
 def silent_violation(
