@@ -281,10 +281,10 @@ def run(adaptation: dict[str, Any], **observer: Any) -> Any:
     ],
 )
 def test_widths_of_the_papers_example_are_found(adaptation: dict[str, Any]) -> None:
-    found = run(adaptation)
-    assert found.d_hat[-1] == pytest.approx([1.0, 1.0], abs=0.02)
-    assert found.rms_estimation < 0.02
-    assert found.info.certified is (True if adaptation["method"] == "gradient" else None)
+    outcome = run(adaptation)
+    assert outcome.d_hat[-1] == pytest.approx([1.0, 1.0], abs=0.02)
+    assert outcome.rms_estimation < 0.02
+    assert outcome.info.certified is (True if adaptation["method"] == "gradient" else None)
 
 
 def test_least_squares_alone_grows_deaf() -> None:
@@ -302,7 +302,7 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
     a is the share of time that an edge is active.
     """
     leak, gamma = 0.2, 0.5
-    found = simulate(
+    outcome = simulate(
         scene(
             plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
             observer={
@@ -316,9 +316,9 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
         ),
         check_step=False,
     )
-    last = found.t > 50.0
-    share = (found.side[last, 0] > 0).mean()
-    assert (1.0 - found.d_hat[last, 0]).mean() == pytest.approx(
+    last = outcome.t > 50.0
+    share = (outcome.side[last, 0] > 0).mean()
+    assert (1.0 - outcome.d_hat[last, 0]).mean() == pytest.approx(
         leak / (share + leak) * 0.8, rel=0.02
     )
 

@@ -92,9 +92,9 @@ def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
     return (offset + amplitude * np.sin(1.3 * t) + 0.3 * amplitude * np.sin(3.1 * t))[:, None]
 
 
-def centre_std(found: Estimate) -> float:
+def centre_std(estimate: Estimate) -> float:
     return float(
-        np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[0] / 2
+        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2)[0] / 2
     )
 
 
@@ -117,13 +117,13 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
     )
     for _ in range(30):
         y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
-        found = [
+        both = [
             step(state, u, y, sensor.side(y, where.threshold))
             for step, state in zip(steps, states, strict=True)
         ]
-        states = [after for after, _ in found]
-        assert all(np.array_equal(a, b) for a, b in zip(found[0][1], found[1][1], strict=True))
-    assert (found[0][1].x_std < 2.0).any()
+        states = [after for after, _ in both]
+        assert all(np.array_equal(a, b) for a, b in zip(both[0][1], both[1][1], strict=True))
+    assert (both[0][1].x_std < 2.0).any()
 
 
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
@@ -144,8 +144,8 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 def test_the_disturbance_is_first_order_noise_of_unit_rms(
     correlation: float, relative_step: float
 ) -> None:
-    found = coloured(correlation, None, relative_step * correlation)
-    assert np.concatenate([*found.F, *found.Q, *found.cov, found.C]) == pytest.approx(
+    colour = coloured(correlation, None, relative_step * correlation)
+    assert np.concatenate([*colour.F, *colour.Q, *colour.cov, colour.C]) == pytest.approx(
         [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
     )
 
@@ -175,10 +175,10 @@ def test_with_a_washout_it_has_no_constant_part(
 def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     flow = random_plant(rng, n, m)
-    found = tolerances(sampled(flow, TS), 0.1)
+    tolerance = tolerances(sampled(flow, TS), 0.1)
     A, B, C = flow.linear
-    assert found.std == pytest.approx(np.full(n * (n + m), 0.1))
-    slopes, h = found.slopes.reshape(-1, n, n + m), 1e-6
+    assert tolerance.std == pytest.approx(np.full(n * (n + m), 0.1))
+    slopes, h = tolerance.slopes.reshape(-1, n, n + m), 1e-6
     for (i, j), slope in zip(np.ndindex(n, n), slopes, strict=False):
         moved = A.copy()
         moved[i, j] *= 1 + h
@@ -244,7 +244,7 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
             {"bias": 0.8, "calibrated": 0.7},
         )
     )
-    centres = [float(found.right[0] - found.left[0]) / 2 for found in (wide, small, mixed)]
+    centres = [float(estimate.right[0] - estimate.left[0]) / 2 for estimate in (wide, small, mixed)]
     prior = PRIOR / np.sqrt(2)
     shown = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
     chances = [
@@ -266,15 +266,15 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
-    found = watch(
+    estimate = watch(
         Censored(**EXACT | {"tolerance": tolerance}),
         MODEL,
         zone(right=1.3, left=0.6),
         tones(30.0, 8.0),
         np.array([0.5, 0.0]),
     )
-    assert centre_std(found) < 0.01
-    assert abs((found.right - found.left) / 2 - 0.35) < 4 * centre_std(found)
+    assert centre_std(estimate) < 0.01
+    assert abs((estimate.right - estimate.left) / 2 - 0.35) < 4 * centre_std(estimate)
 
 
 def test_a_wrong_model_is_found_out() -> None:
@@ -295,9 +295,9 @@ def test_a_wrong_model_is_found_out() -> None:
             y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(
                 size=1
             )
-            state, found = step(state, drive, y, sensor.side(y, where.threshold))
+            state, estimate = step(state, drive, y, sensor.side(y, where.threshold))
             z = plant.linear.A @ z + plant.linear.B @ drive
-        errors.append(np.abs(found.right - 1.3)[0] / found.right_std[0])
+        errors.append(np.abs(estimate.right - 1.3)[0] / estimate.right_std[0])
     assert errors[0] > 10
     assert errors[1] < 3
 
@@ -340,7 +340,7 @@ def test_a_missing_sample_is_not_a_silent_one() -> None:
 
 
 def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
-    found = watch(
+    estimate = watch(
         Censored(**EXACT),
         MODEL,
         zone(right=1.3, left=0.6, kind="jump"),
@@ -348,8 +348,8 @@ def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
         np.array([0.5, 0.0]),
     )
     for width, std, truth in (
-        (found.right, found.right_std, 1.3),
-        (found.left, found.left_std, 0.6),
+        (estimate.right, estimate.right_std, 1.3),
+        (estimate.left, estimate.left_std, 0.6),
     ):
         assert std < 0.5 * PRIOR
         assert abs(width - truth) < 3 * std
@@ -364,20 +364,20 @@ def test_claims_are_true_over_random_problems(reach: str) -> None:
 
     Coverage within three standard errors of 95 %, or more; NEES near 1.
     """
-    found = coverage.observe(
+    outcome = coverage.observe(
         coverage.censored, coverage.problems(reach, coverage.WORLDS["disturbed"], 2, 120, 8)
     )
-    assert found.covered().min() > 0.89
-    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
-    assert reach == "no edge" or found.nis == pytest.approx(1.0, abs=0.05)
+    assert outcome.covered().min() > 0.89
+    assert outcome.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
+    assert reach == "no edge" or outcome.nis == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_coloured_disturbance_taken_for_white_is_not_covered() -> None:
     """What the disturbance model is for: the same problems with `kalman`."""
-    found = coverage.observe(
+    outcome = coverage.observe(
         coverage.kalman, coverage.problems("both edges", coverage.WORLDS["disturbed"], 2, 120, 8)
     )
-    assert found.covered().max() < 0.7
+    assert outcome.covered().max() < 0.7
 
 
 def test_two_outputs_and_two_inputs_in_the_loop() -> None:
@@ -433,12 +433,12 @@ def drawn(
 def fed(options: Any, where: Zone, u: Floats, y: Floats) -> tuple[list[Any], list[Estimate]]:
     """(states, estimates) of a filter along inputs and readings."""
     observer = options.build(MODEL, where)
-    step, states, found = on_numbers(observer, MODEL), [observer.init(observer.params)], []
+    step, states, estimates = on_numbers(observer, MODEL), [observer.init(observer.params)], []
     for drive, reading in zip(u, y, strict=True):
         after, estimate = step(states[-1], drive, reading, sensor.side(reading, where.threshold))
         states.append(after)
-        found.append(estimate)
-    return states, found
+        estimates.append(estimate)
+    return states, estimates
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -463,9 +463,9 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     ]
     _, mixed = fed(Censored(**common | {"disturbance": 2.0}, levels=2), where, u, y)
     log = np.zeros((len(u), 2))
-    for k, found in enumerate(members):
+    for k, estimates in enumerate(members):
         e, std = (
-            np.array([getattr(one, name)[0] for one in found])
+            np.array([getattr(one, name)[0] for one in estimates])
             for name in ("innovation", "innovation_std")
         )
         log[:, k] = np.cumsum(np.where(e != 0, norm.logpdf(e, scale=std), 0.0))
@@ -474,7 +474,8 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     assert ((share > 0.2).all(axis=1)).any()
     for at in (0, 20, 60, len(u) - 1):
         x, std = (
-            np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std")
+            np.array([getattr(estimates[at], name)[0] for estimates in members])
+            for name in ("x", "x_std")
         )
         mean = share[at] @ x
         assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
@@ -488,10 +489,10 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found, chance = gaussian.truncate_to(
+    belief, chance = gaussian.truncate_to(
         gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
     )
-    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*found, chance))
+    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*belief, chance))
     a, b = (-0.5 - mean) / std, (1.0 - mean) / std
     if norm.cdf(b) - norm.cdf(a) < 2e-6:
         assert log <= np.log(2e-6)
@@ -508,7 +509,7 @@ def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
 
     The estimates leave the range, and do not stay on its edge.
     """
-    found = watch(
+    estimate = watch(
         Censored(**EXACT),
         MODEL,
         zone(right=2.6, left=2.4, noise=0.01),
@@ -516,8 +517,8 @@ def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
         np.zeros(2),
         noise=np.zeros((1500, 1)),
     )
-    assert found.right == pytest.approx(2.6, abs=0.05)
-    assert found.left == pytest.approx(2.4, abs=0.05)
+    assert estimate.right == pytest.approx(2.6, abs=0.05)
+    assert estimate.left == pytest.approx(2.4, abs=0.05)
 
 
 # --- In the loop
@@ -538,10 +539,10 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
     rng = np.random.default_rng(n)
     flow = random_plant(rng, n)
     for model in (flow, sampled(flow, TS)):
-        found = rest(model)
+        at_rest = rest(model)
         A, B, C = flow.linear
-        assert A @ found[:n] + B @ found[n:] == pytest.approx(-np.eye(n), abs=1e-9)
-        assert C @ found[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
+        assert A @ at_rest[:n] + B @ at_rest[n:] == pytest.approx(-np.eye(n), abs=1e-9)
+        assert C @ at_rest[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
 
 
 def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:

@@ -69,10 +69,10 @@ def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
 @given(seeds)
 def test_covariance_and_triangle_are_inverse(seed: int) -> None:
     square = np.random.default_rng(seed).normal(size=(4, 4))
-    (found,) = evaluate(
+    (whole,) = evaluate(
         lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T
     )
-    assert (found == square + square.T).all()
+    assert (whole == square + square.T).all()
 
 
 @given(seeds)
@@ -90,7 +90,7 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     def f(X: Any) -> Any:
         return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
 
-    found = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
+    moments = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
     nodes, weights = np.polynomial.hermite_e.hermegauss(4)
     points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
     weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)
@@ -102,18 +102,18 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
         axis=1,
     )
     expected = weight @ values
-    assert found[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert found[1] == pytest.approx(
+    assert moments[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert moments[1] == pytest.approx(
         (values - expected).T @ np.diag(weight) @ (values - expected) + Q, rel=1e-8, abs=1e-8
     )
 
 
 def test_hazard_agrees_with_scipy() -> None:
     alpha = np.linspace(-30, 30, 1201)
-    (found,) = evaluate(lambda a: [gaussian.hazard(a)], alpha)
+    (ratio,) = evaluate(lambda a: [gaussian.hazard(a)], alpha)
     expected = np.exp(norm.logpdf(alpha) - norm.logcdf(alpha))
-    assert found[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
-    assert found[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
+    assert ratio[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
+    assert ratio[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
 
 
 @given(seeds, st.just(0.0) | st.floats(0.01, 2.0))
@@ -122,7 +122,7 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     rng = np.random.default_rng(seed)
     root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
     P, mean = root @ root.T, rng.normal(size=3)
-    found = evaluate(
+    moments = evaluate(
         lambda m, P: gaussian.truncate(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0],
         mean,
         P,
@@ -151,8 +151,8 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
         return
     shift = moment(1) / total
     gain = P @ h / variance
-    assert found[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
-    assert found[1] == pytest.approx(
+    assert moments[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
+    assert moments[1] == pytest.approx(
         P + np.outer(gain, gain) * (moment(2) / total - shift**2 - variance), abs=1e-5
     )
 
@@ -183,7 +183,7 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
 
 
 def textbook(
-    model: System, given: Kalman, noise: float, ys: Floats, us: Floats
+    model: System, options: Kalman, noise: float, ys: Floats, us: Floats
 ) -> list[tuple[Floats, Floats]]:
     """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook.
 
@@ -196,24 +196,24 @@ def textbook(
     P = np.diag(
         np.concatenate(
             [
-                np.full(n, given.x_std),
+                np.full(n, options.x_std),
                 np.full(p, (hi - lo) / np.sqrt(12)),
                 np.full(p, (high - low) / np.sqrt(12)),
             ]
         )
         ** 2
     )
-    F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * given.drift**2 * TS
+    F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * options.drift**2 * TS
     F[:n, :n], Q[:n, :n] = A, B @ B.T * float(given.disturbance) ** 2  # type: ignore[arg-type]
-    found = []
+    beliefs = []
     for y, u in zip(ys, us, strict=True):
         H = np.hstack([C, -np.diag(1.0 * (y > 0)), np.diag(1.0 * (y < 0))])
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise**2 * np.eye(p))
         mean, P = mean + K @ (y - H @ mean), (np.eye(n + 2 * p) - K @ H) @ P
-        found.append((mean, P))
+        beliefs.append((mean, P))
         mean, P = F @ mean, F @ P @ F.T + Q
         mean[:n] += B @ u
-    return found
+    return beliefs
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.integers(1, 2))
@@ -318,14 +318,14 @@ def test_the_estimate_does_not_depend_on_the_input() -> None:
 def test_a_reading_is_used_if_far_or_announced(
     y: float, last: float, previous: float, expected: int
 ) -> None:
-    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
-    assert found == expected
+    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
+    assert sure == expected
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
 def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previous: float) -> None:
-    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
-    assert found == sensor.side(y)
+    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
+    assert sure == sensor.side(y)
 
 
 def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
@@ -351,21 +351,23 @@ def test_claims_are_true_over_random_problems(reach: str) -> None:
 
     NEES and NIS are near 1 (chi-square, 4 sigma).
     """
-    found = coverage.observe(coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5))
-    assert found.covered().min() > 0.91
-    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
-    assert found.nis == pytest.approx(1.0, abs=0.02)
+    outcome = coverage.observe(
+        coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5)
+    )
+    assert outcome.covered().min() > 0.91
+    assert outcome.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
+    assert outcome.nis == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_edge_that_is_never_reached_keeps_its_prior() -> None:
-    found = coverage.observe(
+    outcome = coverage.observe(
         coverage.kalman, coverage.problems("no edge", coverage.World(), 2, 50, 6)
     )
     prior = np.ptp(coverage.RANGE) / np.sqrt(12)
-    assert found.stds[:, :4] == pytest.approx(
+    assert outcome.stds[:, :4] == pytest.approx(
         np.tile([prior, prior, np.sqrt(2) * prior, prior / np.sqrt(2)], (50, 1))
     )
-    assert found.covered().min() > 0.9
+    assert outcome.covered().min() > 0.9
 
 
 @pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])

@@ -91,8 +91,8 @@ class Numbers:
     def part(self, name: str) -> Floats:
         """A field of the state as an array."""
         start = 0
-        for found, leaf in tree.leaves(self.like):
-            if found == name:
+        for path, leaf in tree.leaves(self.like):
+            if path == name:
                 return self.state[start : start + leaf.size].reshape(leaf.shape, order="F")
             start += leaf.size
         raise KeyError(name)
@@ -109,14 +109,14 @@ def values(basis: Basis, v: Floats) -> Floats:
 def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool) -> None:
     rng = np.random.default_rng(seed)
     reach, v = rng.uniform(0.5, 5, k), rng.normal(size=k) * 2
-    found = values(gaussians("key", reach, 4, 0.7, normalised), v)
+    functions = values(gaussians("key", reach, 4, 0.7, normalised), v)
     at = np.clip(v / reach, -1, 1) if normalised else v / reach
     axes = np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij")
     centres = np.stack(axes, axis=-1).reshape(-1, k)
     expected = np.exp(-(((at - centres) / (2 / 3 * 0.7)) ** 2).sum(axis=1) / 2)
     if normalised:
         expected /= expected.sum()
-    assert found == pytest.approx(expected)
+    assert functions == pytest.approx(expected)
 
 
 def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
@@ -214,16 +214,16 @@ def literal_filters(
     A, B, C = model.linear
     n, p = model.n, model.p
     xi, Phi = np.zeros(n), np.zeros((n, 2 * p))
-    found = []
+    rows = []
     for u, y, side in readings:
         gate = np.diag((side != 0) * 1.0) if gated else np.eye(p)
         phi = np.zeros((p, 2 * p))
         for i in range(p):
             phi[i, 2 * i : 2 * i + 2] = [side[i] > 0, -1.0 * (side[i] < 0)]
-        found.append((xi, gate @ (y - C @ xi), gate @ (C @ Phi - phi)))
+        rows.append((xi, gate @ (y - C @ xi), gate @ (C @ Phi - phi)))
         xi = A @ xi + B @ u + L @ gate @ (y - C @ xi)
         Phi = A @ Phi - L @ gate @ (C @ Phi - phi)
-    return tuple(np.array(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
+    return tuple(np.array(part) for part in zip(*rows, strict=True))  # type: ignore[return-value]
 
 
 def recorded(
@@ -461,13 +461,13 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
         ],
         check=True,
     )
-    given = (state, exogenous, tree.pack(loop.params))
-    found, expected = (
-        interpret.run(ca.external("step", str(tmp_path / "step.so")), *given)[0],
-        interpret.run(loop.step, *given)[0],
+    arguments = (state, exogenous, tree.pack(loop.params))
+    computed, expected = (
+        interpret.run(ca.external("step", str(tmp_path / "step.so")), *arguments)[0],
+        interpret.run(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-9)
 
 
 # --- What they do on the paper's example (design/arena.md): sampled at 200 Hz, 20 s, d = 1
@@ -675,7 +675,7 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
         Estimate(x, none, none, none, ca.SX(z), none),
         Target(np.array([r]), ca.SX(x_ref), ca.SX(u_ff)),
     )
-    found, force = (
+    motion, force = (
         v.full().ravel()
         for v in ca.Function("law", [p, s], [tree.stack(after), u])(
             tree.pack(controller.params), np.concatenate([x, W])
@@ -686,13 +686,13 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     assert force == pytest.approx([(wanted - W @ phi) / 2])
     learnt = gain * phi * (c * E[0] + E[1]) - leak * W
     if Ts is None:
-        assert found == pytest.approx(
+        assert motion == pytest.approx(
             np.concatenate([[x[1] + 2 * speed * e, wanted + speed**2 * e], learnt])
         )
     else:
         pole = np.exp(-speed * Ts)
         injected = np.array([2 * (1 - pole), (1 - pole) ** 2 / Ts]) * e
-        assert found == pytest.approx(
+        assert motion == pytest.approx(
             np.concatenate(
                 [
                     x[:1] + Ts * x[1] + Ts**2 / 2 * wanted + injected[:1],

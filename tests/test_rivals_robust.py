@@ -170,11 +170,11 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
-    found, _ = bounded(time)
-    shown = found.estimate
+    outputs, _ = bounded(time)
+    shown = outputs.estimate
     halves = [np.sqrt(3) * std for std in (shown.x_std, shown.right_std, shown.left_std)]
     for truth, middle, half in zip(
-        (found.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
+        (outputs.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
     ):
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)
@@ -278,10 +278,10 @@ def test_boxes_shrink_as_fast_as_the_poles_allow(
 
 def _beside(pairs: list[int], n: int) -> Floats:
     """1 but within oscillating modes, which turn by themselves."""
-    found: Floats = np.ones((n, n))
+    mask: Floats = np.ones((n, n))
     for i in pairs:
-        found[i, i + 1] = 0.0
-    return found
+        mask[i, i + 1] = 0.0
+    return mask
 
 
 def test_interval_on_generated_C(tmp_path: Path) -> None:
@@ -311,11 +311,11 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
         check=True,
     )
     params = tree.pack(loop.params)
-    found, expected = (
+    computed, expected = (
         interpret.run(f, state, exogenous, params)[0]
         for f in (ca.external("step", str(tmp_path / "step.so")), loop.step)
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)
 
 
 # --- Sliding modes
@@ -576,9 +576,9 @@ def test_on_the_plane_errors_have_the_poles(n: int, m: int, Ts: float | None) ->
     G = SlidingMode(gain=1.0, poles=poles).build(model).params.G
     A, B, _ = model.linear
     assert pytest.approx(np.eye(m), abs=1e-9) == G @ B
-    found = np.linalg.eigvals((np.eye(n) - B @ G) @ A)
-    found = np.sort(found[np.argsort(-np.abs(found))][: n - m].real)
-    assert found == pytest.approx(np.sort(poles if Ts is None else np.exp(poles * Ts)), rel=1e-5)
+    placed = np.linalg.eigvals((np.eye(n) - B @ G) @ A)
+    placed = np.sort(placed[np.argsort(-np.abs(placed))][: n - m].real)
+    assert placed == pytest.approx(np.sort(poles if Ts is None else np.exp(poles * Ts)), rel=1e-5)
 
 
 @pytest.mark.parametrize("n", [2, 3])

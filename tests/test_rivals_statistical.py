@@ -75,12 +75,12 @@ def follow(
     observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0
 ) -> list[Any]:
     """The estimates along readings and inputs."""
-    state, found = observer.start(seed), []
+    state, estimates = observer.start(seed), []
     for y, u, side in zip(ys, us, sides, strict=True):
         state, estimate = observer.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
         state = observer.predict(state, np.atleast_1d(u))
-        found.append(estimate)
-    return found
+        estimates.append(estimate)
+    return estimates
 
 
 # --- Kalman's filter where the side is known and the model linear
@@ -106,8 +106,8 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
     s, t = ours.init(ours.params), theirs.init(theirs.params)
     for _ in range(10):
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
-        (s, found), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
-        for a, b in zip([*found, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
+        (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
+        for a, b in zip([*estimate, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
             assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
 
 
@@ -140,10 +140,10 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         z, u = model.linear.C @ x, rng.normal(size=1)
         y = sensor.deadzone(z, where.right, where.left) + 0.1 * rng.normal(size=2)
         assume((np.abs(z) > 15).all())
-        (s, found), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
+        (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
         x = model.linear.A @ x + model.linear.B @ u
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
-        for a, b in zip([*found, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
+        for a, b in zip([*estimate, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
             assert a == pytest.approx(b, rel=1e-7, abs=1e-9)
 
 
@@ -197,9 +197,9 @@ def test_the_factor_stands_covariances_without_full_rank(seed: int, size: int, r
     column, upper = ca.SX.sym("P", size * (size + 1) // 2), ca.Sparsity.upper(size)
     factor = ca.Function("factor", [column], [unscented.factor(symmetric(column, upper))])
     cov = root @ root.T
-    found = factor(triangle(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
-    assert np.isfinite(found).all()
-    assert found @ found.T == pytest.approx(cov, abs=1e-6 * max(1.0, np.abs(cov).max()))
+    factored = factor(triangle(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
+    assert np.isfinite(factored).all()
+    assert factored @ factored.T == pytest.approx(cov, abs=1e-6 * max(1.0, np.abs(cov).max()))
 
 
 # --- Particle filter
@@ -227,7 +227,7 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     particle = ParticleFilter(**claims, particles=3000).build(MODEL, zone())
     final = [follow(particle, ys, us, np.ones(count), seed)[-1] for seed in range(runs)]
     for name in ("x", "z", "x_std", "innovation", "innovation_std"):
-        values = np.stack([getattr(found, name) for found in final])
+        values = np.stack([getattr(one, name) for one in final])
         monte_carlo = values.std(axis=0, ddof=1) / np.sqrt(runs)
         assert (monte_carlo < 0.05 * exact.x_std.max()).all()
         assert (
@@ -264,7 +264,7 @@ def test_particles_survive_a_reading_that_none_of_them_expects() -> None:
     far = follow(
         observer, np.array([1e9, np.nan, 1e200, 1.0]), np.zeros(4), np.array([1.0, 0.0, 1.0, 1.0])
     )
-    assert all(np.isfinite(np.concatenate(found)).all() for found in far)
+    assert all(np.isfinite(np.concatenate(estimate)).all() for estimate in far)
 
 
 def test_particles_find_the_edges_of_a_jump_sensor() -> None:
@@ -335,7 +335,7 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
     )
     count = 9 * stride + 1
     ys, us = rng.choice([-1, 1]) * rng.uniform(1, 5, count), rng.normal(size=count)
-    found = follow(options.build(model, zone()), ys, us, np.sign(ys))[-1]
+    last = follow(options.build(model, zone()), ys, us, np.sign(ys))[-1]
     history = History(model, us[:-1], stride)
     std = np.concatenate(
         [
@@ -353,13 +353,13 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
     v = np.linalg.lstsq(np.vstack(rows), np.concatenate(rest), rcond=None)[0]
     expected = history.maps[-1] @ v + history.rest[-1]
     assume((expected[n:] > 20).all() and (expected[n:] < 40).all())
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+    assert np.concatenate([last.x, last.right, last.left]) == pytest.approx(
         expected, rel=1e-5, abs=1e-5
     )
     covariance = (
         history.maps[-1] @ np.linalg.inv(np.vstack(rows).T @ np.vstack(rows)) @ history.maps[-1].T
     )
-    assert np.concatenate([found.x_std, found.right_std, found.left_std]) == pytest.approx(
+    assert np.concatenate([last.x_std, last.right_std, last.left_std]) == pytest.approx(
         np.sqrt(np.diag(covariance)), rel=1e-6
     )
 
@@ -384,7 +384,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         np.where(np.arange(count) % 3 == 0, 2.0 + rng.normal(size=count), 0.0),
         30 * rng.normal(size=count),
     )
-    found = follow(options.build(MODEL, zone()), ys, us, np.sign(ys))[-1]
+    last = follow(options.build(MODEL, zone()), ys, us, np.sign(ys))[-1]
     history, C = History(MODEL, us[:-1], 1), MODEL.linear.C[0]
     std = np.concatenate(
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
@@ -418,7 +418,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
     cost(best.x)
     assert max(bends) > 0.01  # silence matters here
     tolerance = 2e-3 if solver == "osqp" else 2e-4
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+    assert np.concatenate([last.x, last.right, last.left]) == pytest.approx(
         history.maps[-1] @ best.x + history.rest[-1], abs=tolerance
     )
 
@@ -436,8 +436,8 @@ def _terms(C: Floats, y: float, gate: float) -> list[tuple[Floats, float, float]
 
 def test_a_programme_that_cannot_be_solved_leaves_the_prediction() -> None:
     observer = MovingHorizon(right=[0.5, 2.0]).build(MODEL, zone())
-    found = follow(observer, np.array([1.0, 1e300, 1.0]), np.zeros(3), np.ones(3))
-    assert np.isfinite(found[0].x).all()
+    estimates = follow(observer, np.array([1.0, 1e300, 1.0]), np.zeros(3), np.ones(3))
+    assert np.isfinite(estimates[0].x).all()
 
 
 # --- What they do wrong
@@ -454,12 +454,12 @@ def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read
     Kalman's on the measured side do.
     """
 
-    def rival(given: coverage.Problems, k: int) -> Any:
+    def rival(problems: coverage.Problems, k: int) -> Any:
         return method(
             right=coverage.RANGE,
-            noise=given.noise[k],
-            x_std=given.x_std,
-            disturbance=given.disturbance[k],
+            noise=problems.noise[k],
+            x_std=problems.x_std,
+            disturbance=problems.disturbance[k],
             drift=0.0,
         )
 
@@ -542,12 +542,12 @@ def test_the_live_loop_is_the_loop() -> None:
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
     ticks: list[int] = []
-    found = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
+    outcome = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
     for name in ("x", "z", "y", "u", "x_hat", "z_hat", "innovation", "x_std", "width_std"):
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9), (
-            name
-        )
+        assert getattr(outcome, name) == pytest.approx(
+            getattr(expected, name), rel=1e-9, abs=1e-9
+        ), name
 
 
 CHAIN = {
