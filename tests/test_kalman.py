@@ -191,7 +191,7 @@ def textbook(
     """
     A, B, C = model.linear
     n, p = model.n, model.p
-    (lo, hi), (low, high) = given.right, given.left or given.right  # type: ignore[misc]
+    (lo, hi), (low, high) = options.right, options.left or options.right  # type: ignore[misc]
     mean = np.concatenate([np.zeros(n), np.full(p, (lo + hi) / 2), np.full(p, (low + high) / 2)])
     P = np.diag(
         np.concatenate(
