@@ -204,7 +204,7 @@ def textbook(
         ** 2
     )
     F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * options.drift**2 * TS
-    F[:n, :n], Q[:n, :n] = A, B @ B.T * float(given.disturbance) ** 2  # type: ignore[arg-type]
+    F[:n, :n], Q[:n, :n] = A, B @ B.T * float(options.disturbance) ** 2  # type: ignore[arg-type]
     beliefs = []
     for y, u in zip(ys, us, strict=True):
         H = np.hstack([C, -np.diag(1.0 * (y > 0)), np.diag(1.0 * (y < 0))])
