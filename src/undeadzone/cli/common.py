@@ -68,14 +68,19 @@ def json_text(value: Any) -> str:
     return json.dumps(finite(value), indent=2, allow_nan=False)
 
 
-def print_pairs(pairs: dict[str, Any]) -> None:
-    """Aligned `name  value` lines; a list takes a line for each of its entries."""
+def print_pairs(pairs: dict[str, Any], err: bool = False) -> None:
+    """Aligned `name  value` lines; a list takes a line for each of its entries.
+
+    Args:
+        pairs: the values by name.
+        err: whether they go to stderr.
+    """
     width = max(map(len, pairs))
     for name, value in pairs.items():
         head = name
         for entry in value if isinstance(value, list) else [value]:
             text = f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-            click.echo(f"{head:<{width}}  {text}")
+            click.echo(f"{head:<{width}}  {text}", err=err)
             head = ""
 
 

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.errors import FileError
+from undeadzone.cli.common import print_pairs
+from undeadzone.cli.log_table import exit_code, log_pairs
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
-    from undeadzone.simulation.online import Online
+    from undeadzone.support.arrays import Floats
+
+BLOCK = 1 << 20  # bytes that are read at once, if as many have come
+
+
+def columns_option(command: click.decorators.FC) -> click.decorators.FC:
+    """Add --columns."""
+    return click.option(
+        "--columns",
+        default=None,
+        metavar="y=NAME,u=NAME",
+        help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+    )(command)
 
 
 @click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
@@ -24,104 +33,84 @@ if TYPE_CHECKING:
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
 )
-def watch(scenario: Path, as_json: bool) -> int:
-    """Read samples from stdin, write one estimate per sample to stdout, each line flushed at once.
+@columns_option
+@click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+def watch(scenario: Path, as_json: bool, columns: str | None, strict: bool) -> int:
+    """Read samples from stdin, write one estimate per sample to stdout, flushed as they come.
 
-    A sample is a CSV line: the readings, then the inputs that act until the next sample; a time in
-    front is allowed and passed through, and so is a header line. Samples are simulation.step apart.
-    An empty or NaN reading counts as missing: the estimate is predicted, not corrected. The
-    observer and [model] (or [plant]) of the scenario are used.
+    A sample is a CSV line. A header says which column is which: t, y, u (or y[0], y[1], ...), with
+    units in brackets; other columns are ignored, and run.csv of `undeadzone run` is such a log.
+    Without a header: a time perhaps, the readings, the inputs that act until the next sample.
+    Times must fit simulation.step; gaps in them, empty and NaN readings and lines that cannot be
+    read are missing samples: predicted, not corrected, and counted. The observer and [model] (or
+    [plant]) of the scenario are used; it needs no [reference], no [controller], no widths.
+
+    Ends with a table on stderr: widths, what was missing, and whether the innovations are what the
+    observer claims. Exit code 1: they are not.
     """
-    from undeadzone.scenario.problem import modelled_plant
-    from undeadzone.scenario.reader import read
-    from undeadzone.simulation.online import Online
+    from undeadzone.logs.names import parse_columns
+    from undeadzone.scenario.reader import read_for_logs
+    from undeadzone.simulation.follow_text import TextLog
+    from undeadzone.simulation.follower import Follower
 
-    watched = read(scenario)
-    step = watched.simulation.step
-    online = Online(
-        watched.observer,
-        modelled_plant(watched),
-        watched.sensor,
-        step,
-        watched.simulation.substeps,
-    )
-    p, m = online.model.p, online.model.m
-    count = 0
-    for number, row in enumerate(_rows(), 1):
-        if not row or (count == 0 and not any(_is_number(cell) for cell in row)):
+    watched = read_for_logs(scenario)
+    follower = Follower(watched, live=True)
+    log = TextLog("stdin", watched, follower, parse_columns(columns), strict)
+    last = False
+    header = not as_json
+    while not last:
+        data = sys.stdin.buffer.read1(BLOCK)
+        last = not data
+        samples = log.feed(data, last)
+        if not samples.t.size:
             continue
-        if len(row) not in (p + m, p + m + 1):
-            raise FileError(
-                f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a "
-                f"time and these, found {len(row)}"
-            )
-        values = [_value(cell, number) for cell in row]
-        columns = _columns(online, online.update(values[-(p + m) : -m], values[-m:]))
-        if count == 0 and not as_json:
-            click.echo(",".join(_header(columns)))
-        time = values[0] if len(row) > p + m else count * step
-        click.echo(_json(time, columns) if as_json else _csv(time, columns))
-        sys.stdout.flush()
-        count += 1
-    if count == 0:
-        raise FileError("stdin: no samples; give lines of readings and inputs")
-    click.echo(f"{online.samples} samples, {online.missing} missing", err=True)
-    return 0
+        estimate, sides, _ = follower.follow(samples)
+        if header:
+            _write(_header(estimate, sides))
+            header = False
+        _write(_json(samples.t, estimate, sides) if as_json else _csv(samples.t, estimate, sides))
+        sys.stdout.buffer.flush()
+    info = log.info(follower)
+    print_pairs(log_pairs(info), err=True)
+    return exit_code(info)
 
 
-def _rows() -> Iterator[list[str]]:
-    """The lines of stdin, in cells. Raises FileError."""
-    try:
-        yield from csv.reader(sys.stdin)
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise FileError(f"stdin: not CSV text ({error})") from None
+def _write(text: bytes) -> None:
+    """Write bytes to stdout."""
+    sys.stdout.buffer.write(text)
 
 
-def _value(cell: str, number: int) -> float:
-    """The number in a cell; NaN in an empty one. Raises FileError that names the line."""
-    if not cell.strip():
-        return math.nan
-    try:
-        return float(cell)
-    except ValueError:
-        raise FileError(
-            f"stdin, line {number}: expected a number or nothing, found {cell!r:.40}"
-        ) from None
-
-
-def _is_number(cell: str) -> bool:
-    """Whether a cell holds a number or nothing, and is no word of a header."""
-    try:
-        float(cell)
-    except ValueError:
-        return not cell.strip()
-    return True
-
-
-def _columns(online: Online, estimate: Estimate) -> dict[str, Any]:
-    """The parts of an estimate, and the measured side, by the names of their columns."""
+def _parts(estimate: Estimate, sides: Floats) -> dict[str, Floats]:
+    """The parts of estimates, and the measured sides, by the names of their columns."""
     from undeadzone.interfaces import COLUMNS
 
-    return dict(zip(COLUMNS, estimate, strict=True)) | {"side": online.side}
+    return dict(zip(COLUMNS, estimate, strict=True)) | {"side": sides}
 
 
-def _header(columns: dict[str, Any]) -> list[str]:
+def _header(estimate: Estimate, sides: Floats) -> bytes:
     """The names of the columns of a CSV file: t, x_hat[0], ..."""
     names = ["t"]
-    for name, part in columns.items():
-        names += [f"{name}[{i}]" for i in range(part.size)]
-    return names
+    for name, part in _parts(estimate, sides).items():
+        names += [f"{name}[{i}]" for i in range(part.shape[1])]
+    return ",".join(names).encode() + b"\n"
 
 
-def _csv(time: float, columns: dict[str, Any]) -> str:
-    """A line of a CSV file, with all digits."""
-    values = [time]
-    for part in columns.values():
-        values += part.tolist()
-    return ",".join(repr(float(value)) for value in values)
+def _csv(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
+    """Lines of a CSV file, with all digits."""
+    import msgspec
+    import numpy as np
+
+    table = np.hstack([t[:, None], *_parts(estimate, sides).values()])
+    rows = msgspec.json.encode(table.tolist())[2:-2]  # the quickest exact way to write numbers
+    return rows.replace(b"],[", b"\n").replace(b"null", b"nan") + b"\n"
 
 
-def _json(time: float, columns: dict[str, Any]) -> str:
-    """A line of JSON; what the observer does not estimate is left out."""
-    parts = {name: part.tolist() for name, part in columns.items() if part.size}
-    return json.dumps({"t": time} | parts)
+def _json(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
+    """Lines of JSON; what the observer does not estimate is left out."""
+    import msgspec
+
+    parts = {name: part for name, part in _parts(estimate, sides).items() if part.shape[1]}
+    lists = [part.tolist() for part in parts.values()]
+    names = ("t", *parts)
+    rows = zip(t.tolist(), *lists, strict=True)
+    return msgspec.json.Encoder().encode_lines(dict(zip(names, row, strict=True)) for row in rows)

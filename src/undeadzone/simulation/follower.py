@@ -1,0 +1,187 @@
+"""An observer that follows a log, and what the log comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from undeadzone.errors import FileError
+from undeadzone.interfaces import Estimate, NumericObserver, graph_of
+from undeadzone.logs.grid import Grid, Regular
+from undeadzone.logs.names import Layout
+from undeadzone.plants.time_scales import time_scale
+from undeadzone.scenario.problem import modelled_plant
+from undeadzone.scenario.schema import Scenario, Units
+from undeadzone.simulation.consistency import Consistency, verdict_of
+from undeadzone.simulation.log_info import LogInfo
+from undeadzone.simulation.numeric_along import numeric_along
+from undeadzone.simulation.online import Online, built_for
+from undeadzone.support.arrays import Floats
+
+LIMIT = 1e12  # beyond this an estimate has diverged
+MOST_UNREADABLE = 0.5  # share of lines that may be unreadable
+
+
+class Follower:
+    """Follows a log, block after block.
+
+    Args:
+        scenario: its plant (or model), sensor, observer and step are used.
+        live: whether samples come in block after block, which an observer that computes in Python
+            does not take.
+
+    Attributes:
+        model: the sampled model.
+        samples: how many came in.
+
+    Raises:
+        InputError: or a subclass, for what is wrong with the scenario.
+    """
+
+    def __init__(self, scenario: Scenario, live: bool = False) -> None:
+        simulation = scenario.simulation
+        plant, step = modelled_plant(scenario), simulation.step
+        parts = (scenario.observer, plant, scenario.sensor, step, simulation.substeps)
+        self.model, self.zone, built = built_for(*parts)
+        if live:
+            graph_of(built)
+        self.traits = built.traits
+        self.samples = 0
+        self._scenario = scenario
+        self._numeric = built if isinstance(built, NumericObserver) else None
+        self._online = None if self._numeric else Online(*parts)
+        self._tests: list[Consistency] | None = None
+        self._counts = np.zeros((3, self.model.p), int)  # of sides: right, left, silent
+        self._missing = 0
+        self._diverged = False
+        self._last: Estimate | None = None
+
+    def follow(
+        self, samples: Regular, progress: Callable[[int], None] | None = None
+    ) -> tuple[Estimate, Floats, Floats]:
+        """Take the next samples of the log in.
+
+        Args:
+            samples: one step apart. An observer that computes in Python takes a whole log at once.
+            progress: called with the number of steps just done.
+
+        Returns:
+            The estimates (a row for each sample in each field), the measured sides (N x p), and
+            the statistic B after each sample (N x p; N x 0 where no test exists).
+        """
+        if self._numeric is not None:
+            estimate, sides = numeric_along(
+                self._numeric,
+                self.zone,
+                samples.y,
+                samples.u,
+                self._scenario.simulation.seed,
+                progress,
+            )
+        else:
+            assert self._online is not None
+            estimate, sides = self._online.update_many(samples.y, samples.u)
+        return estimate, sides, self._count(samples, estimate, sides)
+
+    def _count(self, samples: Regular, estimate: Estimate, sides: Floats) -> Floats:
+        """Count these samples and test their innovations; B after each (N x p or N x 0)."""
+        self.samples += len(sides)
+        self._missing += int((~np.isfinite(samples.y)).any(axis=1).sum())
+        self._counts += [(sides == side).sum(axis=0) for side in (1, -1, 0)]
+        with np.errstate(invalid="ignore"):
+            worst = np.abs(np.hstack([estimate.x, estimate.right, estimate.left]))
+            self._diverged = self._diverged or not bool((worst < LIMIT).all())
+        if len(sides):
+            self._last = Estimate(*[field[-1] for field in estimate])
+        outputs = estimate.innovation_std.shape[1]
+        if self._tests is None:
+            flow = self.model.linear if self.model.flow is None else self.model.flow
+            quarter = time_scale(flow)
+            step = self._scenario.simulation.step
+            self._tests = [Consistency(step, quarter) for _ in range(outputs)]
+        along = np.empty((len(sides), outputs))
+        for i, test in enumerate(self._tests):
+            along[:, i] = test.add(estimate.innovation[:, i], estimate.innovation_std[:, i])
+        return along
+
+    def info(
+        self,
+        source: str,
+        layout: Layout | None,
+        grid: Grid,
+        unreadable: int = 0,
+        why_unreadable: str = "",
+    ) -> LogInfo:
+        """What the log comes to.
+
+        Args:
+            source: the log.
+            layout: where it has what; None for arrays.
+            grid: which put it on the scenario's steps.
+            unreadable: lines that could not be read.
+            why_unreadable: what the first of these is.
+
+        Raises:
+            FileError: there are no samples.
+        """
+        if self._last is None:
+            seen = f" that can be read; {why_unreadable}" if unreadable else ""
+            raise FileError(f"{source}: no samples{seen}; give lines of times, readings and inputs")
+        last, scenario = self._last, self._scenario
+        stds = None
+        if last.right_std.size:
+            stds = np.concatenate([last.right_std, last.left_std])
+        widths = np.concatenate([last.right, last.left])
+        verdict = verdict_of(self._tests or [], widths, stds, self._diverged)
+        if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):
+            reason = "most of its lines cannot be read"
+            verdict = verdict._replace(consistent=False, reasons=[*verdict.reasons, reason])
+        p = self.model.p
+        right, left, silent = self._counts.tolist()
+        return LogInfo(
+            title=scenario.title,
+            method=str(type(scenario.observer).__struct_config__.tag),
+            source=source,
+            columns="" if layout is None else layout.said,
+            step=scenario.simulation.step,
+            measured_step=grid.measured,
+            samples=self.samples,
+            missing=self._missing,
+            gaps=grid.gaps,
+            unreadable=unreadable,
+            why_unreadable=why_unreadable,
+            right=right,
+            left=left,
+            silent=silent,
+            d_right=last.right.tolist(),
+            d_left=last.left.tolist(),
+            d_right_std=None if stds is None else stds[:p].tolist(),
+            d_left_std=None if stds is None else stds[p:].tolist(),
+            adapts=self.traits.adapts,
+            consistent=verdict.consistent,
+            B=verdict.B,
+            square=verdict.square,
+            used=verdict.used,
+            glitches=verdict.refused,
+            reasons=verdict.reasons,
+            threshold=self.zone.threshold.tolist(),
+            uncertain=list(self.traits.uncertain),
+            joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
+            units=scenario.units,
+        )
+
+
+def require_units(layout: Layout, units: Units, source: str) -> None:
+    """Raise FileError where header and scenario name different units: numbers stay as they are."""
+    for signal, named, expected in (
+        ("y", layout.reading_units, units.output),
+        ("u", layout.input_units, units.input),
+    ):
+        for unit in named:
+            if "1" not in (unit, expected) and unit and unit != " ".join(expected.split()):
+                key = "output" if signal == "y" else "input"
+                raise FileError(
+                    f"{source}: {signal} is in {unit!r}, but units.{key} of the scenario is "
+                    f"{expected!r}: numbers are never converted; bring both to one unit"
+                )

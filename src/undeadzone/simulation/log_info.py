@@ -1,0 +1,81 @@
+"""What is known of a log once an observer has followed it: counts, final widths, the verdict."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from undeadzone.scenario.schema import Units
+
+
+class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What an observer makes of a log as a whole.
+
+    Attributes:
+        title: of the scenario.
+        method: of its observer.
+        source: the log.
+        columns: in words, which column was taken for what.
+        step: between two samples [s].
+        measured_step: the usual time between samples of the log [s]; None: it has no times.
+        samples: how many there are, those in gaps included.
+        missing: how many of them have a reading missing.
+        gaps: how many of these are in gaps of the log's times.
+        unreadable: lines that could not be read.
+        why_unreadable: what the first of these is.
+        right, left, silent: samples on each measured side, of each output (p).
+        d_right, d_left: final widths (p) [z].
+        d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
+        adapts: whether the observer estimates the widths.
+        consistent: whether its innovations are what it claims; None: no test exists.
+        B: statistic of the test, about 1 where all is well.
+        square: mean square of the normalised innovations, about 1 where all is well.
+        used: readings that corrected the estimate.
+        glitches: of these, those beyond 4.5 standard deviations.
+        reasons: why the record is not consistent.
+        threshold: |y| that counts as silent (p) [y].
+        uncertain: names of the parameters that the observer estimates.
+        joints: names of an arm's joints; empty without an arm.
+        units: names of units.
+    """
+
+    title: str
+    method: str
+    source: str
+    columns: str
+    step: float
+    measured_step: float | None
+    samples: int
+    missing: int
+    gaps: int
+    unreadable: int
+    why_unreadable: str
+    right: list[int]
+    left: list[int]
+    silent: list[int]
+    d_right: list[float]
+    d_left: list[float]
+    d_right_std: list[float] | None
+    d_left_std: list[float] | None
+    adapts: bool
+    consistent: bool | None
+    B: float | None
+    square: float | None
+    used: int
+    glitches: int
+    reasons: list[str]
+    threshold: list[float]
+    uncertain: list[str] = []
+    joints: list[str] = []
+    units: Units = Units()
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers, ready for JSON; lists where there are several outputs."""
+        numbers = msgspec.to_builtins(self)
+        for name in ("right", "left", "silent"):
+            numbers[f"samples_{name}"] = numbers.pop(name)
+        for name, value in numbers.items():
+            if name.startswith(("d_", "samples_")) and isinstance(value, list) and len(value) == 1:
+                numbers[name] = value[0]
+        return dict(numbers)
