@@ -16,7 +16,7 @@ FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
 FLOORS = (
     ("errors",),
     ("support",),
-    ("engine", "linear", "numerics", "statistics"),
+    ("engine", "linear", "logs", "numerics", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),

@@ -88,6 +88,8 @@ from .signals.paths import Circle as Circle
 from .signals.paths import FigureEight as FigureEight
 from .signals.paths import Quintic as Quintic
 from .simulation.compare import compare as compare
+from .simulation.estimate import estimate as estimate
+from .simulation.estimation import Estimation as Estimation
 from .simulation.online import Online as Online
 from .simulation.run import Run as Run
 from .simulation.simulate import simulate as simulate

@@ -4,8 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import click
+
+from undeadzone.cli.common import Command
+
 if TYPE_CHECKING:
     from undeadzone.simulation.log_info import LogInfo
+
+
+def columns_option(command: Command) -> Command:
+    """Add --columns."""
+    return click.option(
+        "--columns",
+        default=None,
+        metavar="y=NAME,u=NAME",
+        help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+    )(command)
 
 
 def log_pairs(info: LogInfo) -> dict[str, Any]:

@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from undeadzone.cli.common import print_pairs
-from undeadzone.cli.log_table import exit_code, log_pairs
+from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
-
-
-def columns_option(command: click.decorators.FC) -> click.decorators.FC:
-    """Add --columns."""
-    return click.option(
-        "--columns",
-        default=None,
-        metavar="y=NAME,u=NAME",
-        help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
-    )(command)
 
 
 @click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
@@ -56,10 +46,11 @@ def watch(scenario: Path, as_json: bool, columns: str | None, strict: bool) -> i
     watched = read_for_logs(scenario)
     follower = Follower(watched, live=True)
     log = TextLog("stdin", watched, follower, parse_columns(columns), strict)
+    stdin: Any = sys.stdin.buffer
     last = False
     header = not as_json
     while not last:
-        data = sys.stdin.buffer.read1(BLOCK)
+        data = stdin.read1(BLOCK)
         last = not data
         samples = log.feed(data, last)
         if not samples.t.size:

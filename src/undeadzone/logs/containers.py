@@ -15,10 +15,12 @@ from undeadzone.support.files import reason
 
 def of_frame(frame: Any) -> list[Column]:
     """The numeric columns of a DataFrame; times of day become seconds since the first."""
+    titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
+    if frame.index.name is not None:
+        titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
     columns = []
-    for title in frame.columns:
-        values = np.asarray(frame[title])
-        name, unit = split_unit(str(title))
+    for title, values in titled:
+        name, unit = split_unit(title)
         if values.dtype.kind == "M":
             values = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
         elif values.dtype.kind == "m":
@@ -32,7 +34,7 @@ def of_npz(path: Path) -> list[Column]:
     """The arrays of an .npz file as columns. Raises FileError."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+            arrays = {name: file[name] for name in file.files if name != "info"}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except Exception as error:  # damaged archives raise whatever their decoders raise
@@ -61,7 +63,7 @@ def _columns_of(arrays: dict[str, Any], path: Path) -> list[Column]:
     """Arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ... Raises FileError."""
     longest = 0
     for array in arrays.values():
-        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
+        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim <= 2:
             longest = max(longest, *array.shape, 0)
     columns: list[Column] = []
     for name, array in arrays.items():

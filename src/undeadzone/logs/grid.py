@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.logs.samples import Samples
+from undeadzone.logs.samples import Lines, Samples
 from undeadzone.support.arrays import Floats
 
 TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples may be from it
@@ -48,7 +48,7 @@ class Grid:
         self._step, self._source = step, source
         self._count = 0  # samples so far
         self._last: float | None = None  # time of the last sample [s]
-        self._intervals = np.empty(0)  # the first ones [s]
+        self._intervals: Floats = np.empty(0)  # the first ones [s]
 
     def place(self, samples: Samples, timed: bool) -> Regular:
         """The samples one step apart; those in gaps are missing.
@@ -72,7 +72,7 @@ class Grid:
         self._last = float(t[-1])
         return self._filled(t, y, u, steps)
 
-    def _steps(self, t: Floats, lines: Floats) -> Floats:
+    def _steps(self, t: Floats, lines: Lines) -> Floats:
         """How many steps each sample is after the one before (N). Raises FileError."""
         before = np.nan if self._last is None else self._last
         intervals = np.diff(t, prepend=before)
@@ -94,7 +94,7 @@ class Grid:
             )
         return steps
 
-    def _require_order(self, intervals: Floats, t: Floats, lines: Floats) -> None:
+    def _require_order(self, intervals: Floats, t: Floats, lines: Lines) -> None:
         """Raise FileError where time does not increase."""
         back = np.flatnonzero(intervals <= 0)
         if back.size:

@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
+    from undeadzone.simulation.estimation import Estimation
     from undeadzone.tuning.result import Tuned
 
-    Result: TypeAlias = Run | Ensemble | Design | Tuned
+    Result: TypeAlias = Run | Estimation | Ensemble | Design | Tuned
 
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
 
@@ -47,12 +48,13 @@ def plot(result: Result, path: str | os.PathLike[str] | None = None) -> Figure |
     """Draw the first figure of a result's report.
 
     A Run: output, reading and estimate, errors, widths, V. An Ensemble: how its metrics are
-    distributed, or, where every run diverged, its errors over time. A Design: its certificate in
+    distributed, or, where every run diverged, its errors over time. An Estimation: readings,
+    estimates, widths, innovations along a log. A Design: its certificate in
     the frequency domain. A Tuned: every candidate, and the scenario before and after on held-out
     runs.
 
     Args:
-        result: a Run, an Ensemble, a Design or a Tuned
+        result: a Run, an Estimation, an Ensemble, a Design or a Tuned
         path: the file to write, a PNG, PDF or SVG by its suffix; None writes none
 
     Returns:
@@ -74,10 +76,14 @@ def first_figure(result: Result) -> Figure:
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.report.ensemble_page import first_of_ensemble
+    from undeadzone.report.log_figures import log_overview
     from undeadzone.report.proof_figures import positive_realness, proof_of
     from undeadzone.report.tune_figures import history
+    from undeadzone.simulation.estimation import Estimation
     from undeadzone.tuning.result import Tuned
 
+    if isinstance(result, Estimation):
+        return log_overview(result)
     if isinstance(result, Ensemble):
         return first_of_ensemble(result)
     if isinstance(result, Design):
@@ -85,7 +91,8 @@ def first_figure(result: Result) -> Figure:
     if isinstance(result, Tuned):
         return history(result)
     raise InputError(
-        f"plot: expected a Run, an Ensemble, a Design or a Tuned, found {type(result).__name__}"
+        "plot: expected a Run, an Estimation, an Ensemble, a Design or a Tuned, found "
+        f"{type(result).__name__}"
     )
 
 

@@ -84,7 +84,7 @@ class Consistency:
 
     @property
     def square(self) -> float | None:
-        """The mean square of the normalised innovations that were not refused; None: there is none."""
+        """The mean square of the normalised innovations that count; None: there is none."""
         count = self.used - self.refused
         return self._squares / count if count else None
 

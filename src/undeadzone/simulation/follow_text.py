@@ -59,6 +59,4 @@ class TextLog:
     def info(self, follower: Follower) -> LogInfo:
         """What the log comes to. Raises FileError."""
         reader = self.reader
-        return follower.info(
-            self._source, reader.layout, self.grid, reader.unreadable, reader.why
-        )
+        return follower.info(self._source, reader.layout, self.grid, reader.unreadable, reader.why)

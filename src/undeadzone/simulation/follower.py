@@ -33,6 +33,8 @@ class Follower:
 
     Attributes:
         model: the sampled model.
+        zone: the dead zone.
+        observer: as it is built for both.
         samples: how many came in.
 
     Raises:
@@ -46,7 +48,7 @@ class Follower:
         self.model, self.zone, built = built_for(*parts)
         if live:
             graph_of(built)
-        self.traits = built.traits
+        self.observer = built
         self.samples = 0
         self._scenario = scenario
         self._numeric = built if isinstance(built, NumericObserver) else None
@@ -158,7 +160,7 @@ class Follower:
             d_left=last.left.tolist(),
             d_right_std=None if stds is None else stds[:p].tolist(),
             d_left_std=None if stds is None else stds[p:].tolist(),
-            adapts=self.traits.adapts,
+            adapts=self.observer.traits.adapts,
             consistent=verdict.consistent,
             B=verdict.B,
             square=verdict.square,
@@ -166,7 +168,7 @@ class Follower:
             glitches=verdict.refused,
             reasons=verdict.reasons,
             threshold=self.zone.threshold.tolist(),
-            uncertain=list(self.traits.uncertain),
+            uncertain=list(self.observer.traits.uncertain),
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
             units=scenario.units,
         )

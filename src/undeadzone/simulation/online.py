@@ -97,7 +97,7 @@ class Online:
         """
         w = np.hstack([y, u])
         if len(w) < FEW:
-            out = np.empty((len(w), self._out.size))
+            out: Floats = np.empty((len(w), self._out.size))
             for k, row in enumerate(w):
                 self._w[:] = row
                 self._step()

@@ -11,12 +11,19 @@ from undeadzone.scenario.schema import Units
 from undeadzone.support.arrays import Floats
 
 # Signals whose columns are right and left in turn, and what these are called.
-EDGES: Final = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}
+EDGES: Final = {
+    "d_hat": ("d_right", "d_left"),
+    "d_std": ("d_right_std", "d_left_std"),
+    "d_smooth": ("d_right_smooth", "d_left_smooth"),
+    "d_smooth_std": ("d_right_smooth_std", "d_left_smooth_std"),
+}
+STATES: Final = ("x", "x_hat", "x_std", "x_smooth", "x_smooth_std", "w_hat")
 # Units of the signals for which a scenario names none.
 UNITS: Final = {
     "t": "s",
     "side": "1",
     "V": "1",
+    "B": "1",
     "theta_hat": "1",
     "theta_std": "1",
     "tip": "m",
@@ -60,7 +67,7 @@ def from_columns(
 def unit_of(name: str, units: Units) -> str:
     """The unit of a signal, `x`, or of one of its columns, `x[0]`."""
     signal, _, index = name.partition("[")
-    if signal in ("x", "x_hat", "x_std", "w_hat"):
+    if signal in STATES:
         state = units.state
         unit = state if isinstance(state, str) else state[int(index.rstrip("]") or 0)]
         return f"{unit}/s" if signal == "w_hat" else unit

@@ -31,7 +31,7 @@ NOT_A_RUN: Final = (
 )
 
 
-def write(path: Path, info: Info, signals: Mapping[str, Floats]) -> Path:
+def write(path: Path, info: Any, signals: Mapping[str, Floats]) -> Path:
     """Write signals by name. Raises FileError; InputError for a name of another ending."""
     if path.suffix == ".npz":
         _write_npz(path, info, signals)
@@ -42,21 +42,24 @@ def write(path: Path, info: Info, signals: Mapping[str, Floats]) -> Path:
     return path
 
 
-def read(path: Path, signals: Iterable[str], required: Iterable[str]) -> dict[str, Any]:
+def read(
+    path: Path, signals: Iterable[str], required: Iterable[str], kind: type[msgspec.Struct] = Info
+) -> dict[str, Any]:
     """The info and the signals of a run. Raises FileError.
 
     Args:
         path: of a file that `write` wrote.
         signals: names of all signals that there may be.
         required: of those without which there is no run.
+        kind: of the info.
     """
     try:
         if path.suffix == ".csv":
-            info, columns = _read_csv(path)
+            info, columns = _read_csv(path, kind)
             return {"info": info, **from_columns(columns, signals, required)}
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in signals if name in file}
-            info = msgspec.json.decode(file["info"].tobytes(), type=Info)
+            info = msgspec.json.decode(file["info"].tobytes(), type=kind)
         missing = set(required) - {"V"} - arrays.keys()
         if missing:
             raise ValueError(f"{min(missing)} is missing")
@@ -67,7 +70,7 @@ def read(path: Path, signals: Iterable[str], required: Iterable[str]) -> dict[st
         raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
 
-def _write_npz(path: Path, info: Info, signals: Mapping[str, Floats]) -> None:
+def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:
     """Write signals compressed."""
     arrays: dict[str, Any] = {
         "info": np.frombuffer(msgspec.json.encode(info), np.uint8),
@@ -77,7 +80,7 @@ def _write_npz(path: Path, info: Info, signals: Mapping[str, Floats]) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def _write_csv(path: Path, info: Info, columns: Mapping[str, Floats]) -> None:
+def _write_csv(path: Path, info: Any, columns: Mapping[str, Floats]) -> None:
     """Write columns with 17 digits: the info after #, names with units, numbers."""
     heads = [f"{name} [{' '.join(unit_of(name, info.units).split())}]" for name in columns]
     numbers = np.stack(list(columns.values()), axis=1)
@@ -87,10 +90,10 @@ def _write_csv(path: Path, info: Info, columns: Mapping[str, Floats]) -> None:
         np.savetxt(file, numbers, fmt="%.17g", delimiter=",")
 
 
-def _read_csv(path: Path) -> tuple[Info, dict[str, Floats]]:
+def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Floats]]:
     """The info and the columns of a table."""
     with open(path, encoding="utf-8", newline="") as file:
-        info = msgspec.json.decode(file.readline().removeprefix("# "), type=Info)
+        info = msgspec.json.decode(file.readline().removeprefix("# "), type=kind)
         heads = next(csv.reader([file.readline()]))
         rows = file.readlines()
     if not rows:

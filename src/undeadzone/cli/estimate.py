@@ -1,0 +1,57 @@
+"""undeadzone estimate SCENARIO.toml LOG.csv"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from undeadzone.cli.common import (
+    common,
+    folder_for,
+    named_files,
+    print_json,
+    print_pairs,
+    progress,
+)
+from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
+
+
+@click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
+@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
+@columns_option
+@click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+@common
+def estimate(
+    scenario: Path,
+    log: Path,
+    columns: str | None,
+    strict: bool,
+    out: Path | None,
+    as_json: bool,
+    no_figures: bool,
+) -> int:
+    """Let the observer of a scenario follow a log, and say what it makes of it.
+
+    A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
+    Times must fit simulation.step. Prints the widths, what was missing, and whether the
+    innovations are what the observer claims; writes estimate.npz, estimate.csv, figure.png and
+    report.html to DIR (default: LOG-estimate). The filter `kalman` is smoothed too: what the whole
+    log says of each sample. The scenario needs no [reference], no [controller], no widths.
+    Exit code 1: the record is not consistent with what the observer claims.
+    """
+    from undeadzone.report.log_page import write_estimation
+    from undeadzone.simulation.estimate import estimate as estimated
+
+    with progress("estimating", None) as advance:
+        result = estimated(scenario, log, columns=columns, strict=strict, progress=advance)
+    folder = folder_for(out, no_figures, f"{log.stem}-estimate")
+    written = []
+    if folder is not None:
+        written = write_estimation(result, folder, not no_figures)
+    if as_json:
+        print_json(result.summary() | {"files": [str(path) for path in written]})
+    else:
+        print_pairs(log_pairs(result.info) | named_files(written))
+    return exit_code(result.info)

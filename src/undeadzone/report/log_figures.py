@@ -1,0 +1,119 @@
+"""Figures of a log that an observer followed: readings and estimates, widths, innovations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from undeadzone.report.style import (
+    ESTIMATE,
+    FORBIDDEN,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    finish,
+    label,
+    shade_zone,
+    sheet,
+)
+from undeadzone.simulation.consistency import LIMIT, OUTLIER
+from undeadzone.simulation.estimation import Estimation
+from undeadzone.support.arrays import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+POINTS = 20_000  # samples that a line shows at most
+
+
+def log_overview(result: Estimation) -> Figure:
+    """Per output: reading and estimates over the estimated zone; widths; innovations."""
+    rows = []
+    for i in range(result.y.shape[1]):
+        rows.append([f"output {i}"] * 2)
+        rows.append([f"widths {i}", f"innovation {i}"])
+    figure, panels = sheet(rows, result.info.title)
+    shown = slice(None, None, max(1, result.t.size // POINTS))
+    for i, name in enumerate(result.outputs):
+        of = f" {name}" if len(result.outputs) > 1 else ""
+        _output(panels[f"output {i}"], result, i, of, shown)
+        _widths(panels[f"widths {i}"], result, i, of, shown)
+        _innovations(panels[f"innovation {i}"], result, i, of, shown)
+    return figure
+
+
+def _output(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+    """Reading and estimates of output i over its estimated dead zone."""
+    t = result.t[shown]
+    right, left = result.info.d_right[i], result.info.d_left[i]
+    if right > -left:
+        shade_zone(axes, right, left)
+    axes.plot(t, result.y[shown, i], color=READING, label="reading y")
+    axes.plot(t, result.z_hat[shown, i], color=ESTIMATE, label=r"estimate $\hat z$")
+    if result.z_smooth is not None:
+        smooth = result.z_smooth[shown, i]
+        axes.plot(t, smooth, color=TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
+    _mark_missing(axes, result, i)
+    title = f"Output{of}: what was read, and what the observer makes of it"
+    finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
+
+
+def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
+    """Shade where readings of output i are missing."""
+    missing = ~np.isfinite(result.y[:, i])
+    edges = np.flatnonzero(np.diff(missing.astype(int), prepend=0, append=0))
+    if edges.size > POINTS // 100:
+        return  # too many to be told apart
+    for start, end in edges.reshape(-1, 2):
+        last = min(end, result.t.size - 1)
+        axes.axvspan(result.t[start], result.t[last], color=FORBIDDEN, linewidth=0)
+
+
+def _widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+    """The estimated widths of output i, with two standard deviations."""
+    t = result.t[shown]
+    low, high = [], []
+    for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
+        values = result.d_hat[shown, column]
+        axes.plot(t, values, color=colour, label=rf"$\hat d_{name}$")
+        if result.d_std is not None:
+            margin = 2 * result.d_std[shown, column]
+            axes.fill_between(t, values - margin, values + margin, color=colour, alpha=0.18)
+        if result.d_smooth is not None:
+            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
+        settled = values[len(values) // 10 :]  # the start would stretch the axis
+        low.append(float(np.nanmin(settled)))
+        high.append(float(np.nanmax(settled)))
+    room = 0.3 * (max(high) - min(low)) + 1e-12
+    if np.isfinite(room):
+        axes.set_ylim(min(low) - room, max(high) + room)
+    band = " and two standard deviations" if result.d_std is not None else ""
+    finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
+
+
+def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+    """The normalised innovations of output i and the statistic of the test; else innovations."""
+    t = result.t[shown]
+    innovation = result.innovation[shown, i]
+    used = innovation != 0
+    if result.innovation_std is None or result.B is None:
+        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2)
+        finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
+        return
+    normalised = innovation[used] / result.innovation_std[shown, i][used]
+    limited = np.clip(normalised, -2 * OUTLIER, 2 * OUTLIER)
+    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label="innovation / its std")
+    for bound in (-OUTLIER, OUTLIER):
+        axes.axhline(bound, color=REFERENCE, linewidth=0.8)
+    _statistic(axes, t, result.B[shown, i])
+    finish(axes, f"Innovations{of} and their test", "1", legend=3)
+
+
+def _statistic(axes: Any, t: Floats, B: Floats) -> None:
+    """The statistic B and its limit, in the panel of the innovations."""
+    axes.plot(t, np.minimum(B, 2 * OUTLIER), color=PRINTED, label="B")
+    axes.axhline(LIMIT, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="limit of B")

@@ -1,0 +1,199 @@
+"""An observer along a log that was recorded: `estimate`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.interfaces import Estimate, NumericObserver
+from undeadzone.logs.grid import Grid, Regular
+from undeadzone.logs.names import parse_columns
+from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.scenario.reader import read_for_logs
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.estimation import Estimation
+from undeadzone.simulation.follow_text import TextLog
+from undeadzone.simulation.follower import Follower, require_units
+from undeadzone.simulation.log_info import LogInfo
+from undeadzone.simulation.smoother import can_smooth, smooth
+from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.files import reason
+
+BLOCK: Final = 1 << 22  # bytes that are read at once
+LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
+
+
+def estimate(
+    scenario: Scenario | str | os.PathLike[str],
+    frame_or_path: Any = None,
+    *,
+    t: Array | None = None,
+    u: Array | None = None,
+    y: Array | None = None,
+    columns: str | None = None,
+    strict: bool = False,
+    smoothing: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> Estimation:
+    """Let an observer follow a log.
+
+    Args:
+        scenario: a scenario, or the path of its file, which needs no [reference], no [controller]
+            and no widths of the sensor. Its plant (or model), sensor, observer and step are used,
+            in sampled time.
+        frame_or_path: the log: a CSV file (any dialect), .npz, .mat, or a pandas DataFrame with
+            columns t, y, u; or give arrays.
+        t: times (N) [s]; None: one step apart.
+        u: inputs (N) or (N x m).
+        y: readings (N) or (N x p), NaN where one is missing.
+        columns: which column is which where names do not say it: `y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
+        smoothing: whether the filter `kalman` is smoothed too, with the whole log.
+        progress: called with the number of samples just done.
+
+    Returns:
+        The estimates along the log, the final widths, and whether the record is consistent.
+
+    Raises:
+        FileError: the log cannot be read, its columns cannot be told, or its step is another one.
+        InputError: or a subclass, for what is wrong with the scenario or the arrays.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = read_for_logs(scenario)
+    follower = Follower(scenario)
+    chosen = parse_columns(columns)
+    if frame_or_path is None:
+        if y is None or u is None:
+            raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
+        regular, known = _of_arrays(scenario, follower, t, y, u)
+    elif t is not None or y is not None or u is not None:
+        raise InputError("estimate: expected a log or arrays, found both")
+    else:
+        regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
+    estimated, sides, B = follower.follow(regular, progress)
+    smoothed = _smoothed(scenario, follower, regular) if smoothing else {}
+    return _collected(regular, estimated, sides, B, known(), smoothed)
+
+
+Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
+
+
+def _of_arrays(
+    scenario: Scenario, follower: Follower, t: Any, y: Any, u: Any
+) -> tuple[Regular, Known]:
+    """Samples from arrays, one step apart."""
+    step, model = scenario.simulation.step, follower.model
+    samples = samples_of_arrays(t, y, u, model.p, model.m, step)
+    grid = Grid(step, "arrays")
+    regular = grid.place(samples, timed=t is not None)
+    return _limited(regular, "arrays"), lambda: follower.info("arrays", None, grid)
+
+
+def _of_log(
+    scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
+) -> tuple[Regular, Known]:
+    """Samples from a file or a DataFrame, one step apart."""
+    is_path = isinstance(log, str | os.PathLike)
+    if is_path and Path(log).suffix.lower() not in BINARY:
+        text = TextLog(str(log), scenario, follower, chosen, strict, header=True)
+        regular = _read_text(Path(log), text)
+        return _limited(regular, str(log)), lambda: text.info(follower)
+    if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
+        raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
+    source = str(log) if is_path else "DataFrame"
+    model = follower.model
+    samples, layout = samples_of(Path(log) if is_path else log, model.p, model.m, chosen, source)
+    require_units(layout, scenario.units, source)
+    grid = Grid(scenario.simulation.step, source)
+    regular = grid.place(samples, layout.time is not None and layout.seconds is not None)
+    return _limited(regular, source), lambda: follower.info(source, layout, grid)
+
+
+def _read_text(path: Path, text: TextLog) -> Regular:
+    """All samples of a CSV file, one step apart. Raises FileError."""
+    blocks = []
+    count = 0
+    try:
+        with open(path, "rb") as file:
+            while True:
+                data = file.read(BLOCK)
+                blocks.append(text.feed(data, last=not data))
+                count += blocks[-1].t.size
+                if not data or count > LARGEST_LOG:
+                    break
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    return Regular(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
+
+
+def _limited(regular: Regular, source: str) -> Regular:
+    """The samples, if there are some and not too many. Raises FileError."""
+    if regular.t.size > LARGEST_LOG:
+        raise FileError(
+            f"{source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split it"
+        )
+    return regular
+
+
+def _smoothed(scenario: Scenario, follower: Follower, regular: Regular) -> dict[str, Floats]:
+    """The smoothed signals by name; none where the method has no smoother."""
+    observer, model = follower.observer, follower.model
+    if isinstance(observer, NumericObserver) or not can_smooth(scenario.observer, model):
+        return {}
+    if not regular.t.size:
+        return {}
+    smoothed = smooth(model, observer, follower.zone.threshold, regular.y, regular.u)
+    return {
+        "x_smooth": smoothed.x,
+        "z_smooth": smoothed.z,
+        "d_smooth": smoothed.d,
+        "x_smooth_std": smoothed.x_std,
+        "d_smooth_std": smoothed.d_std,
+    }
+
+
+def _collected(
+    regular: Regular,
+    estimated: Estimate,
+    sides: Floats,
+    B: Floats,
+    info: LogInfo,
+    smoothed: dict[str, Floats],
+) -> Estimation:
+    """The result, without the signals that the observer does not estimate."""
+    optional = {
+        "x_std": estimated.x_std,
+        "d_std": _interleaved(estimated.right_std, estimated.left_std),
+        "width_std": estimated.width_std,
+        "innovation_std": estimated.innovation_std,
+        "B": B,
+        "w_hat": estimated.w,
+        "theta_hat": estimated.theta,
+        "theta_std": estimated.theta_std,
+    }
+    return Estimation(
+        t=regular.t,
+        y=regular.y,
+        u=regular.u,
+        side=sides,
+        x_hat=estimated.x,
+        z_hat=estimated.z,
+        d_hat=_interleaved(estimated.right, estimated.left),
+        z_inverse=estimated.z_inverse,
+        innovation=estimated.innovation,
+        info=info,
+        **{name: value for name, value in optional.items() if value.size},
+        **smoothed,
+    )
+
+
+def _interleaved(right: Floats, left: Floats) -> Floats:
+    """[right, left] of each output side by side (N x 2p)."""
+    return np.stack((right, left), axis=2).reshape(len(right), -1)
