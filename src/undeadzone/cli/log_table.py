@@ -32,7 +32,8 @@ def log_pairs(info: LogInfo) -> dict[str, Any]:
     if info.columns:
         shown["columns"] = info.columns
     if info.unreadable:
-        shown["unreadable"] = f"{info.unreadable} lines, counted as missing; {info.why_unreadable}"
+        lines = "1 line" if info.unreadable == 1 else f"{info.unreadable} lines"
+        shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     widths = "" if info.adapts else " (not estimated)"
     shown["d_right"] = _width(info, info.d_right, info.d_right_std) + widths
     shown["d_left"] = _width(info, info.d_left, info.d_left_std) + widths
@@ -52,7 +53,7 @@ def _samples(info: LogInfo) -> str:
     if info.gaps:
         text += f" ({info.gaps} in gaps)"
     if info.measured_step is None:
-        return text + "; no times, so the step is taken on trust"
+        return text + "; without times the step is taken on trust"
     return text + f", {info.measured_step:g} s apart"
 
 
@@ -83,7 +84,7 @@ def _sides(info: LogInfo) -> str:
 def _verdict(info: LogInfo) -> str:
     """Whether the record is consistent with what the observer claims, and why not."""
     if info.consistent is None:
-        return f"cannot be tested: {info.method!r} gives no innovation_std"
+        return f"cannot be tested: {'; '.join(info.reasons)}"
     if not info.consistent:
         return "NO: " + "; ".join(info.reasons)
     beyond = f"{info.glitches} of {info.used} readings beyond 4.5 standard deviations"

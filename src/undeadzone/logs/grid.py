@@ -13,6 +13,7 @@ from undeadzone.support.arrays import Floats
 TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples may be from it
 JITTER: Final = 0.25  # of the step: how far a sample may be from where it should be
 LONGEST: Final = 100_000  # steps of a gap
+MOST: Final = 10  # steps per sample, on average, in a block of samples
 WATCHED: Final = 1000  # intervals whose median is compared with the step
 
 
@@ -48,6 +49,7 @@ class Grid:
         self._step, self._source = step, source
         self._count = 0  # samples so far
         self._last: float | None = None  # time of the last sample [s]
+        self._unread = 0  # lines since then that could not be read
         self._intervals: Floats = np.empty(0)  # the first ones [s]
 
     def place(self, samples: Samples, timed: bool) -> Regular:
@@ -67,23 +69,37 @@ class Grid:
         kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
         t, y, u = samples.t[kept], samples.y[kept], samples.u[kept]
         if not t.size:
+            self._unread += kept.size
             return Regular(t, y, u)
-        steps = self._steps(t, samples.lines[kept])
+        at = np.flatnonzero(kept)
+        lines_between = np.diff(at, prepend=-1 - self._unread)
+        self._unread = kept.size - 1 - int(at[-1])
+        steps = self._steps(t, samples.lines[kept], lines_between)
         self._last = float(t[-1])
         return self._filled(t, y, u, steps)
 
-    def _steps(self, t: Floats, lines: Lines) -> Floats:
-        """How many steps each sample is after the one before (N). Raises FileError."""
+    def _steps(self, t: Floats, lines: Lines, lines_between: Lines) -> Floats:
+        """How many steps each sample is after the one before (N). Raises FileError.
+
+        Args:
+            t: times (N) [s].
+            lines: number of each line in the log (N).
+            lines_between: lines from the sample before to each (N), 1 where all could be read.
+        """
         before = np.nan if self._last is None else self._last
         intervals = np.diff(t, prepend=before)
         if self._last is None:
             intervals[0] = self._step
         self._require_order(intervals, t, lines)
-        known = intervals[1:] if self._last is None else intervals
-        self._require_step(known)
+        of_a_line = intervals / lines_between
+        self._require_step(of_a_line[1:] if self._last is None else of_a_line)
         steps = np.rint(intervals / self._step)
         off = np.abs(intervals - steps * self._step)
         bad = np.flatnonzero((steps < 1) | (off > JITTER * self._step) | (steps > LONGEST))
+        if not bad.size and steps.sum() > LONGEST + MOST * t.size:
+            raise FileError(
+                f"{self._source}: consists of gaps: {steps.sum():.0f} steps are missing"
+            )
         if bad.size:
             k = int(bad[0])
             raise FileError(
@@ -109,7 +125,7 @@ class Grid:
         if self._intervals.size >= WATCHED or not intervals.size:
             return
         self._intervals = np.append(self._intervals, intervals)[:WATCHED]
-        usual = float(np.median(self._intervals))
+        usual = float(np.quantile(self._intervals, 0.5, method="lower"))  # gaps only lengthen
         self.measured = usual
         if abs(usual - self._step) <= TOLERANCE * self._step:
             return

@@ -83,7 +83,7 @@ def _widths(result: Estimation) -> list[tuple[Any, ...]]:
 def _numbers(result: Estimation) -> dict[str, Any]:
     """The numbers of a log, in words."""
     info = result.info
-    verdicts = {True: "yes", False: "NO", None: "cannot be tested: no innovation_std"}
+    verdicts = {True: "yes", False: "NO", None: "cannot be tested"}
     return {
         "log": info.source,
         "columns": info.columns,

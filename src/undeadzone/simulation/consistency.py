@@ -18,6 +18,7 @@ OUTLIER: Final = 4.5  # standard deviations beyond which a reading is refused
 LIMIT: Final = 2.2  # of B; a few of a hundred true records exceed it
 MOST_REFUSED: Final = 0.05  # share of the readings that may be refused
 MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
+FEWEST: Final = 30  # readings that a test needs
 MOST_OF_THE_TIME: Final = 0.5  # share of the record during which B may exceed its limit
 
 
@@ -25,13 +26,13 @@ class Verdict(NamedTuple):
     """Whether a record is consistent with what the observer claims.
 
     Attributes:
-        consistent: the answer; None where the observer gives no innovation_std, so that no test
-            exists.
+        consistent: the answer; None where there is none: the observer gives no innovation_std, or
+            too few readings corrected it.
         B: the test's statistic at the end, the largest of the outputs; 1 is usual.
         square: mean square of the normalised innovations that were not refused; 1 is usual.
         used: how many readings corrected the estimate.
         refused: how many of them lie beyond 4.5 standard deviations.
-        reasons: why not, in words.
+        reasons: why not, or why there is no answer, in words; empty if it is consistent.
     """
 
     consistent: bool | None
@@ -128,17 +129,22 @@ def verdict_of(
         reasons.append("a width is negative")
     for test in tests:
         reasons += _reasons(test)
+    used = sum(test.used for test in tests)
     consistent = None
     if reasons:
         consistent = False
-    elif tests:
+    elif not tests:
+        reasons = ["the observer gives no innovation_std"]
+    elif used < FEWEST:
+        reasons = [f"only {used} readings corrected the estimate"]
+    else:
         consistent = True
     squares = [test.square for test in tests if test.square is not None]
     return Verdict(
         consistent,
         max((test.B for test in tests), default=None),
         max(squares, default=None),
-        sum(test.used for test in tests),
+        used,
         sum(test.refused for test in tests),
         list(dict.fromkeys(reasons)),
     )

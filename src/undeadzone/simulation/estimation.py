@@ -69,7 +69,7 @@ class Estimation:
 
     @property
     def consistent(self) -> bool | None:
-        """Whether the innovations are what the observer claims; None: no test exists."""
+        """Whether the innovations are what the observer claims; None: it cannot be tested."""
         return self.info.consistent
 
     @property

@@ -89,8 +89,10 @@ class Follower:
     def _count(self, samples: Regular, estimate: Estimate, sides: Floats) -> Floats:
         """Count these samples and test their innovations; B after each (N x p or N x 0)."""
         self.samples += len(sides)
-        self._missing += int((~np.isfinite(samples.y)).any(axis=1).sum())
-        self._counts += [(sides == side).sum(axis=0) for side in (1, -1, 0)]
+        present = np.isfinite(samples.y)
+        self._missing += int((~present).any(axis=1).sum())
+        for row, side in enumerate((1, -1, 0)):
+            self._counts[row] += (present & (sides == side)).sum(axis=0)
         with np.errstate(invalid="ignore"):
             worst = np.abs(np.hstack([estimate.x, estimate.right, estimate.left]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
@@ -139,6 +141,9 @@ class Follower:
         if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):
             reason = "most of its lines cannot be read"
             verdict = verdict._replace(consistent=False, reasons=[*verdict.reasons, reason])
+        if verdict.consistent is False and grid.gaps:
+            reason = "the inputs in its gaps are not known, and were taken as constant"
+            verdict = verdict._replace(reasons=[*verdict.reasons, reason])
         p = self.model.p
         right, left, silent = self._counts.tolist()
         return LogInfo(

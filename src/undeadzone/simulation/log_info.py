@@ -28,12 +28,12 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         d_right, d_left: final widths (p) [z].
         d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
         adapts: whether the observer estimates the widths.
-        consistent: whether its innovations are what it claims; None: no test exists.
+        consistent: whether its innovations are what it claims; None: it cannot be tested.
         B: statistic of the test, about 1 where all is well.
         square: mean square of the normalised innovations, about 1 where all is well.
         used: readings that corrected the estimate.
         glitches: of these, those beyond 4.5 standard deviations.
-        reasons: why the record is not consistent.
+        reasons: why the record is not consistent, or cannot be tested.
         threshold: |y| that counts as silent (p) [y].
         uncertain: names of the parameters that the observer estimates.
         joints: names of an arm's joints; empty without an arm.

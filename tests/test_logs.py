@@ -1,0 +1,231 @@
+"""Logs as they come: dialects, columns by name, steps and gaps; nothing is guessed in silence."""
+
+from __future__ import annotations
+
+import codecs
+import re
+
+import numpy as np
+import pytest
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.logs.column import split_unit
+from undeadzone.logs.dialect import dialect_of
+from undeadzone.logs.grid import Grid
+from undeadzone.logs.names import Layout, layout_of_order, layout_of_titles, parse_columns
+from undeadzone.logs.samples import LogReader, Samples
+from undeadzone.logs.text import Text
+
+
+def titles(text: str) -> list:
+    return [split_unit(part) for part in text.split(",")]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "unit"),
+    [
+        ("speed [rad/s]", "speed", "rad/s"),
+        ("speed (rad/s)", "speed", "rad/s"),
+        ("u[0]", "u[0]", ""),
+        ("u[0] [1]", "u[0]", "1"),
+        ("y [1]", "y", "1"),
+        (' "t [ms]" ', "t", "ms"),
+        ("y", "y", ""),
+    ],
+)
+def test_units_in_brackets(text: str, name: str, unit: str) -> None:
+    assert split_unit(text) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("header", "p", "m", "columns"),
+    [
+        ("t,y,u", 1, 1, [0, 1, 2]),
+        ("t,u,y", 1, 1, [0, 2, 1]),
+        ("Time,INPUT,Output", 1, 1, [0, 2, 1]),
+        ("u,z,y", 1, 1, [2, 0]),
+        ("t,x[0],z[0],y[0],side[0],u[0]", 1, 1, [0, 3, 5]),
+        ("t,y[1],y[0],u", 2, 1, [0, 2, 1, 3]),
+        ("t,u1,u2,y", 1, 2, [0, 3, 1, 2]),
+    ],
+)
+def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
+    assert layout_of_titles(titles(header), p, m, {}, "log").columns == columns
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "words"),
+    [
+        ("time,angle,voltage", None, "'angle', 'voltage'"),
+        ("t,yy,u", None, "did you mean 'yy'"),
+        ("t,y,y,u", None, "the log 2"),
+        ("t,y[0],y[1],u", None, "the log 2"),
+        ("t,angle,u", "y=angel", "did you mean 'angle'"),
+        ("t,angle,u", "y=u", "used twice"),
+        ("t [days],y,u", None, "'days'"),
+    ],
+)
+def test_names_that_do_not_tell_are_refused(header: str, columns: str | None, words: str) -> None:
+    with pytest.raises(FileError, match=re.escape(words)):
+        layout_of_titles(titles(header), 1, 1, parse_columns(columns), "log")
+
+
+def test_columns_by_name_and_number() -> None:
+    chosen = parse_columns("y=angle, u=2,t=time")
+    assert layout_of_titles(titles("time,volt,angle"), 1, 1, chosen, "log").columns == [0, 2, 1]
+    for wrong in ("y", "y=", "z=3", "y=1,y[0]=2", "y[3]=1,u=2"):
+        with pytest.raises(InputError, match="--columns"):
+            layout_of_titles(titles("a,b,c"), 1, 1, parse_columns(wrong), "log")
+
+
+def test_order_without_a_header() -> None:
+    assert layout_of_order(3, 1, 1, {}, "log").columns == [0, 1, 2]
+    assert layout_of_order(2, 1, 1, {}, "log").time is None
+    assert layout_of_order(4, 1, 1, parse_columns("y=4,u=2"), "log").columns == [3, 1]
+    with pytest.raises(FileError, match="found 4"):
+        layout_of_order(4, 1, 1, {}, "log")
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["t;y;u", "0,00;1,5;2,0"],
+        ["t\ty\tu", "0.0\t1.5\t2"],
+        ["t y u", "0,00 1,5 2,0"],
+        ["t,y,u", "[s],[N],[V]", "0,1.5,2"],
+        ['"t","y","u"', "0,1.5,2"],
+        ["t,y,u", "0,1.5,2,"],
+    ],
+)
+def test_dialects(lines: list[str]) -> None:
+    dialect = dialect_of(lines)
+    assert dialect.titles is not None
+    assert [title.name for title in dialect.titles] == ["t", "y", "u"]
+    assert [dialect.number(cell) for cell in dialect.cells(lines[-1])] == [0.0, 1.5, 2.0]
+
+
+TEXT = "# a remark\r\nt [ms];y [N];u [V]\r\n0;1,5;2\r\n10;;3\r\n20;nan;3\r\nbad\r\n30;-1,5;4\r\n"
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 1000])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_the_same_samples_in_whatever_pieces_they_come(size: int, encoding: str) -> None:
+    reader = LogReader("log", 1, 1, {})
+    data = TEXT.replace("remark", "rémark").encode(encoding)
+    if size == 1 and encoding == "utf-16":
+        size = 2  # its mark comes whole
+    parts = []
+    for start in range(0, len(data), size):
+        parts.append(reader.feed(data[start : start + size]))
+    parts.append(reader.feed(b"", last=True))
+    t, y, u = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    np.testing.assert_array_equal(t, [0, 0.01, 0.02, np.nan, 0.03])
+    np.testing.assert_array_equal(y[:, 0], [1.5, np.nan, np.nan, np.nan, -1.5])
+    np.testing.assert_array_equal(u[:, 0], [2, 3, 3, np.nan, 4])
+    assert reader.unreadable == 1
+    assert "line 6" in reader.why
+
+
+def test_strict_stops_at_a_line_that_cannot_be_read() -> None:
+    reader = LogReader("log", 1, 1, {}, strict=True)
+    with pytest.raises(FileError, match="line 6"):
+        reader.feed(TEXT.encode(), last=True)
+
+
+def test_a_block_read_at_once_is_what_its_lines_are_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    rows = [",".join(map(repr, row)) for row in rng.normal(size=(200, 3)).tolist()]
+    whole = LogReader("log", 1, 1, {})
+    single = LogReader("log", 1, 1, {})
+    text = "t,y,u\n" + "\n".join(rows) + "\n"
+    at_once = whole.feed(text.encode(), last=True)
+    spoilt = single.feed((text + "1,x,2\n").encode(), last=True)  # goes line by line
+    for one, other in zip(at_once[:3], spoilt[:3], strict=True):
+        np.testing.assert_array_equal(one, other[:-1])
+    assert (whole.unreadable, single.unreadable) == (0, 1)
+
+
+def test_what_is_no_text() -> None:
+    with pytest.raises(FileError, match="not CSV text"):
+        Text("log").feed(b"PK\x03\x04\0\0")
+    with pytest.raises(FileError, match="not CSV text"):
+        Text("log").feed(b"1" * 100_000)
+    assert Text("log").feed(b"# " + b"1" * 100_000 + b"\n1\n") == ["# " + "1" * 100_000, "1"]
+    assert Text("log").feed(codecs.BOM_UTF8 + "µ\n".encode()) == ["µ"]
+
+
+def samples(t: list[float]) -> Samples:
+    times = np.array(t, float)
+    column = np.arange(len(t), dtype=float)[:, None]
+    return Samples(times, column, column, np.arange(1, len(t) + 1))
+
+
+def test_gaps_become_missing_samples() -> None:
+    grid = Grid(0.1, "log")
+    first = grid.place(samples([5.0, 5.1, 5.2, 5.5]), timed=True)
+    np.testing.assert_allclose(first.t, [5.0, 5.1, 5.2, 5.3, 5.4, 5.5])
+    np.testing.assert_array_equal(first.y[:, 0], [0, 1, 2, np.nan, np.nan, 3])
+    second = grid.place(samples([np.nan, 5.7]), timed=True)  # a line that could not be read
+    np.testing.assert_allclose(second.t, [5.6, 5.7])
+    assert grid.gaps == 3
+    assert grid.measured == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("t", "words"),
+    [
+        ([0, 1, 2], "1 s apart"),
+        ([0, 0.001, 0.002], "0.001 s apart"),
+        ([0, 100, 200], r"t \[ms\]"),
+        ([0, 0.1, 0.2, 0.15], "does not increase"),
+        ([0, 0.1, 0.2, 0.35], "multiple of the step"),
+        ([0, 0.1, 0.2, 1e6], "at most"),
+    ],
+)
+def test_other_steps_are_refused(t: list[float], words: str) -> None:
+    with pytest.raises(FileError, match=words):
+        Grid(0.1, "log").place(samples(t), timed=True)
+
+
+def test_a_gap_in_every_line_does_not_fill_the_memory() -> None:
+    steps = np.ones(4001)
+    steps[2001:] = 90_000
+    with pytest.raises(FileError, match="gaps"):
+        Grid(0.1, "log").place(samples((0.1 * np.cumsum(steps)).tolist()), timed=True)
+
+
+def test_without_times_samples_are_one_step_apart() -> None:
+    grid = Grid(0.5, "log")
+    grid.place(samples([np.nan] * 3), timed=False)
+    np.testing.assert_array_equal(grid.place(samples([np.nan] * 2), timed=False).t, [1.5, 2.0])
+
+
+def test_a_layout_says_what_it_took() -> None:
+    layout: Layout = layout_of_titles(titles("t [ms],y [N],u [V]"), 1, 1, {}, "log")
+    assert layout.said == "t from 't', y from 'y', u from 'u'"
+    assert (layout.seconds, layout.reading_units, layout.input_units) == (1e-3, ["N"], ["V"])
+
+
+def test_damaged_logs_give_an_error_or_samples() -> None:
+    rng = np.random.default_rng(1)
+    rows = [f"{0.01 * k:.2f},{np.sin(k):.4f},{np.cos(k):.4f}" for k in range(30)]
+    clean = ("t,y,u\n" + "\n".join(rows) + "\n").encode()
+    for _ in range(2000):
+        data = bytearray(clean)
+        for _ in range(rng.integers(1, 8)):
+            where = int(rng.integers(len(data)))
+            kind = rng.integers(3)
+            if kind == 0:
+                data[where] = int(rng.integers(256))
+            elif kind == 1:
+                del data[where : where + int(rng.integers(1, 20))]
+            else:
+                data[where:where] = bytes(rng.integers(32, 127, int(rng.integers(1, 10))).tolist())
+        try:
+            reader, grid = LogReader("log", 1, 1, {}), Grid(0.01, "log")
+            read = reader.feed(bytes(data), last=True)
+            layout = reader.layout
+            regular = grid.place(read, layout is not None and layout.time is not None)
+        except InputError:
+            continue
+        assert regular.y.shape == (regular.t.size, 1)
