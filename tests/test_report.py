@@ -267,7 +267,8 @@ def test_a_lost_ensemble_is_drawn_over_time_or_refused(ensemble: Ensemble) -> No
 
 @pytest.mark.parametrize("wrong", [None, "run.npz", 3.0, {"z": [1.0]}, np.zeros(3)])
 def test_plot_of_anything_else_says_what_it_expects(wrong: Any, tmp_path: Path) -> None:
-    expected = f"expected a Run, an Estimation, an Ensemble, a Design or a Tuned, found {type(wrong).__name__}"
+    kinds = "a Run, an Estimation, an Ensemble, a Design or a Tuned"
+    expected = f"expected {kinds}, found {type(wrong).__name__}"
     with pytest.raises(InputError, match=expected):
         plot(wrong, tmp_path / "figure.png")
     assert not list(tmp_path.iterdir())
