@@ -210,6 +210,32 @@ def test_smoothing_ends_where_the_filter_does_and_is_better(run: uz.Run) -> None
     assert bare.z_smooth is None
 
 
+def test_smoothing_of_two_outputs() -> None:
+    plant = uz.Plant(
+        A=[[0, 1, 0], [-4, -1, 1], [0, 0, -2]],
+        B=[[0, 0], [4, 0], [0, 2]],
+        C=[[1, 0, 0], [0, 0, 1]],
+        x0=[1.0, 0.0, -1.0],
+    )
+    two = scenario(
+        uz.Kalman(right=[0.0, 2.0]),
+        plant=plant,
+        sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
+        reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),
+        controller=uz.StateFeedback(poles=[-4.0, -5.0, -6.0]),
+    )
+    run = uz.simulate(two)
+    result = uz.estimate(two, t=run.t, y=run.y, u=run.u)
+    assert result.z_smooth is not None
+    assert result.x_smooth is not None
+    assert result.x_smooth_std is not None
+    assert result.d_smooth is not None
+    causal = np.sqrt(np.mean((result.z_hat - run.z) ** 2))
+    assert np.sqrt(np.mean((result.z_smooth - run.z) ** 2)) < 0.3 * causal
+    assert (np.abs(result.x_smooth - run.x) < 5 * result.x_smooth_std + 1e-9).all()
+    np.testing.assert_allclose(result.d_smooth[0], [0.8, 0.4, 0.5, 0.3], atol=0.02)
+
+
 def test_the_test_is_the_recursion_in_blocks() -> None:
     rng = np.random.default_rng(0)
     e = rng.normal(size=400) * (rng.random(400) < 0.7)

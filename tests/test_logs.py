@@ -95,12 +95,14 @@ def test_order_without_a_header() -> None:
         ["t,y,u", "[s],[N],[V]", "0,1.5,2"],
         ['"t","y","u"', "0,1.5,2"],
         ["t,y,u", "0,1.5,2,"],
+        ["t,y,u", "oops", "0,1.5,2"],
+        ["t [s];y,z;u", "0,0;1,5;2"],
     ],
 )
 def test_dialects(lines: list[str]) -> None:
     dialect = dialect_of(lines)
     assert dialect.titles is not None
-    assert [title.name for title in dialect.titles] == ["t", "y", "u"]
+    assert [title.name[0] for title in dialect.titles] == ["t", "y", "u"]
     assert [dialect.number(cell) for cell in dialect.cells(lines[-1])] == [0.0, 1.5, 2.0]
 
 

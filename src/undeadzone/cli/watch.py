@@ -93,7 +93,9 @@ def _csv(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
 
     table = np.hstack([t[:, None], *_parts(estimate, sides).values()])
     rows = msgspec.json.encode(table.tolist())[2:-2]  # the quickest exact way to write numbers
-    return rows.replace(b"],[", b"\n").replace(b"null", b"nan") + b"\n"
+    if not np.isfinite(table).all():
+        rows = rows.replace(b"null", b"nan")
+    return rows.replace(b"],[", b"\n") + b"\n"
 
 
 def _json(t: Floats, estimate: Estimate, sides: Floats) -> bytes:

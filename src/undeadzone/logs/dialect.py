@@ -103,15 +103,18 @@ def number(cell: str, comma: bool) -> float | None:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator: the first of `;`, tab, `,` that the last of these lines holds, else blanks.
+    """The separator: of `;`, tab, `,` the one that most of these lines hold, else blanks.
 
     Commas in numbers with blanks between are decimal commas.
     """
-    sample = lines[-1]
+    best, most = " ", 0
     for candidate in (";", "\t", ","):
-        if candidate in sample and not (candidate == "," and _BLANKS_BETWEEN.search(sample)):
-            return candidate
-    return " "
+        holding = [line for line in lines if candidate in line]
+        if candidate == ",":
+            holding = [line for line in holding if not _BLANKS_BETWEEN.search(line)]
+        if len(holding) > most:
+            best, most = candidate, len(holding)
+    return best
 
 
 def _heads(lines: Sequence[str], separator: str) -> int:

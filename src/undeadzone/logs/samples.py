@@ -16,6 +16,8 @@ from undeadzone.support.arrays import Floats
 
 Lines = npt.NDArray[np.int64]
 
+FIRST = 10  # lines that tell the dialect, if as many have come
+
 
 class Samples(NamedTuple):
     """Samples of a log.
@@ -83,7 +85,7 @@ class LogReader:
         numbered = self._first + self._numbered(self._text.feed(data, last))
         self._first = []
         if self._dialect is None and numbered:
-            lines = [line for _, line in numbered[:3]]
+            lines = [line for _, line in numbered[:FIRST]]
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow

@@ -110,7 +110,7 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     for bound in (-OUTLIER, OUTLIER):
         axes.axhline(bound, color=REFERENCE, linewidth=0.8)
     _statistic(axes, t, result.B[shown, i])
-    finish(axes, f"Innovations{of} and their test", "1", legend=3)
+    finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
 
 
 def _statistic(axes: Any, t: Floats, B: Floats) -> None:
