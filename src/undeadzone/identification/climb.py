@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -29,6 +28,7 @@ def climb(
     steps: int = 60,
     gain: float = 1e-4,
     project: Callable[[Floats], Floats] | None = None,
+    longest: Floats | None = None,
 ) -> Top:
     """Raise a log likelihood by damped Newton steps.
 
@@ -40,6 +40,7 @@ def climb(
         steps: how many trials at most.
         gain: two steps in a row that gain less than this end the climb.
         project: what brings a trial back within bounds.
+        longest: the longest step of each free number; default any.
 
     Returns:
         The best theta found.
@@ -49,7 +50,8 @@ def climb(
     for count in range(steps):
         current, score, hessian = best
         trial = top.copy()
-        trial[free] += _step(score, hessian, damping)
+        step = _step(score, hessian, damping)
+        trial[free] += step if longest is None else np.clip(step, -longest, longest)
         if project is not None:
             trial = project(trial)
         reached = value(trial)
@@ -77,8 +79,3 @@ def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
     except np.linalg.LinAlgError:
         step = score / scale**2
     return step if np.isfinite(step).all() else np.zeros(scale.size)
-
-
-def finite_or_low(number: float) -> float:
-    """The number, or -inf where it is none."""
-    return number if math.isfinite(number) else -math.inf

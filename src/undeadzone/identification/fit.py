@@ -11,7 +11,7 @@ import numpy as np
 from undeadzone.identification.climb import Top, climb
 from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Kind, Limits, Objective
-from undeadzone.identification.plant_fit import Data, Simulator, stabilised
+from undeadzone.identification.plant_fit import Simulator, stabilised
 from undeadzone.support.arrays import Floats, Integers
 
 SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
@@ -240,25 +240,3 @@ def _centred(objective: Objective, theta: Floats) -> Floats:
     )
     again[layout.x0] = 0.0
     return again
-
-
-def scaled(
-    u: Floats, y: Floats, ok: Flags, start: Integers, threshold: float, silent_zeros: bool
-) -> Data:
-    """Records scaled to rms 1.
-
-    Args:
-        u: inputs (N x m).
-        y: readings (N), 0 where missing.
-        ok: whether there is a reading (N).
-        start: first sample of each record.
-        threshold: |y| up to which a reading is silent [y].
-        silent_zeros: whether the noise acts ahead of the zone.
-
-    Returns:
-        The data of a fit.
-    """
-    u_scale = np.maximum(u.std(axis=0), 1e-300)
-    y_scale = float(np.sqrt(np.mean(y[ok] ** 2)))
-    side = 1 * (y > threshold) - 1 * (y < -threshold)
-    return Data(u / u_scale, y / y_scale, ok, start, side, silent_zeros, u_scale, y_scale)

@@ -205,7 +205,7 @@ def find_quantum(y: Floats) -> float:
         different, or are rounded to so many digits that no quantum can be told from printing.
     """
     values: Floats = np.unique(np.abs(y))
-    if values.size < 3 or values.size > 0.5 * max(np.count_nonzero(y), 8):
+    if values.size < 3 or values.size > 0.5 * max(int(np.count_nonzero(y)), 8):
         return 0.0
     spacing = np.diff(values)
     size = float(values[-1])
