@@ -310,8 +310,8 @@ def _shown(evidence: Evidence, options: Options, scale: float) -> dict[str, Inte
     for name in ("right", "left"):
         low, high = options.bounds("right" if name == "right" else "left")
         if low == high:
-            shown[name] = None if math.isinf(low) else Interval(low, low, high)
-        if math.isinf(low):
+            shown[name] = None if low == math.inf else Interval(low, low, high)
+        if low == math.inf:
             shown["width"] = shown["centre"] = None
     for name in evidence.unreached:
         bound = lower_bound(evidence.chosen.singles, name) * scale

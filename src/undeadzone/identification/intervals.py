@@ -88,18 +88,20 @@ def find_widths(
                 fits = False
                 last = "L2"
         if not fits:
-            remarks.append("the disturbance model does not fit; the widths are those of pairs")
+            remarks.append(
+                "the disturbance model does not fit; the widths are those of pairs, the intervals"
+                " widened by the difference"
+            )
     values = {name: float(np.dot(row, stages[last])) for name, row in DIRECTIONS.items()}
     intervals = {}
     apart = False
     for name, row in DIRECTIONS.items():
-        gap = 0.0
-        if "L1" in stages and "L2" in stages:
-            gap = abs(float(np.dot(row, stages["L1"]) - np.dot(row, stages["L2"])))
-        apart |= name in ("right", "left", "width") and gap > widest[name] > 0
-        half = math.hypot(
-            max(widest[name], gap * (gap > widest[name])), _hidden(name, others, chosen)
-        )
+        gap = _gap(stages, row, "L1")
+        apart |= name != "centre" and gap > widest[name] > 0
+        half = widest[name]
+        if half > 0:
+            half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
+            half = math.hypot(half, _hidden(name, others, chosen))
         half = math.hypot(half, 0.5 * quantum) if half > 0 else half
         if name != "width":
             half = math.inf if offset is None else math.hypot(half, offset)
@@ -111,6 +113,13 @@ def find_widths(
             " intervals are widened by the difference"
         )
     return Widths(**intervals, stages=stages, halves=halves, fits=fits, remarks=remarks)
+
+
+def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str) -> float:
+    """How far a stage is from that of pairs; 0 where one of them was not run."""
+    if stage not in stages or "L2" not in stages:
+        return 0.0
+    return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
 
 
 def _stages(

@@ -11,7 +11,7 @@ from undeadzone.engine import lanes
 from undeadzone.identification.climb import climb
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.kalman_step import kernel
-from undeadzone.identification.long_run import Spread, positive, sandwich
+from undeadzone.identification.long_run import Spread, above, sandwich
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.plant_fit import Data
 from undeadzone.support.arrays import Floats
@@ -196,7 +196,7 @@ class KalmanObjective:
             hessian[place] = -(score[0] - score[1]) / (2 * step)
         if not np.isfinite(hessian).all():
             hessian = outer
-        return sandwich(scores, positive(hessian))
+        return sandwich(scores, above(hessian, outer))
 
 
 def input_gain(a: Floats, b: Floats, phi: float) -> float:

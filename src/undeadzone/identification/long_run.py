@@ -84,3 +84,25 @@ def positive(hessian: Floats) -> Floats:
     values, vectors = np.linalg.eigh(both * np.outer(scale, scale))
     raised = np.maximum(values, 1e-6 * values.max())
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
+
+
+def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
+    """A Hessian raised to at least a part of the scores' outer products, in every direction.
+
+    Args:
+        hessian: minus the second derivative, by differences (P x P).
+        outer: sum of the outer products of the scores (P x P).
+        least: the part; both are equal where the model is right.
+
+    Returns:
+        A positive Hessian; it differs from the given one only where differences tell nothing, as
+        along the logarithm of a variance that is nearly 0.
+    """
+    scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
+    values, vectors = np.linalg.eigh(outer * np.outer(scale, scale))
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    whiten = np.linalg.pinv(root)
+    both = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
+    sizes, axes = np.linalg.eigh(whiten @ both @ whiten.T)
+    raised = (axes * np.maximum(sizes, least)) @ axes.T
+    return root @ raised @ root.T / np.outer(scale, scale)

@@ -82,14 +82,21 @@ def fit_orders(
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:
-    """The order of least BIC of (L2)."""
-    return min(fits, key=lambda one: one.pairs.bic)
+    """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
+    inside = [one for one in fits if not at_limit(one)]
+    return min(inside or fits, key=lambda one: one.pairs.bic)
+
+
+def at_limit(one: OrderFit) -> bool:
+    """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+    return not one.pairs.objective.simulator.admissible(one.pairs.theta, 1.2)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:
     """The orders whose held-out error is within 2 % of the least."""
-    least = min(one.error for one in fits)
-    return [one for one in fits if one.error <= CREDIBLE * least]
+    inside = [one for one in fits if not at_limit(one)] or fits
+    least = min(one.error for one in inside)
+    return [one for one in inside if one.error <= CREDIBLE * least]
 
 
 def validate(fit: Fit, train: Flags) -> HeldOut:

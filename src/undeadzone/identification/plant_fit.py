@@ -11,6 +11,7 @@ from undeadzone.identification.likelihood import Readings
 from undeadzone.identification.log import Flags
 from undeadzone.support.arrays import Floats, Integers
 
+RINGING = 2.0  # the same for poles that ring: with x(0) they are a free sine
 SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
 
 
@@ -149,14 +150,14 @@ class Simulator:
         """Poles of the sampled plant (n), complex."""
         return np.roots(np.append(1.0, theta[self.layout.a]))
 
-    def admissible(self, theta: Floats) -> bool:
-        """Whether the poles are stable, and slow ones settle well within the longest record."""
+    def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
+        """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
         longest = max(part.stop - part.start for part in self.data.records())
         poles = self.poles(theta)
         slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
-        limit = np.where(slow, 1 - SLOW / longest, 1 - 0.2 / longest)
+        limit = np.where(slow, 1 - margin * SLOW / longest, 1 - margin * RINGING / longest)
         return bool(np.all(np.abs(poles) < limit))
 
 

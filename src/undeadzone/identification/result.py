@@ -48,7 +48,7 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """dead_zone, none, saturation, jump, play, friction, input_zone, other, unclear, unreached."""
+        """One word: dead_zone, none, saturation, jump, play, friction, input_zone, ..."""
         return self.answer.verdict
 
     @property

@@ -267,8 +267,8 @@ def _held_out(answer: Answer, unit: str) -> str:
     share = f"last {100 * answer.options.held_out:.0f} %"
     white = "white" if chosen.white else "not white"
     return (
-        f"{share}: rms error {chosen.error * answer.scale:.3g}{unit}, fit {100 * chosen.share:.1f} %,"
-        f" one-step residual {white}"
+        f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
+        f" fit {100 * chosen.share:.1f} %, one-step residual {white}"
     )
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from undeadzone.identification.no_zone import CHANCE, NoZone
-from undeadzone.identification.orders import OrderFit
+from undeadzone.identification.orders import OrderFit, at_limit
 from undeadzone.identification.place import Place
 from undeadzone.identification.plant_fit import Data
 from undeadzone.identification.residual_map import ResidualMap
@@ -71,8 +69,8 @@ def static_verdict(
         return Verdict("unclear", [_explains_nothing(chosen)], [])
     if integrates(chosen):
         reason = (
-            "the plant seems to integrate, or is slower than the record: its state at the start"
-            " and a constant offset cannot be told apart"
+            "the plant seems to integrate, or to ring longer than the record: its state at the"
+            " start and an offset or a sine cannot be told apart; record for longer"
         )
         return Verdict("unclear", [reason], [])
     if quantum > 0 and width < 1.5 * quantum:
@@ -110,11 +108,7 @@ def winning_rival(rivals: dict[str, Density]) -> str | None:
 
 def integrates(chosen: OrderFit) -> bool:
     """Whether a pole lies where x(0) and it make an offset: as slow as is allowed."""
-    simulator = chosen.pairs.objective.simulator
-    longest = max(part.stop - part.start for part in simulator.data.records())
-    poles = simulator.poles(chosen.pairs.theta)
-    slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
-    return bool(np.any(slow & (np.abs(poles) > 1 - 7.0 / longest)))
+    return at_limit(chosen)
 
 
 def place_verdict(verdict: Verdict, place: Place, noise_falls_silent: bool) -> Verdict:
