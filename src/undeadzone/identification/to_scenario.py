@@ -66,7 +66,7 @@ def scenario_text(answer: Answer) -> str:
         "[simulation]",
         f"duration = {_number(_duration(answer, plant.A))}",
         'time = "sampled"',
-        f"step = {_number(step)}  # of the log",
+        f"step = {float(f'{step:.12g}')!r}  # of the log",
         "",
         "[units]",
         f"output = {_text(unit)}",
@@ -150,7 +150,7 @@ def _duration(answer: Answer, A: Floats) -> float:
     """A whole number of steps that hold 20 periods of the reference, at most the log's length."""
     step = answer.evidence.grid.step
     periods = 20 / _frequency(answer, A)
-    return step * math.ceil(min(periods / step, 20000))
+    return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
 
 
 def _disturbance(answer: Answer, a: Floats, b: Floats) -> list[str]:
@@ -159,6 +159,8 @@ def _disturbance(answer: Answer, a: Floats, b: Floats) -> list[str]:
     layout = answer.fit.objective.layout
     kalman = answer.evidence.kalman
     data = answer.fit.objective.data
+    if not kalman and not answer.evidence.chosen.white:
+        return []  # something disturbs z, and nobody knows what: the observer's own default
     rms, phi = 0.0, 0.0
     if kalman and kalman[0].model in (WHITE, AT_INPUT):
         best = kalman[0]
