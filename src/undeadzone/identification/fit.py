@@ -120,6 +120,27 @@ def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fi
     return Fit(objective, top.theta, top.value)
 
 
+def polished(fit: Fit) -> Fit:
+    """A fit after up to three Newton steps with the numerical Hessian, to the very top."""
+    objective, theta, value = fit.objective, fit.theta, fit.value
+    if objective.kind == "behind":
+        return fit
+    project = clipped(objective)
+    for _ in range(3):
+        step = np.linalg.solve(objective.hessian(theta), objective.score(theta)[objective.free])
+        trial = theta.copy()
+        trial[objective.free] += step
+        trial = project(trial)
+        reached = objective.value(trial)
+        if not reached > value:
+            break
+        gained = reached - value
+        theta, value = trial, reached
+        if gained < 1e-6:
+            break
+    return Fit(objective, theta, value)
+
+
 def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
     """The output-error fit without a zone."""
     objective = Objective(simulator, "behind", Limits(zone=False), use)

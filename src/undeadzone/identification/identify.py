@@ -11,6 +11,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer, Evidence
 from undeadzone.identification.excitation import FEW_VISITS, excitation
+from undeadzone.identification.fit import polished
 from undeadzone.identification.grid import Grid, to_grid
 from undeadzone.identification.intervals import Interval, Widths, find_widths, lower_bound
 from undeadzone.identification.kalman_likelihood import KalmanFit, fit_kalman
@@ -141,6 +142,9 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
     prepared, unreached = _without_unreached(prepared)
     prepared, fits = _fitted(prepared, options, advance)
     chosen = best_order(fits)
+    pairs = polished(chosen.pairs)
+    singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
+    chosen = chosen._replace(singles=singles, pairs=pairs)
     data = prepared.data
     no_zone = judge_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:

@@ -40,12 +40,13 @@ class Smoothed(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """Predicted and corrected moments along a record."""
+    """Predicted and corrected moments along a record, and g of each correction."""
 
     x_ahead: Floats
     P_ahead: Floats
     x: Floats
     P: Floats
+    g: Floats
 
 
 def smooth(fit: KalmanFit, p: Floats | None = None) -> Smoothed:
@@ -58,23 +59,43 @@ def smooth(fit: KalmanFit, p: Floats | None = None) -> Smoothed:
     Returns:
         Means and covariances along the record.
     """
-    numbers = fit.objective.numbers
+    model = _Model(fit, fit.p if p is None else p)
     data = fit.objective.data
-    lane = fit.objective.lane(fit.p if p is None else p)
-    F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
-    Q = lane[numbers.log_q] * G
-    r2, right, left = lane[numbers.log_q + 1 : numbers.log_q + 4]
-    first = np.full(F.shape[0], lane[numbers.log_q + 5])
-    if numbers.model:
-        first[-1] = lane[numbers.log_q + 6]
-    size = data.y.size
-    x_out, P_out = np.empty((size, first.size)), np.empty((size, first.size, first.size))
-    drive = data.u @ B.T
+    count = model.F.shape[0]
+    x_out, P_out = np.empty((data.y.size, count)), np.empty((data.y.size, count, count))
     for part in data.records():
-        corrections = _Corrections(data.y[part], data.side[part], data.ok[part], r2, right, left)
-        run = _forth(F, Q, H[0], drive[part], corrections, np.diag(first))
-        x_out[part], P_out[part] = _back(F, run)
-    return Smoothed(x_out, P_out, H[0])
+        x_out[part], P_out[part] = _back(model.F, model.forth(part))
+    return Smoothed(x_out, P_out, model.H)
+
+
+def innovations(fit: KalmanFit) -> Floats:
+    """One-step prediction errors over their standard deviations (N); 0 where missing."""
+    model = _Model(fit, fit.p)
+    return np.concatenate([model.forth(part).g for part in fit.objective.data.records()])
+
+
+class _Model:
+    """Matrices of plant and disturbance for some numbers p of (L3)."""
+
+    def __init__(self, fit: KalmanFit, p: Floats) -> None:
+        numbers = fit.objective.numbers
+        self.data = fit.objective.data
+        lane = fit.objective.lane(p)
+        self.F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
+        self.H = H[0]
+        self.Q = lane[numbers.log_q] * G
+        self.sensor = lane[numbers.log_q + 1 : numbers.log_q + 4]
+        self.first = np.full(self.F.shape[0], lane[numbers.log_q + 5])
+        if numbers.model:
+            self.first[-1] = lane[numbers.log_q + 6]
+        self.drive = self.data.u @ B.T
+
+    def forth(self, part: slice) -> _Pass:
+        """The filter along one record."""
+        data = self.data
+        corrections = _Corrections(data.y[part], data.side[part], data.ok[part], *self.sensor)
+        P = np.diag(self.first)
+        return _forth(self.F, self.Q, self.H, self.drive[part], corrections, P)
 
 
 class _Corrections(NamedTuple):
@@ -111,7 +132,11 @@ def _forth(
     """The filter along a record."""
     size, n = drive.shape[0], F.shape[0]
     run = _Pass(
-        np.empty((size, n)), np.empty((size, n, n)), np.empty((size, n)), np.empty((size, n, n))
+        np.empty((size, n)),
+        np.empty((size, n, n)),
+        np.empty((size, n)),
+        np.empty((size, n, n)),
+        np.zeros(size),
     )
     x = np.zeros(n)
     pad = np.zeros(n - drive.shape[1])
@@ -121,6 +146,7 @@ def _forth(
             PH = P @ H
             S = float(H @ PH) + readings.r2
             g, k = readings.at(t, float(H @ x), S)
+            run.g[t] = g
             x = x + PH * (g / math.sqrt(S))
             P = P - np.outer(PH, PH) * (k / S)
         run.x[t], run.P[t] = x, P

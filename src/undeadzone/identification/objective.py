@@ -160,7 +160,9 @@ class Objective:
         hessian += spread.T @ spread
         speaking = int(self.readings.ok.sum() - quiet.sum())
         hessian[right + 2, right + 2] = 2 * speaking + float((scores[quiet, right + 2] ** 2).sum())
-        hessian[right + 3, right + 3] = float((scores[:, right + 3] ** 2).sum()) + 1e-9
+        if self.kind == "pairs":
+            both = scores[:, right + 2 : right + 4]
+            hessian[right + 2 :, right + 2 :] = both.T @ both + 1e-9 * np.eye(2)
         x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
         hessian[x0, x0] += self.x0_weight
         value = float(values.sum()) - self._prior(theta)
