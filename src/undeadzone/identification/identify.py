@@ -15,11 +15,18 @@ from undeadzone.identification.fit import polished
 from undeadzone.identification.grid import Grid, to_grid
 from undeadzone.identification.intervals import Interval, Widths, find_widths, lower_bound
 from undeadzone.identification.kalman_likelihood import KalmanFit, fit_kalman
+from undeadzone.identification.kalman_smoother import innovations
 from undeadzone.identification.log import Log
 from undeadzone.identification.no_zone import judge_no_zone
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.options import Options
-from undeadzone.identification.orders import OrderFit, best_order, credible, fit_orders
+from undeadzone.identification.orders import (
+    OrderFit,
+    best_order,
+    credible,
+    fit_orders,
+    is_white,
+)
 from undeadzone.identification.place import Place, find_place
 from undeadzone.identification.plant_fit import Data
 from undeadzone.identification.prepare import FAR_EDGE, Prepared, prepare
@@ -171,6 +178,8 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
     excited = excitation(
         data.readings(), chosen.pairs.z, widths.right.value, widths.left.value, data.silent_zeros
     )
+    if kalman:
+        chosen = chosen._replace(white=_white_after_filter(kalman[0], options.held_out))
     evidence = Evidence(
         grid,
         fits,
@@ -262,6 +271,14 @@ def _place_and_disturbance(
     advance(1)
     silenced = bool(kalman) and kalman[0].r > max(2 * quantum, 0.01)
     return kalman, place_verdict(verdict, place, silenced), place
+
+
+def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
+    """Whether the filter's one-step errors on the held-out part are white, where it speaks."""
+    data = kalman.objective.data
+    use = data.ok & (data.side != 0)
+    use &= np.arange(data.y.size) >= (1 - held_out) * data.y.size
+    return is_white(innovations(kalman), use)
 
 
 def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: Verdict) -> Answer:

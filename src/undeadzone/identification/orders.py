@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from undeadzone.identification.fit import Fit, fit_zone, refit
 from undeadzone.identification.log import Flags
@@ -118,10 +119,7 @@ def validate(fit: Fit, train: Flags) -> HeldOut:
     rms = float(np.sqrt(np.mean(error**2)))
     usual = float(np.sqrt(np.mean(fit.objective.data.y[test] ** 2)))
     innovation, use = innovations(trained, test)
-    inside = correlation(innovation, use, LAGS)
-    band = 1.96 / math.sqrt(max(int(use.sum()), 1))
-    white = int((np.abs(inside) > 1.5 * band).sum()) <= 2
-    return HeldOut(rms, 1 - rms / max(usual, 1e-12), white)
+    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(innovation, use))
 
 
 def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
@@ -136,6 +134,16 @@ def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
     value = e.copy()
     value[1:] -= _step_correlation(fit, e, use) * e[:-1]
     return value, use
+
+
+def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
+    """Whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
+    count = int(use.sum())
+    if count < 3 * lags:
+        return True
+    squares = correlation(value, use, lags) ** 2
+    total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
+    return bool(chi2.sf(total, lags) > 0.01)
 
 
 def _step_correlation(fit: Fit, e: Floats, use: Flags) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.identification.intervals import profile
+from undeadzone.identification.kalman_smoother import innovations as filtered
 from undeadzone.identification.orders import correlation, innovations
 from undeadzone.identification.residual_map import expected_reading
 from undeadzone.identification.result import Identified
@@ -155,7 +156,11 @@ def _residual(found_log: Identified) -> Figure:
     """Correlation of the one-step residual with itself and with the input."""
     fit = found_log.answer.fit
     data = fit.objective.data
-    value, use = innovations(fit, data.ok)
+    kalman = found_log.answer.evidence.kalman
+    if kalman:
+        value, use = filtered(kalman[0]), data.ok & (data.side != 0)
+    else:
+        value, use = innovations(fit, data.ok)
     figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
     band = 1.96 / math.sqrt(max(int(use.sum()), 1))
     lags = np.arange(1, LAGS + 1)
