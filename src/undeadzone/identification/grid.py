@@ -14,6 +14,9 @@ JITTER = 0.01  # of a step, by which regular times may differ
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
 
 
+MOST = 20_000  # samples that are used; more would take minutes and say little more
+
+
 class Grid(NamedTuple):
     """Records on a regular grid, one after another.
 
@@ -94,6 +97,25 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.inputs,
         first.input_unit,
         first.output_unit,
+    )
+
+
+def shortened(grid: Grid) -> Grid:
+    """The first `MOST` samples of a longer log, with a remark; others as they are."""
+    size = grid.t.size
+    if size <= MOST:
+        return grid
+    remark = (
+        f"the log has {size} samples; the first {MOST} are used: cut the log, or take every k-th"
+        " sample of it, to use others"
+    )
+    return grid._replace(
+        t=grid.t[:MOST],
+        u=grid.u[:MOST],
+        y=grid.y[:MOST],
+        ok=grid.ok[:MOST],
+        start=grid.start[grid.start < MOST - 1],
+        remarks=[*grid.remarks, remark],
     )
 
 

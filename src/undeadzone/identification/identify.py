@@ -12,7 +12,7 @@ from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer, Evidence
 from undeadzone.identification.excitation import FEW_VISITS, excitation
 from undeadzone.identification.fit import polished
-from undeadzone.identification.grid import Grid, to_grid
+from undeadzone.identification.grid import Grid, shortened, to_grid
 from undeadzone.identification.intervals import Interval, Widths, find_widths, lower_bound
 from undeadzone.identification.kalman_likelihood import KalmanFit, fit_kalman
 from undeadzone.identification.kalman_smoother import innovations
@@ -36,10 +36,8 @@ from undeadzone.identification.result import Identified
 from undeadzone.identification.static_rivals import static_rivals
 from undeadzone.identification.verdict import Verdict, place_verdict, static_verdict
 
-STEPS = 4  # of the work after the orders, for the progress bar
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
 RARE = 0.01  # share of the readings that may be dropped as glitches
-LONG = 20_000  # samples; the third stage and the place use the first so many
 
 
 def identify(
@@ -145,6 +143,7 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
     Raises:
         InputError: nothing can be learnt.
     """
+    grid = shortened(grid)
     prepared = prepare(grid, options)
     prepared, unreached = _without_unreached(prepared)
     prepared, fits = _fitted(prepared, options, advance)
