@@ -53,6 +53,20 @@ def dead_zone(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     return value, 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
 
 
+def dead_zone_of(blur: float) -> Map:
+    """The mean reading of a dead zone whose noise of that rms acts ahead of it."""
+
+    def blurred(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+        a, b = (z - p[0]) / blur, (-p[1] - z) / blur
+        above, below = ndtr(a), ndtr(b)
+        at_a = np.exp(-0.5 * a**2) / math.sqrt(2 * math.pi)
+        at_b = np.exp(-0.5 * b**2) / math.sqrt(2 * math.pi)
+        value = blur * (at_a + a * above - at_b - b * below)
+        return value, above + below, np.column_stack([-above, below])
+
+    return blurred
+
+
 def saturation(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """z limited to -p_1 and p_0."""
     above, below = z > p[0], z < -p[1]
@@ -203,12 +217,14 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     linear = fit_linear(simulator, fit.objective.readings.ok)
     width = max(0.5 * (fit.right + fit.left), 0.05)
     spread = float(fit.z.std())
-    blur = max(fit.s, 0.02) if fit.objective.kind != "behind" else 0.03
+    ahead = fit.objective.kind != "behind"
+    blur = max(fit.s, 0.02) if ahead else 0.03
+    zone = dead_zone_of(blur) if ahead else dead_zone
     high, low = (float(np.quantile(simulator.data.y, q)) for q in (0.95, 0.05))
     own = np.array([max(fit.right, 0.0), max(fit.left, 0.0)])
     shapes: dict[str, tuple[Map, int, list[tuple[Fit, float, Floats]]]] = {
         "none": (identity, 0, [(linear, 1.0, np.zeros(2))]),
-        "dead_zone": (dead_zone, 2, [(fit, 1.0, own)]),
+        "dead_zone": (zone, 2, [(fit, 1.0, own)]),
         "jump": (jump_of(blur), 2, [(linear, 1.0, own), (linear, 1.1, np.full(2, width))]),
         "saturation": (
             saturation,

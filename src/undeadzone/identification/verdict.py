@@ -12,6 +12,7 @@ from undeadzone.identification.residual_map import ResidualMap
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
+SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
 NAMES = {"absolute": "other"}  # of rivals, where the verdict's word differs
 WORDS = {
     "none": "a plant without any zone",
@@ -78,13 +79,18 @@ def static_verdict(
         return Verdict("none", [reason], [])
     if no_zone.chance > CHANCE or winner == "none":
         return Verdict("none", [f"readings need no zone (p = {no_zone.chance:.2g})"], [])
-    if residuals.strange:
+    if residuals.strange and residuals.share > SURE_SHARE:
         share = f"{100 * residuals.share:.0f} %"
         reason = (
             f"a curve over z^ explains {share} of what a dead zone leaves: another nonlinearity"
         )
         return Verdict("other", [reason], [])
     cautions = []
+    if residuals.strange:
+        cautions.append(
+            f"a curve over z^ explains {100 * residuals.share:.0f} % of what the dead zone leaves:"
+            " the fit is not perfect"
+        )
     if residuals.remembers:
         cautions.append("the residual depends on the direction of z^: a memory, perhaps play")
     if not data.silent_zeros and not chosen.white:
