@@ -159,7 +159,8 @@ def row(family: str) -> str:
     if not found:
         return f"| {family} | 0 of {SEEDS} | - | - | - | - | - | {np.median(seconds):.1f} |"
     return (
-        f"| {family} | {found} of {SEEDS} | {np.median(errors):.4f} / {np.quantile(errors, 0.9):.4f}"
+        f"| {family} | {found} of {SEEDS}"
+        f" | {np.median(errors):.4f} / {np.quantile(errors, 0.9):.4f}"
         f" | {np.mean(held):.2f} | {np.mean(widths):.2f} | {np.median(halves):.4f}"
         f" | {right_order} | {np.median(seconds):.1f} |"
     )

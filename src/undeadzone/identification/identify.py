@@ -33,7 +33,7 @@ from undeadzone.identification.prepare import FAR_EDGE, Prepared, prepare
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.residual_map import residual_map
 from undeadzone.identification.result import Identified
-from undeadzone.identification.static_rivals import static_rivals
+from undeadzone.identification.static_rivals import better_rivals, static_rivals
 from undeadzone.identification.verdict import Verdict, place_verdict, static_verdict
 
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
@@ -157,6 +157,8 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     residuals = residual_map(chosen.singles)
     rivals = static_rivals(chosen.singles)
+    if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given
+        rivals = better_rivals(rivals, static_rivals(fits[-1].singles))
     advance(1)
     quantum = grid.quantum / data.y_scale
     verdict = static_verdict(data, chosen, no_zone, residuals, rivals, quantum)

@@ -15,6 +15,7 @@ from undeadzone.support.arrays import Floats
 
 HATS = 8
 COSINES = 24
+SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
 SHARE, CHANCE = 0.05, 1e-3  # of the residual's variance, and p, from which a curve is real
 
 
@@ -82,6 +83,21 @@ def residual_map(fit: Fit) -> ResidualMap:
     curve, std, share, chance = _explained(hats[ok], residual[ok])
     _, _, moving_share, moving_chance = _explained(moving[ok], residual[ok])
     return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
+
+
+def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
+    """The share of a residual that a curve over z explains, and p of it.
+
+    Args:
+        z: output of the plant (N).
+        residual: what a model leaves (N).
+
+    Returns:
+        Share and p.
+    """
+    centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
+    _, _, share, chance = _explained(_hats(z, centres), residual)
+    return share, chance
 
 
 def _hats(z: Floats, centres: Floats) -> Floats:

@@ -15,6 +15,7 @@ from undeadzone.identification.log import Flags
 from undeadzone.identification.long_run import long_run_covariance
 from undeadzone.identification.objective import FAR
 from undeadzone.identification.plant_fit import Simulator
+from undeadzone.identification.residual_map import CHANCE, SURE_SHARE, curve_over
 from undeadzone.support.arrays import Floats
 
 CLEARLY = 2.0  # Vuong's statistic from which one model beats another
@@ -32,6 +33,7 @@ class Density(NamedTuple):
         numbers: how many numbers were fitted.
         rms: of its residuals, scaled.
         extra: the map's two numbers, scaled.
+        strange: whether a curve over its z explains what it leaves: then it is not the map either.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Density(NamedTuple):
     numbers: int
     rms: float
     extra: tuple[float, ...]
+    strange: bool = False
 
     @property
     def bic(self) -> float:
@@ -258,4 +261,16 @@ def _fitted(name: str, model: MapFit, begun: list[tuple[Fit, float, Floats]]) ->
     best = max(tops, key=lambda top: top.value)
     e = model.residual(best.theta)
     extra = tuple(float(number) for number in best.theta[model.size : model.free.size])
-    return first_order_density(name, e, model.free.size, extra)
+    density = first_order_density(name, e, model.free.size, extra)
+    numbers, _ = model.split(best.theta)
+    share, chance = curve_over(model.simulator.z(numbers)[model.use], e[model.use])
+    return density._replace(strange=share > SURE_SHARE and chance < CHANCE)
+
+
+def better_rivals(first: dict[str, Density], second: dict[str, Density]) -> dict[str, Density]:
+    """The better of each model at two orders, by BIC."""
+    best = {}
+    for name, density in first.items():
+        other = second[name]
+        best[name] = other if other.bic < density.bic else density
+    return best

@@ -8,11 +8,10 @@ from undeadzone.identification.no_zone import CHANCE, NoZone
 from undeadzone.identification.orders import OrderFit, at_limit
 from undeadzone.identification.place import Place
 from undeadzone.identification.plant_fit import Data
-from undeadzone.identification.residual_map import ResidualMap
+from undeadzone.identification.residual_map import SURE_SHARE, ResidualMap
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
-SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
 NAMES = {"absolute": "other"}  # of rivals, where the verdict's word differs
 WORDS = {
     "none": "a plant without any zone",
@@ -61,8 +60,14 @@ def static_verdict(
     fit = chosen.pairs
     width = fit.right + fit.left
     winner = winning_rival(rivals)
+    if 0 < width < 1.5 * quantum and winner in (None, "none", "jump"):
+        reason = f"the readings are rounded to steps that are larger than any zone ({quantum:.3g})"
+        return Verdict("none", [reason], [])
     if winner not in (None, "none") and chosen_rms(rivals[str(winner)]) < 1 - LEAST:
         words = WORDS[str(winner)]
+        if rivals[str(winner)].strange:
+            reason = f"{words} explains the log better than a dead zone, but not fully either"
+            return Verdict("other", [reason], [])
         return Verdict(
             NAMES.get(str(winner), str(winner)), [f"{words} explains the log better"], []
         )
@@ -74,9 +79,6 @@ def static_verdict(
             " start and an offset or a sine cannot be told apart; record for longer"
         )
         return Verdict("unclear", [reason], [])
-    if quantum > 0 and width < 1.5 * quantum:
-        reason = f"the readings are rounded to steps that are larger than any zone ({quantum:.3g})"
-        return Verdict("none", [reason], [])
     if no_zone.chance > CHANCE or winner == "none":
         return Verdict("none", [f"readings need no zone (p = {no_zone.chance:.2g})"], [])
     if residuals.strange and residuals.share > SURE_SHARE:
