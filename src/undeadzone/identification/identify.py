@@ -34,7 +34,7 @@ from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.residual_map import residual_map
 from undeadzone.identification.result import Identified
 from undeadzone.identification.static_rivals import better_rivals, static_rivals
-from undeadzone.identification.verdict import Verdict, place_verdict, static_verdict
+from undeadzone.identification.verdict import Verdict, place_verdict, rescued, static_verdict
 
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
 RARE = 0.01  # share of the readings that may be dropped as glitches
@@ -168,6 +168,11 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
         kalman, verdict, place = _place_and_disturbance(
             data, chosen, verdict, options, unreached, quantum, advance
         )
+    elif options.place == "auto" and data.start.size == 1 and not unreached:
+        elsewhere = find_place(chosen.pairs)
+        verdict_there = rescued(verdict, elsewhere, rivals)
+        place = None if verdict_there is verdict else elsewhere
+        verdict = verdict_there
     offset = options.offset_rms()
     widths = find_widths(
         chosen,

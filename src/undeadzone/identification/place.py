@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.identification.fit import Fit, fit_linear
 from undeadzone.identification.long_run import quantile, sandwich
 from undeadzone.identification.place_models import PlaceFit, PlaceModel, Shape, fit_place
-from undeadzone.identification.static_rivals import CLEARLY, compare_statistic
+from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 from undeadzone.support.arrays import Floats
 
 KINDS = {
@@ -43,6 +43,7 @@ class Place(NamedTuple):
         by_lambda: what lambda says.
         behind: nats per sample by which each other model is behind the best.
         levels: widths of friction and input zone, in units of the input, scaled.
+        best: the account of the readings by the best model.
     """
 
     verdict: str
@@ -52,6 +53,7 @@ class Place(NamedTuple):
     by_lambda: str
     behind: dict[str, float]
     levels: dict[str, tuple[float, float]]
+    best: Density
 
 
 def find_place(fit: Fit) -> Place:
@@ -72,9 +74,9 @@ def find_place(fit: Fit) -> Place:
     behind = {}
     for name, one in fits.items():
         behind[name] = float((one.density.bic - best.density.bic) / (2 * count))
-    return Place(
-        _together(by_rivals, by_lambda), lam, half, by_rivals, by_lambda, behind, _levels(fits)
-    )
+    verdict = _together(by_rivals, by_lambda)
+    levels = _levels(fits)
+    return Place(verdict, lam, half, by_rivals, by_lambda, behind, levels, best.density)
 
 
 def _fit_all(fit: Fit) -> dict[str, PlaceFit]:

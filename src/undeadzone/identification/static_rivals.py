@@ -220,15 +220,14 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     linear = fit_linear(simulator, fit.objective.readings.ok)
     width = max(0.5 * (fit.right + fit.left), 0.05)
     spread = float(fit.z.std())
-    ahead = fit.objective.kind != "behind"
-    blur = max(fit.s, 0.02) if ahead else 0.03
-    zone = dead_zone_of(blur) if ahead else dead_zone
+    blurs = [max(part * fit.s, 0.02) for part in (1.0, 0.3, 0.1)]
+    if fit.objective.kind == "behind":
+        blurs = [0.03]
     high, low = (float(np.quantile(simulator.data.y, q)) for q in (0.95, 0.05))
     own = np.array([max(fit.right, 0.0), max(fit.left, 0.0)])
     shapes: dict[str, tuple[Map, int, list[tuple[Fit, float, Floats]]]] = {
         "none": (identity, 0, [(linear, 1.0, np.zeros(2))]),
-        "dead_zone": (zone, 2, [(fit, 1.0, own)]),
-        "jump": (jump_of(blur), 2, [(linear, 1.0, own), (linear, 1.1, np.full(2, width))]),
+        "dead_zone": (dead_zone, 2, [(fit, 1.0, own)]),
         "saturation": (
             saturation,
             2,
@@ -241,10 +240,25 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         ),
         "play": (play, 1, [(linear, 1.1, np.array([w, 0.0])) for w in (0.15, 0.5, 1.0)]),
     }
+    ok = simulator.data.ok
     rivals = {}
     for name, (shape, free, begun) in shapes.items():
-        rivals[name] = _fitted(name, MapFit(simulator, shape, free, simulator.data.ok), begun)
+        rivals[name] = _fitted(name, MapFit(simulator, shape, free, ok), begun)
+    jumps = [(linear, 1.0, own), (linear, 1.1, np.full(2, width)), (fit, 0.8, own)]
+    for blur in blurs:
+        rounded = _fitted("jump", MapFit(simulator, jump_of(blur), 2, ok), jumps)
+        _keep_better(rivals, rounded)
+        if fit.objective.kind != "behind":
+            zone = MapFit(simulator, dead_zone_of(blur), 2, ok)
+            _keep_better(rivals, _fitted("dead_zone", zone, [(fit, 1.0, own)]))
     return rivals
+
+
+def _keep_better(rivals: dict[str, Density], density: Density) -> None:
+    """Enter a density where it is the first or the better of its name, by BIC."""
+    name = density.name
+    if name not in rivals or density.bic < rivals[name].bic:
+        rivals[name] = density
 
 
 def _fitted(name: str, model: MapFit, begun: list[tuple[Fit, float, Floats]]) -> Density:

@@ -80,6 +80,8 @@ def static_verdict(
         )
         return Verdict("unclear", [reason], [])
     if no_zone.chance > CHANCE or winner == "none":
+        if winner == "none":
+            return Verdict("none", ["a plant without any zone explains the log better"], [])
         return Verdict("none", [f"readings need no zone (p = {no_zone.chance:.2g})"], [])
     if residuals.strange and residuals.share > SURE_SHARE:
         share = f"{100 * residuals.share:.0f} %"
@@ -117,6 +119,27 @@ def winning_rival(rivals: dict[str, Density]) -> str | None:
 def integrates(chosen: OrderFit) -> bool:
     """Whether a pole lies where x(0) and it make an offset: as slow as is allowed."""
     return at_limit(chosen)
+
+
+def rescued(verdict: Verdict, place: Place, rivals: dict[str, Density]) -> Verdict:
+    """What is no dead zone of the sensor may be friction or a zone of the input.
+
+    Args:
+        verdict: the verdict by static maps, not dead_zone.
+        place: what was found about the place.
+        rivals: static maps.
+
+    Returns:
+        friction or input_zone where such a model beats every static map; else the verdict.
+    """
+    if place.by_rivals not in ("friction", "input"):
+        return verdict
+    for rival in rivals.values():
+        if compare_statistic(place.best, rival) <= CLEARLY:
+            return verdict
+    if place.by_rivals == "input":
+        return Verdict("input_zone", ["a zone of the input explains the log better"], [])
+    return Verdict("friction", ["friction in the plant explains the log better", ADVICE], [])
 
 
 def place_verdict(verdict: Verdict, place: Place, noise_falls_silent: bool) -> Verdict:
