@@ -80,7 +80,9 @@ def kernel(n: int, m: int, model: int) -> Kernel:
         of x and of the disturbance at first), and whose output is the log density.
     """
     size = n + (model > 0)
-    triangle = [(i, j) for j in range(size) for i in range(j + 1)]
+    triangle = []
+    for j in range(size):
+        triangle += [(i, j) for i in range(j + 1)]
     state = ca.SX.sym("s", size + len(triangle))
     exogenous = ca.SX.sym("w", m + 4)
     numbers = ca.SX.sym("p", n + m * n + 7)
