@@ -132,7 +132,7 @@ def rescued(verdict: Verdict, place: Place, rivals: dict[str, Density]) -> Verdi
     Returns:
         friction or input_zone where such a model beats every static map; else the verdict.
     """
-    if place.by_rivals not in ("friction", "input"):
+    if place.best.strange or place.by_rivals not in ("friction", "input"):
         return verdict
     for rival in rivals.values():
         if compare_statistic(place.best, rival) <= CLEARLY:
