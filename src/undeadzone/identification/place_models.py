@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.identification.climb import Top, climb
 from undeadzone.identification.friction_step import FAR, simulate
 from undeadzone.identification.plant_fit import Simulator
-from undeadzone.identification.residual_map import CHANCE, SURE_SHARE, curve_over
+from undeadzone.identification.residual_map import curve_over, is_strange
 from undeadzone.identification.static_rivals import Density, first_order_density
 from undeadzone.support.arrays import Floats
 
@@ -224,5 +224,5 @@ def fit_place(model: PlaceModel, begun: list[Floats]) -> PlaceFit | None:
     density = first_order_density(model.shape.name, e, model.free.size, ())
     z = model.outputs(best.theta[None, :])[0]
     share, chance = curve_over(z[model.data.ok], e[model.data.ok])
-    density = density._replace(strange=share > SURE_SHARE and chance < CHANCE)
+    density = density._replace(strange=is_strange(share, chance))
     return PlaceFit(model, best.theta, density)

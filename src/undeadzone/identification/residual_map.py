@@ -16,6 +16,7 @@ from undeadzone.support.arrays import Floats
 HATS = 8
 COSINES = 24
 SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
+LARGE_SHARE, LIKELY = 0.25, 0.01  # the same for a large share, of which p may be larger
 SHARE, CHANCE = 0.05, 1e-3  # of the residual's variance, and p, from which a curve is real
 
 
@@ -83,6 +84,12 @@ def residual_map(fit: Fit) -> ResidualMap:
     curve, std, share, chance = _explained(hats[ok], residual[ok])
     _, _, moving_share, moving_chance = _explained(moving[ok], residual[ok])
     return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
+
+
+def is_strange(share: float, chance: float) -> bool:
+    """Whether a curve explains so much of a residual, and so surely, that the model is wrong."""
+    sure = share > SURE_SHARE and chance < CHANCE
+    return sure or (share > LARGE_SHARE and chance < LIKELY)
 
 
 def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:

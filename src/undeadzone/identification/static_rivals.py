@@ -15,7 +15,7 @@ from undeadzone.identification.log import Flags
 from undeadzone.identification.long_run import long_run_covariance
 from undeadzone.identification.objective import FAR
 from undeadzone.identification.plant_fit import Simulator
-from undeadzone.identification.residual_map import CHANCE, SURE_SHARE, curve_over
+from undeadzone.identification.residual_map import curve_over, is_strange
 from undeadzone.support.arrays import Floats
 
 CLEARLY = 2.0  # Vuong's statistic from which one model beats another
@@ -278,7 +278,7 @@ def _fitted(name: str, model: MapFit, begun: list[tuple[Fit, float, Floats]]) ->
     density = first_order_density(name, e, model.free.size, extra)
     numbers, _ = model.split(best.theta)
     share, chance = curve_over(model.simulator.z(numbers)[model.use], e[model.use])
-    return density._replace(strange=share > SURE_SHARE and chance < CHANCE)
+    return density._replace(strange=is_strange(share, chance))
 
 
 def better_rivals(first: dict[str, Density], second: dict[str, Density]) -> dict[str, Density]:

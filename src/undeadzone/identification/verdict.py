@@ -8,7 +8,7 @@ from undeadzone.identification.no_zone import CHANCE, NoZone
 from undeadzone.identification.orders import OrderFit, at_limit
 from undeadzone.identification.place import Place
 from undeadzone.identification.plant_fit import Data
-from undeadzone.identification.residual_map import SURE_SHARE, ResidualMap
+from undeadzone.identification.residual_map import ResidualMap, is_strange
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
@@ -83,7 +83,7 @@ def static_verdict(
         if winner == "none":
             return Verdict("none", ["a plant without any zone explains the log better"], [])
         return Verdict("none", [f"readings need no zone (p = {no_zone.chance:.2g})"], [])
-    if residuals.strange and residuals.share > SURE_SHARE:
+    if is_strange(residuals.share, residuals.chance):
         share = f"{100 * residuals.share:.0f} %"
         reason = (
             f"a curve over z^ explains {share} of what a dead zone leaves: another nonlinearity"
