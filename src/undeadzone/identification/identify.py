@@ -25,6 +25,7 @@ from undeadzone.identification.orders import (
     best_order,
     credible,
     fit_orders,
+    hears_input,
     is_white,
 )
 from undeadzone.identification.place import Place, find_place
@@ -301,7 +302,14 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
     word = verdict.word
     if word == "dead_zone":
         remarks += evidence.widths.remarks
-        shown = _shown(evidence, options, data.y_scale)
+        if heard:
+            remarks.append(
+                "past inputs explain part of the one-step residual: a delay, or too few poles; the"
+                " plant model does not fit, and the intervals are doubled; try a higher --order, or"
+                " shift the input by the delay"
+            )
+        heard = hears_input(chosen.pairs)
+        shown = _shown(evidence, options, data.y_scale, 2.0 if heard else 1.0)
         if evidence.unreached:
             word = "unreached"
             remarks += [
@@ -309,6 +317,13 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
                 f" --{name} inf if there is none"
                 for name in evidence.unreached
             ]
+        for name in ("right", "left"):
+            edge = shown[name]
+            if edge is not None and edge.value < 0:
+                remarks.append(
+                    f"d_{name} is negative: the zone does not hold z = 0, as after an offset of the"
+                    " input or of the output; the width is not touched by that"
+                )
         for name, visits in zip(("right", "left"), evidence.excitation.visits, strict=True):
             if 0 < visits < FEW_VISITS:
                 remarks.append(f"the {name} edge is passed {visits} times only: hardly known")
@@ -328,12 +343,16 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
     )
 
 
-def _shown(evidence: Evidence, options: Options, scale: float) -> dict[str, Interval | None]:
+def _shown(
+    evidence: Evidence, options: Options, scale: float, wider: float
+) -> dict[str, Interval | None]:
     """The widths in the units of the log; an edge never reached has a lower bound alone."""
     widths: Widths = evidence.widths
     shown: dict[str, Interval | None] = {}
     for name in ("right", "left", "width", "centre"):
-        shown[name] = getattr(widths, name).scaled(scale)
+        interval = getattr(widths, name).scaled(scale)
+        half = wider * interval.half
+        shown[name] = Interval(interval.value, interval.value - half, interval.value + half)
     for name in ("right", "left"):
         low, high = options.bounds("right" if name == "right" else "left")
         if low == high:

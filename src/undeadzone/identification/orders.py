@@ -13,11 +13,12 @@ from undeadzone.identification.fit import Fit, fit_zone, refit
 from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.residual_map import expected_reading
+from undeadzone.identification.residual_map import expected_reading, explained
 from undeadzone.support.arrays import Floats
 
 CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
 LAGS = 20
+HEARD = 8  # past inputs, of which one-step residuals should be free
 
 
 class OrderFit(NamedTuple):
@@ -144,6 +145,21 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
     squares = correlation(value, use, lags) ** 2
     total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
     return bool(chi2.sf(total, lags) > 0.01)
+
+
+def hears_input(fit: Fit) -> bool:
+    """Whether past inputs explain one-step residuals: a delay, or too few poles."""
+    value, use = innovations(fit, fit.objective.data.ok)
+    lagged = []
+    for lag in range(1, HEARD + 1):
+        lagged.append(np.roll(fit.objective.data.u, lag, axis=0))
+    use = use.copy()
+    for first in fit.objective.data.start:
+        use[first : first + HEARD] = False
+    if use.sum() < 20 * HEARD:
+        return False
+    _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
+    return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
 
 
 def _step_correlation(fit: Fit, e: Floats, use: Flags) -> float:

@@ -81,8 +81,8 @@ def residual_map(fit: Fit) -> ResidualMap:
     hats = _hats(z, centres)
     speed = np.diff(z, prepend=z[0])
     moving = hats * np.tanh(speed / (speed.std() + 1e-300))[:, None]
-    curve, std, share, chance = _explained(hats[ok], residual[ok])
-    _, _, moving_share, moving_chance = _explained(moving[ok], residual[ok])
+    curve, std, share, chance = explained(hats[ok], residual[ok])
+    _, _, moving_share, moving_chance = explained(moving[ok], residual[ok])
     return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
 
 
@@ -103,7 +103,7 @@ def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
         Share and p.
     """
     centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
-    _, _, share, chance = _explained(_hats(z, centres), residual)
+    _, _, share, chance = explained(_hats(z, centres), residual)
     return share, chance
 
 
@@ -113,8 +113,16 @@ def _hats(z: Floats, centres: Floats) -> Floats:
     return np.column_stack([np.interp(z, centres, row) for row in unit])
 
 
-def _explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
-    """Coefficients, their deviations, the share explained, and p of a Wald test by (I1)."""
+def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
+    """A residual by functions, by least squares.
+
+    Args:
+        columns: the functions (N x K).
+        residual: what is to be explained (N).
+
+    Returns:
+        Coefficients, their deviations, the share explained, and p of a Wald test by (I1).
+    """
     coefficients = np.linalg.lstsq(columns, residual, rcond=None)[0]
     left = residual - columns @ coefficients
     share = 1 - float(left @ left) / max(float(residual @ residual), 1e-300)
