@@ -302,13 +302,13 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
     word = verdict.word
     if word == "dead_zone":
         remarks += evidence.widths.remarks
+        heard = hears_input(chosen.pairs)
         if heard:
             remarks.append(
                 "past inputs explain part of the one-step residual: a delay, or too few poles; the"
                 " plant model does not fit, and the intervals are doubled; try a higher --order, or"
                 " shift the input by the delay"
             )
-        heard = hears_input(chosen.pairs)
         shown = _shown(evidence, options, data.y_scale, 2.0 if heard else 1.0)
         if evidence.unreached:
             word = "unreached"
