@@ -23,7 +23,7 @@ FLOORS = (
     ("controllers", "observers"),
     ("scenario",),
     ("simulation",),
-    ("arena", "ensemble", "synthesis"),
+    ("arena", "ensemble", "identification", "synthesis"),
     ("tuning",),
     ("report",),
     ("paper",),
