@@ -23,7 +23,7 @@ FLOORS = (
     ("controllers", "observers"),
     ("scenario",),
     ("simulation",),
-    ("arena", "ensemble", "synthesis"),
+    ("arena", "ensemble", "exports", "synthesis"),
     ("tuning",),
     ("report",),
     ("paper",),
