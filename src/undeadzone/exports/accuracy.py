@@ -17,7 +17,6 @@ from undeadzone.exports.fields import Field
 from undeadzone.exports.source import Labels, source
 from undeadzone.support.arrays import Floats
 
-STEPS = 100_000  # of the comparison, at least
 CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
 EXACT, CLOSE = 1e-13, 1e-10  # bars of that: without elementary functions, and with
@@ -61,7 +60,7 @@ class Accuracy(NamedTuple):
 
     Attributes:
         machine: largest error of the code in double against CasADi's virtual machine, relative to
-            the size of each signal.
+            the size of each field.
         machine_bar: what it must stay below.
         steps: how many steps float ran beside double; 0 in double precision.
         rows: the largest errors of float, by field.
@@ -129,7 +128,7 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
     Args:
         double: the code in double.
         single: the code in float; None: the export is in double.
-        rows: the inputs along the scenario's own run; they are repeated as often as needed.
+        rows: the inputs along the scenario's own run, continued (steps x inputs).
         functions: whether the code uses elementary functions, whose results differ in the last bits.
 
     Raises:
@@ -142,7 +141,9 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
         bar = CLOSE if functions else EXACT
         refusals = []
         if not error <= bar:
-            refusals.append(f"the code in double differs from the graph by {error:.2g}, above {bar:g}")
+            refusals.append(
+                f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
+            )
         plain = Accuracy(error, bar, 0, [], 0, None, refusals)
         if single is None:
             return plain
@@ -150,16 +151,19 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
 
 
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
-    """The largest error of the compiled code against CasADi, relative to each signal."""
+    """The largest error of the compiled code against CasADi, relative to each field."""
     step = code.step
     function = step.function
     expected, _ = interpret.run(_three_inputs(function), step.start, rows, step.defaults)
     values = replica(rows)
     if not np.array_equal(np.isnan(values), np.isnan(expected)):
         return float("inf")
-    size = np.nan_to_num(np.abs(expected)).max(axis=0) + 1e-300
     gap = np.nan_to_num(np.abs(values - expected), posinf=np.inf)
-    return float((gap / size).max())
+    size = np.nan_to_num(np.abs(expected))
+    shares = []
+    for place in places_of(step.outputs).values():
+        shares.append(gap[:, place].max() / (size[:, place].max() + 1e-300))
+    return float(max(shares))
 
 
 def _three_inputs(function: ca.Function) -> ca.Function:
@@ -174,13 +178,12 @@ def _beside(
 ) -> Accuracy:
     """Float beside double, on inputs that float holds exactly."""
     rows = rows.astype(np.float32).astype(float)
-    total = max(STEPS, len(rows))
     errors = np.zeros(double.outputs)
     sizes = np.zeros(double.outputs)
     judge = _Judge(code.step.outputs)
     eigenvalue: float | None = None
-    for start in range(0, total, CHUNK):
-        piece = rows[np.arange(start, min(start + CHUNK, total)) % len(rows)]
+    for start in range(0, len(rows), CHUNK):
+        piece = rows[start : start + CHUNK]
         exact, rounded = double(piece), single(piece)
         judge.look(exact, rounded)
         errors = np.maximum(errors, _gap(exact, rounded).max(axis=0))
@@ -198,7 +201,7 @@ def _beside(
             f"in double, below {SMALLEST:g}; use --precision double"
         )
     return plain._replace(
-        steps=total, rows=table, sides=judge.sides, eigenvalue=eigenvalue, refusals=refusals
+        steps=len(rows), rows=table, sides=judge.sides, eigenvalue=eigenvalue, refusals=refusals
     )
 
 
@@ -209,15 +212,21 @@ def _gap(exact: Floats, rounded: Floats) -> Floats:
     return np.where(np.isnan(gap), np.inf, gap)
 
 
+def places_of(fields: list[Field]) -> dict[str, slice]:
+    """Where each field stands among the numbers of a struct."""
+    places: dict[str, slice] = {}
+    start = 0
+    for field in fields:
+        places[field.name] = slice(start, start + field.size)
+        start += field.size
+    return places
+
+
 class _Judge:
     """Collects the errors of the widths along a run."""
 
     def __init__(self, outputs: list[Field]) -> None:
-        self.places: dict[str, slice] = {}
-        start = 0
-        for field in outputs:
-            self.places[field.name] = slice(start, start + field.size)
-            start += field.size
+        self.places = places_of(outputs)
         self.sides = 0
         self.worst: dict[str, float] = {}
         self.width = 0.0

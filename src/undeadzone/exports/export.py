@@ -15,13 +15,14 @@ from undeadzone.exports.fields import identifier
 from undeadzone.exports.instructions import operations, uses_of
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
-from undeadzone.exports.vectors import chosen, recorded, reference
+from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
 TARGETS = ("c", "arduino")
 PRECISIONS = ("single", "double")
+STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
@@ -82,7 +83,7 @@ def export(
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
     text = source(printed, Labels(prefix, scenario.title, part))
-    rows = recorded(problem, step)
+    rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, scenario, prefix, part, tuple(tunable))
     report |= _measured(double, printed, text, rows)
     files = {f"{prefix}.h": text.header, f"{prefix}.c": text.code}
@@ -93,7 +94,7 @@ def export(
         report["files"] = sorted([*files, *folder.arduino_files(report | {"files": []})])
         files |= folder.arduino_files(report)
     else:
-        vectors = reference(printed, chosen(rows, step.readings))
+        vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
         files[f"{prefix}_test.c"] = selftest(printed, prefix, vectors)
         report["files"] = sorted([*files, *folder.build_files(report | {"files": []}, False)])
         files |= folder.build_files(report, bool(text.math))
@@ -123,7 +124,12 @@ def _prefix(name: str | None, title: str) -> str:
 
 
 def _report(
-    printed: Code, text: Source, scenario: Scenario, prefix: str, part: str, tunable: tuple[str, ...]
+    printed: Code,
+    text: Source,
+    scenario: Scenario,
+    prefix: str,
+    part: str,
+    tunable: tuple[str, ...],
 ) -> dict[str, Any]:
     """What is known of an export before anything runs."""
     step = printed.step

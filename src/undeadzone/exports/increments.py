@@ -56,9 +56,7 @@ def _growing(graph: Graph) -> dict[int, bool]:
     return growing
 
 
-def _terms(
-    graph: Graph, place: int, growing: dict[int, bool], minus: bool = False
-) -> list[_Term]:
+def _terms(graph: Graph, place: int, growing: dict[int, bool], minus: bool = False) -> list[_Term]:
     """The terms of a sum, those of the growing sums inside it included."""
     node = graph.nodes[place]
     if node.op == ca.OP_MUL:

@@ -201,9 +201,7 @@ def _reading(y: ca.SX, threshold: Any) -> Reading:
     return Reading(seen, side(seen, threshold))
 
 
-def _observer(
-    problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX
-) -> _Traced:
+def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
     """The observer alone; an input that is not finite is the last one."""
     model, units = problem.model, problem.scenario.units
     params: _Numbers = tree.unpack(numbers, column)

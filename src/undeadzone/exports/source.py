@@ -169,7 +169,12 @@ def _header(code: Code, labels: Labels, style: Style) -> str:
         meaning = "from estimate to advance; not part of the memory"
         carry = [Field("carry", code.phases.carried, meaning)]
     structs = [
-        _struct(f"{prefix}_state", "What is remembered from sample to sample.", step.state + carry, style),
+        _struct(
+            f"{prefix}_state",
+            "What is remembered from sample to sample.",
+            step.state + carry,
+            style,
+        ),
         _struct(f"{prefix}_in", "One sample.", step.inputs, style),
         _struct(f"{prefix}_out", "What is known at this sample.", step.outputs, style),
     ]
@@ -310,9 +315,7 @@ def _unread(part: Body, name: str, params: bool) -> list[str]:
     return [f"{INDENT}(void){word};" for word in missing]
 
 
-def _assignments(
-    target: str, fields: list[Field], values: list[float], style: Style
-) -> list[str]:
+def _assignments(target: str, fields: list[Field], values: list[float], style: Style) -> list[str]:
     """Statements that store numbers."""
     lines = []
     for (name, k), value in zip(members(fields), values, strict=True):

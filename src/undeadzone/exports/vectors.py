@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
+from undeadzone.engine import interpret
+from undeadzone.errors import InputError
 from undeadzone.exports import elementary
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import members
-from undeadzone.exports.replica import arithmetic, replica
 from undeadzone.exports.parts import Step
-from undeadzone.scenario.problem import Problem
+from undeadzone.exports.replica import arithmetic, replica
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import named, prepare
-from undeadzone.engine import interpret
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
+DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
 SAMPLES = 96  # of a run, in the self-test
 OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
 
@@ -35,8 +39,22 @@ class Vectors(NamedTuple):
     states: list[int]
 
 
+def continued(scenario: Scenario, steps: int) -> Problem:
+    """The checked parts of a scenario whose run lasts for a number of steps at least.
+
+    Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
+    """
+    simulation = scenario.simulation
+    duration = max(simulation.duration, steps * simulation.step)
+    longer = msgspec.structs.replace(simulation, duration=duration)
+    try:
+        return resolve_scenario(msgspec.structs.replace(scenario, simulation=longer))
+    except InputError:
+        return resolve_scenario(scenario)
+
+
 def recorded(problem: Problem, step: Step) -> Floats:
-    """The inputs of a step along the scenario's own run.
+    """The inputs of a step along a run, up to where it diverges.
 
     Args:
         problem: the checked parts of a sampled scenario.
@@ -45,6 +63,15 @@ def recorded(problem: Problem, step: Step) -> Floats:
     Returns:
         A row of readings, then of the other inputs, for each sample.
     """
+    rows = _recorded(problem, step)
+    diverged = (np.abs(rows) > DIVERGED).any(axis=1) | np.isnan(rows[:, step.readings :]).any(
+        axis=1
+    )
+    return rows[: int(diverged.argmax())] if diverged.any() else rows
+
+
+def _recorded(problem: Problem, step: Step) -> Floats:
+    """The inputs of a step along a run."""
     loop, state, exogenous = prepare(problem)
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
     signals = named(loop, outputs)
