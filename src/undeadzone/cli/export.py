@@ -54,9 +54,10 @@ def export(
 ) -> int:
     """Write a scenario's observer, and its controller if asked, as C99 for firmware.
 
-    The folder holds the code, a self-test with reference vectors as bits, Makefile, CMakeLists.txt, README and manifest.
-    Single precision is run beside double along the scenario's own run. Exit code 1: the self-test or the accuracy fails;
-    the files are written all the same. A folder that is no earlier export is never replaced.
+    The folder holds the code, a self-test with reference vectors as bits, Makefile, CMakeLists.txt,
+    README and manifest. Single precision is run beside double along the scenario's own run.
+    Exit code 1: the self-test or the accuracy fails; the files are written all the same.
+    A folder that is no earlier export is never replaced.
     """
     from undeadzone.exports.export import export as run
     from undeadzone.scenario.reader import read

@@ -1,4 +1,4 @@
-"""What single precision costs: the exported code in float beside the same in double, along the scenario's own run."""
+"""What single precision costs: the code in float beside the same in double, along a run."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
         double: the code in double.
         single: the code in float; None: the export is in double.
         rows: the inputs along the scenario's own run, continued (steps x inputs).
-        functions: whether the code uses elementary functions, whose results differ in the last bits.
+        functions: whether the code uses elementary functions, which differ in the last bits.
 
     Raises:
         InputError: there is no C compiler.
@@ -282,7 +282,7 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
 
 
 def _symmetric(column: Floats, size: int) -> Floats:
-    """The symmetric matrix of an upper triangle; with fewer entries, of `size` / blocks that are uncoupled."""
+    """The symmetric matrix of an upper triangle, whole or of uncoupled groups of equal size."""
     blocks = 2 * column.size // size - 1
     entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
     rows, columns = entries.get_triplet()

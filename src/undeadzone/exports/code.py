@@ -1,4 +1,4 @@
-"""A step as graphs ready to print: rewritten for C, in one precision, and split at what depends on the input."""
+"""A step as graphs ready to print: rewritten for C, and split at what depends on the input."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _late(nodes: list[Node], acting: set[str]) -> set[int]:
 
 
 def _is_computed(node: Node) -> bool:
-    """Whether a node must be carried: not a constant, nor a state or parameter that is there anyway."""
+    """Whether a node must be carried: constants, states and parameters are there anyway."""
     if node.op == ca.OP_CONST:
         return False
     return node.op != ca.OP_INPUT or node.text.startswith("w")

@@ -1,4 +1,4 @@
-"""Numbers of the elementary functions, for each precision; polynomials by Chebyshev's points, ascending."""
+"""Numbers of the elementary functions in each precision; polynomials by Chebyshev's points."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class Text(NamedTuple):
 
 
 def held(value: float, single: bool) -> float:
-    """A number as its type holds it; what float cannot hold becomes its largest or its least normal number."""
+    """A number as its type holds it; beyond float stand its largest and least normal numbers."""
     if not single:
         return math.copysign(np.finfo(float).max, value) if math.isinf(value) else value
     if math.isnan(value):
@@ -186,7 +186,7 @@ def _inside(text: Text) -> str:
 
 
 def _operand(text: Text, op: int, second: bool = False) -> str:
-    """An expression as an operand: only sums of sums and products of products go without parentheses."""
+    """An operand; only sums of sums and products of products go without parentheses."""
     if text.op is None:
         return text.text
     alike = op in _SUMS and text.op in _SUMS

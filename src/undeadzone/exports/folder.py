@@ -1,4 +1,4 @@
-"""The files around the C: how to build it, what it is, and the folder that takes them all or none."""
+"""The files around the C, and the folder that takes them all or none."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ void loop() {{
     return;
   }}
   next_sample += (unsigned long)({upper}_STEP * 1e6f + 0.5f);
-  in.y[0] = analogRead(A0);  // scale it to the unit of the header; all entries of `in` are yours to fill
+  in.y[0] = analogRead(A0);  // scale it to the unit in the header; fill all of `in`
   {name}_step(&state, {params}&in, &out);
   Serial.println(out.z[0]);
 }}

@@ -12,7 +12,7 @@ import casadi as ca
 
 from undeadzone.engine.graph import Graph
 from undeadzone.exports.instructions import uses_of
-from undeadzone.exports.rewrite import Rewriting
+from undeadzone.exports.rewriting import Rewriting
 
 NEAR = 0.25  # |c - 1| below which c x is written as an increment of x
 
@@ -45,7 +45,7 @@ def in_increments(graph: Graph) -> Graph:
 
 
 def _growing(graph: Graph) -> dict[int, bool]:
-    """The products c x with c near 1 and the sums of such; whether each goes into the sum that uses it."""
+    """Products c x with c near 1, and sums of such: whether each goes into the sum that uses it."""
     uses = uses_of(graph)
     growing: dict[int, bool] = {}
     for place, node in enumerate(graph.nodes):

@@ -1,4 +1,4 @@
-"""The instructions that the C printer knows: CasADi's, a selection, and four that look at a number's bits."""
+"""The instructions of the C printer: CasADi's, a selection, four that look at a number's bits."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""The step that is exported, as one CasADi function: the observer alone, or observer and controller."""
+"""The step that is exported, as one function: the observer alone, or with its controller."""
 
 from __future__ import annotations
 
-import difflib
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -10,6 +9,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
+from undeadzone.exports.tunable import folded, require_used
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Observer, Reading, graph_of
 from undeadzone.scenario.problem import Problem
@@ -102,7 +102,7 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
         _Sensor(problem.sensor.threshold),
         None if controller is None else controller.params,
     )
-    column, params, defaults = _folded(numbers, tunable)
+    column, params, defaults = folded(numbers, tunable)
     step = _observer(problem, observer, numbers, column)
     if controller is not None:
         step = _loop(problem, observer, controller, numbers, column)
@@ -114,7 +114,7 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
         ["next", "out"],
         {"cse": True},
     )
-    _require_used(step, params, tunable)
+    require_used(ca.vertcat(step.following, step.out), params, tunable)
     return Step(
         function,
         step.start,
@@ -129,13 +129,6 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
     )
 
 
-class _Params(NamedTuple):
-    """The tunable numbers as symbols and as fields."""
-
-    symbols: ca.SX
-    fields: list[Field]
-
-
 class _Traced(NamedTuple):
     """A step as expressions: columns, and the fields that they consist of."""
 
@@ -148,51 +141,6 @@ class _Traced(NamedTuple):
     input_fields: list[Field]
     output_fields: list[Field]
     acting: list[int]
-
-
-def _folded(numbers: _Numbers, tunable: tuple[str, ...]) -> tuple[ca.SX, _Params, Floats]:
-    """(all numbers as one column of constants and symbols, the tunable ones, their values)."""
-    places = dict(zip([name for name, _ in tree.leaves(numbers)], _slices(numbers), strict=True))
-    values = tree.pack(numbers)
-    column = ca.SX(ca.DM(values))
-    symbols, fields, defaults = [ca.SX(0, 1)], [], [np.empty(0)]
-    for name in tunable:
-        place = _place(name, places)
-        size = place.stop - place.start
-        symbol = ca.SX.sym(name.replace(".", "_"), size)
-        column[place] = symbol
-        if name == "sensor.threshold" and "observer.threshold" in places:
-            column[places["observer.threshold"]] = symbol  # the same number, held by the observer
-        symbols.append(symbol)
-        defaults.append(values[place])
-        meaning = f"{name}, as one sample uses it (gains per sample, not per second)"
-        fields.append(Field(name.replace(".", "_"), size, meaning))
-    return column, _Params(ca.vertcat(*symbols), fields), np.concatenate(defaults)
-
-
-def _slices(numbers: _Numbers) -> list[slice]:
-    """Where each leaf stands in the column."""
-    return [part for _, part in tree.leaves(tree.slices(numbers))]
-
-
-def _place(name: str, places: dict[str, slice]) -> slice:
-    """Where a tunable number stands. Raises InputError with the nearest names."""
-    known = sorted(key for key, place in places.items() if place.stop > place.start)
-    if name in known:
-        return places[name]
-    nearest = difflib.get_close_matches(name, known, 3, 0.4) or known
-    raise InputError(f"tunable: no number {name!r}; did you mean {', '.join(nearest)}?")
-
-
-def _require_used(step: _Traced, params: _Params, tunable: tuple[str, ...]) -> None:
-    """Raise InputError for a tunable number on which nothing depends."""
-    every = ca.vertcat(step.following, step.out)
-    start = 0
-    for name, field in zip(tunable, params.fields, strict=True):
-        symbols = params.symbols[start : start + field.size]
-        if not ca.depends_on(every, symbols):
-            raise InputError(f"tunable: {name} changes nothing in a step of this observer")
-        start += field.size
 
 
 def _reading(y: ca.SX, threshold: Any) -> Reading:

@@ -1,4 +1,4 @@
-"""A graph as Python that computes in NumPy's float32 or float64: the bits that the C must give, without a compiler."""
+"""A graph as Python in NumPy's float32 or float64: the bits that the C must give."""
 
 from __future__ import annotations
 

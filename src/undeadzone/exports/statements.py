@@ -1,4 +1,4 @@
-"""A graph as the statements of a C function: what is used once stands where it is used, all else is a const local."""
+"""A graph as the statements of a C function; what is used twice becomes a const local."""
 
 from __future__ import annotations
 

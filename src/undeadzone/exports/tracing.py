@@ -1,4 +1,4 @@
-"""Formulas with Python's operators become graphs, so that each elementary function is written once for C and for its replica."""
+"""Formulas with Python's operators become graphs, written once for C and for its replica."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import casadi as ca
 
 from undeadzone.engine.graph import Graph
 from undeadzone.exports.instructions import EXPONENT, FRACTION, OWN, POWER, SELECT, TRUNCATED
-from undeadzone.exports.rewrite import Rewriting
+from undeadzone.exports.rewriting import Rewriting
 
 _CODES = {word: code for code, word in OWN.items()} | {"pow": ca.OP_POW}
 
@@ -22,36 +22,47 @@ class Traced:
         self.place = place
 
     def __add__(self, other: Traced | float) -> Traced:
+        """The sum."""
         return self._with(ca.OP_ADD, other)
 
     def __radd__(self, other: float) -> Traced:
+        """The sum."""
         return self._constant(other)._with(ca.OP_ADD, self)
 
     def __sub__(self, other: Traced | float) -> Traced:
+        """The difference."""
         return self._with(ca.OP_SUB, other)
 
     def __rsub__(self, other: float) -> Traced:
+        """The difference."""
         return self._constant(other)._with(ca.OP_SUB, self)
 
     def __mul__(self, other: Traced | float) -> Traced:
+        """The product."""
         return self._with(ca.OP_MUL, other)
 
     def __rmul__(self, other: float) -> Traced:
+        """The product."""
         return self._constant(other)._with(ca.OP_MUL, self)
 
     def __truediv__(self, other: Traced | float) -> Traced:
+        """The quotient."""
         return self._with(ca.OP_DIV, other)
 
     def __rtruediv__(self, other: float) -> Traced:
+        """The quotient."""
         return self._constant(other)._with(ca.OP_DIV, self)
 
     def __neg__(self) -> Traced:
+        """The negative."""
         return self._with(ca.OP_NEG)
 
     def __lt__(self, other: Traced | float) -> Traced:
+        """Where one number is smaller."""
         return self._with(ca.OP_LT, other)
 
     def __gt__(self, other: float) -> Traced:
+        """Where one number is larger."""
         return self._constant(other)._with(ca.OP_LT, self)
 
     def equals(self, other: Traced | float) -> Traced:

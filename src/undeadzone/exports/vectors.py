@@ -1,4 +1,4 @@
-"""Inputs from the scenario's own run, and the bits that every processor must give for some of them."""
+"""Inputs from the scenario's own run, and the bits that must come of some of them."""
 
 from __future__ import annotations
 
