@@ -49,13 +49,13 @@ def _signed(value: Traced, x: Traced) -> Traced:
 
 
 def _exp(c: Numbers, x: Traced) -> Traced:
-    n = _whole(_limited(x, c.overflow) * (1 / math.log(2)))
-    r = (x - n * c.log2[0]) - n * c.log2[1]
+    a = (x > c.overflow).chosen(c.overflow, x)
+    n = _whole(_limited(a, c.overflow) * (1 / math.log(2)))
+    r = (a - n * c.log2[0]) - n * c.log2[1]
     e = 1.0 + (r + r * r * polynomial(r, c.exp))
     half = (n * 0.5).truncated()
     value = (e * half.power()) * (n - half).power()
-    positive = (x > c.overflow).chosen(math.inf, value)
-    return (x < c.underflow).chosen(0.0, positive)
+    return (x < c.underflow).chosen(0.0, value)
 
 
 def _expm1(c: Numbers, x: Traced) -> Traced:
@@ -73,7 +73,7 @@ def _log(c: Numbers, x: Traced) -> Traced:
     s = f / (2.0 + f)
     z = s * s
     value = n * c.log2[0] + (f - (s * (f - z * polynomial(z, c.log)) - n * c.log2[1]))
-    edge = x.equals(0.0).chosen(-math.inf, math.nan)
+    edge = x.equals(0.0).chosen(-1.0 / (x * x), math.nan)
     finite = (x > 0.0).chosen(value, edge)
     return x.equals(math.inf).chosen(x, finite)
 

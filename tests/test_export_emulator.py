@@ -1,0 +1,127 @@
+"""The exported C on an emulated Cortex-M4F: the bits of this computer, instructions of a step, stack."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import undeadzone as uz
+from scenes import scene
+from test_engines import OBSERVERS, small
+from undeadzone.exports import export
+from undeadzone.scenario.schema import Scenario
+
+HERE = Path(__file__).parent / "emulator"
+TOOLS = {
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi, libnewlib-arm-none-eabi",
+    "qemu-system-arm": "qemu-system-arm",
+}
+CORE = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+FLAGS = ["-O2", "-std=c99", "-fno-math-errno", "-ffunction-sections", "-fdata-sections"]
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
+CASES = ("certified", "censored", "extended")
+
+
+@pytest.fixture(autouse=True)
+def tools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip by the names of Debian's packages; fail where UNDEADZONE_REQUIRE names the emulator."""
+    monkeypatch.setattr(export, "STEPS", 600)
+    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+    if not missing:
+        return
+    message = f"not installed: {', '.join(missing)}"
+    if "emulator" in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
+        pytest.fail(message)
+    pytest.skip(message)
+
+
+def case(name: str) -> Scenario:
+    if name == "certified":
+        return scene(simulation={"time": "sampled"})
+    return small("sampled", observer={"method": name} | OBSERVERS[name][1])
+
+
+def emulated(
+    folder: Path, sources: list[Path], options: list[str]
+) -> subprocess.CompletedProcess[str]:
+    """A program for the M4, run in the emulator."""
+    program = folder / "program.elf"
+    command = ["arm-none-eabi-gcc", *CORE, *FLAGS, *options, "-I", str(folder), "-T", str(HERE / "memory.ld"),
+               "-nostartfiles", "--specs=rdimon.specs", "-Wl,--gc-sections", "-o", str(program),
+               str(HERE / "start.c"), *map(str, sources), "-lm"]  # fmt: skip
+    subprocess.run(command, check=True)
+    board = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-icount", "shift=0",
+             "-semihosting-config", "enable=on,target=native", "-kernel", str(program)]  # fmt: skip
+    return subprocess.run(
+        board, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120
+    )
+
+
+@pytest.mark.parametrize("precision", export.PRECISIONS)
+@pytest.mark.parametrize("name", CASES)
+def test_the_same_bits_as_on_this_computer(name: str, precision: str, tmp_path: Path) -> None:
+    """The self-test holds the bits; on the M4 it must pass as it does here."""
+    uz.export(case(name), out=tmp_path / "fw", precision=precision, name="o")
+    sources = [tmp_path / "fw" / "o.c", tmp_path / "fw" / "o_test.c"]
+    result = emulated(tmp_path / "fw", sources, ["-ffp-contract=off"])
+    assert (result.returncode, "every bit agrees" in result.stdout) == (0, True), result.stdout
+
+
+def test_contraction_fails_loudly_or_changes_nothing(tmp_path: Path) -> None:
+    uz.export(case("extended"), out=tmp_path / "fw", name="o")
+    sources = [tmp_path / "fw" / "o.c", tmp_path / "fw" / "o_test.c"]
+    result = emulated(tmp_path / "fw", sources, ["-ffp-contract=fast"])
+    assert (result.returncode == 0) == ("every bit agrees" in result.stdout)
+    assert result.returncode == 0 or "FAILED" in result.stdout
+
+
+# Instructions of a step, as measured (not cycles: the emulator knows no wait states), and bytes of stack.
+COUNTED = {"certified": (140, 300), "censored": (9000, 2048), "extended": (1500, 2048)}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_instructions_and_stack(name: str, tmp_path: Path) -> None:
+    uz.export(case(name), out=tmp_path / "fw", name="o")
+    result = emulated(
+        tmp_path / "fw", [tmp_path / "fw" / "o.c", HERE / "count.c"], ["-ffp-contract=off"]
+    )
+    counts = re.fullmatch(r"mean (\d+) most (\d+) stack (\d+)\s*", result.stdout)
+    assert counts, result.stdout + result.stderr
+    mean, most, stack = map(int, counts.groups())
+    print(name, mean, most, stack)
+    ceiling, bytes_of_stack = COUNTED[name]
+    assert mean <= ceiling
+    assert most <= 1.15 * ceiling
+    assert stack <= bytes_of_stack + 200  # of the loop that calls, and of its interrupt frame
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_object_for_the_M4_has_no_warning_and_needs_no_library(
+    name: str, tmp_path: Path
+) -> None:
+    uz.export(case(name), out=tmp_path / "fw", name="o")
+    target = tmp_path / "o.o"
+    source = str(tmp_path / "fw" / "o.c")
+    subprocess.run(
+        [
+            "arm-none-eabi-gcc",
+            *CORE,
+            *FLAGS,
+            *WARNINGS,
+            "-ffp-contract=off",
+            "-c",
+            "-o",
+            str(target),
+            source,
+        ],
+        check=True,
+    )
+    undefined = subprocess.run(
+        ["arm-none-eabi-nm", "-u", str(target)], capture_output=True, text=True, check=True
+    )
+    assert undefined.stdout == ""
