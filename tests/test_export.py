@@ -1,4 +1,4 @@
-"""`uz.export` from end to end: every observer and controller that is a graph, the folder, the self-test, refusals."""
+"""`uz.export` from end to end: every method that is a graph, the folder, self-test, refusals."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ def test_the_options_of_deploy_md_are_those_of_the_function(tmp_path: Path) -> N
         path.name for path in (tmp_path / "fw").iterdir()
     )
     assert {path.name for path in done.files} == {
-        "joint.h", "joint.c", "joint_test.c", "Makefile", "CMakeLists.txt", "README.md", "manifest.json",
+        "joint.h", "joint.c", "joint_test.c", "Makefile", "CMakeLists.txt", "README.md",
+        "manifest.json",
     }  # fmt: skip
     assert done.passed
     manifest = json.loads((tmp_path / "fw" / "manifest.json").read_text())
@@ -205,7 +206,7 @@ def test_what_cannot_be_exported_is_refused(
 
 
 def test_continuous_scenarios_and_observers_in_python_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='set simulation.time = "sampled"'):
+    with pytest.raises(InputError, match=r'set simulation\.time = "sampled"'):
         uz.export(scene(), out=tmp_path / "fw")
     for observer in ({"method": "moving_horizon"}, {"method": "full_state"}):
         options = (
@@ -285,7 +286,7 @@ def test_the_object_holds_no_data_and_calls_no_library(tmp_path: Path) -> None:
 
 def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> None:
     """A width that moves by less than float's last digit at each sample stands still in float."""
-    slow = {"method": "certified", "gamma": 1e-3, "widths0": [1.0, 1.0]}
+    slow = {"method": "certified", "gamma": 1e-3, "widths0": [3.99, 3.99]}
     scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
     step = parts.build(resolve_scenario(scenario))
     rows = np.tile([5.0, 0.0], (100_000, 1))
@@ -404,7 +405,8 @@ def test_a_run_that_ends_by_itself_is_not_continued() -> None:
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="cppcheck is not installed")
 def test_cppcheck_finds_nothing_in_certified(tmp_path: Path) -> None:
     uz.export(certified(), out=tmp_path / "fw", name="joint")
-    command = ["cppcheck", "--std=c99", "--enable=warning,style,portability", "--error-exitcode=1",
-               "--inline-suppr", "--suppress=missingIncludeSystem", str(tmp_path / "fw" / "joint.c")]  # fmt: skip
+    source = str(tmp_path / "fw" / "joint.c")
+    options = ["--std=c99", "--enable=warning,style,portability", "--error-exitcode=1"]
+    command = ["cppcheck", *options, "--suppress=missingIncludeSystem", source]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

@@ -1,4 +1,4 @@
-"""Graphs rewritten for C, their replica in NumPy and the compiled C: the same bits, and those of CasADi's virtual machine."""
+"""Graphs rewritten for C, their replica in NumPy, the compiled C, CasADi: the same bits."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def _log(c: Numbers, x: Traced) -> Traced:
     value = n * c.log2[0] + (f - (s * (f - z * polynomial(z, c.log)) - n * c.log2[1]))
     edge = x.equals(0.0).chosen(-1.0 / (x * x), math.nan)
     finite = (x > 0.0).chosen(value, edge)
-    return x.equals(math.inf).chosen(x, finite)
+    return (x > math.inf).chosen(x, finite)  # in C beyond the largest number
 
 
 def _log1p(c: Numbers, x: Traced) -> Traced:
