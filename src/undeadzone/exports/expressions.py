@@ -187,7 +187,7 @@ def _inside(text: Text) -> str:
 
 def _operand(text: Text, op: int, second: bool = False) -> str:
     """An operand; only sums of sums and products of products go without parentheses."""
-    if text.op is None:
+    if text.op is None or (text.op == ca.OP_NEG and op in BINARY and not second):
         return text.text
     alike = op in _SUMS and text.op in _SUMS
     alike = alike or (op == ca.OP_MUL and text.op in _PRODUCTS)

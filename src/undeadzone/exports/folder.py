@@ -93,9 +93,9 @@ Hash {report["hash"]}. The header names the unit of every field.
 
 ## Build
 
-{build} Compile with `-std=c99 -ffp-contract=off` and never
-with `-ffast-math`. There is no heap, no recursion, no loop, no static that changes; any number of
-instances may run, in interrupts too.
+{build}
+Compile with `-std=c99 -ffp-contract=off` and never with `-ffast-math`. There is no heap, no
+recursion, no loop, no static that changes; any number of instances may run, in interrupts too.
 
 ## Call
 
@@ -106,8 +106,8 @@ A reading in `in.y` that is not finite counts as missing.
 {phases}
 ## Cost
 
-State {sizes["state"]} bytes, in {sizes["in"]}, out {sizes["out"]}. One step takes at most these
-operations, whatever the data: {counts}.
+Bytes: state {sizes["state"]}, in {sizes["in"]}, out {sizes["out"]}.
+One step takes at most these operations, whatever the data: {counts}.
 
 ## What may not be changed
 

@@ -11,6 +11,7 @@ from undeadzone.exports.code import Code
 from undeadzone.exports.expressions import Style, literal
 from undeadzone.exports.fields import Field, members
 from undeadzone.exports.instructions import uses_of
+from undeadzone.exports.labels import meanings
 from undeadzone.exports.math_header import math_header
 from undeadzone.exports.statements import INDENT, Body, Names, body
 
@@ -73,15 +74,16 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
     shown = [f"{name}_{k}" for name, k in members(step.outputs)]
     inputs = _inputs(code)
-    names = Names(inputs, [stored, out], [following, shown])
+    names = Names(inputs, [stored, out], [following, shown], meanings(code.graph, step, 1))
     bodies = {"step": body(code.graph, style, names)}
     if code.phases is not None:
         carry = [f"state->carry[{k}]" for k in range(code.phases.carried)]
         local = [f"carry_{k}" for k in range(code.phases.carried)]
-        names = Names(inputs, [out, carry], [shown, local])
-        bodies["estimate"] = body(code.phases.estimate, style, names)
-        names = Names(inputs, [stored], [following])
-        bodies["advance"] = body(code.phases.advance, style, names)
+        first, second = code.phases.estimate, code.phases.advance
+        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0))
+        bodies["estimate"] = body(first, style, names)
+        names = Names(inputs, [stored], [following], meanings(second, step, None))
+        bodies["advance"] = body(second, style, names)
     return {name: _with_states(part, code, name) for name, part in bodies.items()}
 
 

@@ -8,12 +8,14 @@ import casadi as ca
 
 from undeadzone.engine.graph import Graph
 from undeadzone.exports.expressions import Expressions, Style
-from undeadzone.exports.instructions import OWN, SELECT, is_condition, uses_of
+from undeadzone.exports.instructions import BINARY, OWN, SELECT, is_condition, uses_of
 
 WIDTH = 100  # columns of a line of C
 LONGEST = 150  # characters of an expression that is not split into locals
 INDENT = "    "
 _REPEATED = (ca.OP_SQ,)  # instructions whose operand is written more than once
+_SIGNS = (*BINARY, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV)
+_APART = frozenset((SELECT, *OWN, *_SIGNS))  # what is computed before a selection, not inside it
 
 
 class Names(NamedTuple):
@@ -23,11 +25,13 @@ class Names(NamedTuple):
         inputs: the expression of each input entry, by its text in the graph.
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
+        meanings: further names of locals, by their places.
     """
 
     inputs: dict[str, str]
     results: list[list[str]]
     locals: list[list[str]]
+    meanings: dict[int, str]
 
 
 class Body(NamedTuple):
@@ -94,20 +98,19 @@ def _labels(graph: Graph, names: Names) -> dict[int, str]:
         for place, name in zip(places, results, strict=True):
             if graph.nodes[place].operands:
                 labels.setdefault(place, name)
-    return labels
+    return names.meanings | labels
 
 
 def _repeated(graph: Graph) -> set[int]:
-    """The nodes whose expression would stand twice, or would be a selection inside another one."""
+    """The nodes that stand apart: written twice otherwise, or a computation inside a selection."""
     repeated: set[int] = set()
     for node in graph.nodes:
         if node.op in _REPEATED:
             repeated.update(node.operands)
-        for operand in node.operands:
-            inner = graph.nodes[operand]
-            nested = inner.op == SELECT or inner.op in OWN
-            if nested and node.op == SELECT:
-                repeated.add(operand)
+        if node.op == SELECT:
+            for operand in node.operands[1:]:
+                if graph.nodes[operand].op in _APART:
+                    repeated.add(operand)
     return {place for place in repeated if graph.nodes[place].operands}
 
 
