@@ -15,7 +15,8 @@ LONGEST = 150  # characters of an expression that is not split into locals
 INDENT = "    "
 _REPEATED = (ca.OP_SQ,)  # instructions whose operand is written more than once
 _SIGNS = (*BINARY, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV)
-_APART = frozenset((SELECT, *OWN, *_SIGNS))  # what is computed before a selection, not inside it
+_APART = frozenset((SELECT, *OWN))  # what is computed before a selection, not inside it
+SMALL = 300  # nodes up to which no sum or product stands in a selection (cppcheck's MISRA 12.1)
 
 
 class Names(NamedTuple):
@@ -104,12 +105,13 @@ def _labels(graph: Graph, names: Names) -> dict[int, str]:
 def _repeated(graph: Graph) -> set[int]:
     """The nodes that stand apart: written twice otherwise, or a computation inside a selection."""
     repeated: set[int] = set()
+    apart = _APART.union(_SIGNS) if len(graph.nodes) <= SMALL else _APART
     for node in graph.nodes:
         if node.op in _REPEATED:
             repeated.update(node.operands)
         if node.op == SELECT:
             for operand in node.operands[1:]:
-                if graph.nodes[operand].op in _APART:
+                if graph.nodes[operand].op in apart:
                     repeated.add(operand)
     return {place for place in repeated if graph.nodes[place].operands}
 
