@@ -16,7 +16,7 @@ GENERATOR = "undeadzone export"
 MANIFEST = "manifest.json"
 
 MAKEFILE = """# `make` builds {name}_test, which compares every bit with the reference: exit code 0.
-CFLAGS = -O2 -std=c99 -ffp-contract=off -fno-math-errno -Wall -Wextra
+CFLAGS = -O2 -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections -Wall
 {name}_test: {name}.c {name}.h {math}{name}_test.c
 \t$(CC) $(CFLAGS) -o $@ {name}.c {name}_test.c -lm
 """
@@ -25,7 +25,7 @@ CMAKE = """cmake_minimum_required(VERSION 3.10)
 project({name} C)
 add_library({name} STATIC {name}.c)
 target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_compile_options({name} PRIVATE -std=c99 -ffp-contract=off -fno-math-errno)
+target_compile_options({name} PRIVATE -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections)
 """
 
 PROPERTIES = """name={name}
@@ -96,6 +96,8 @@ Hash {report["hash"]}. The header names the unit of every field.
 {build}
 Compile with `-std=c99 -ffp-contract=off` and never with `-ffast-math`. There is no heap, no
 recursion, no loop, no static that changes; any number of instances may run, in interrupts too.
+The step and its halves stand beside each other: `-ffunction-sections` and the linker's
+`--gc-sections` keep what is called.
 
 ## Call
 

@@ -50,7 +50,8 @@ def _signed(value: Traced, x: Traced) -> Traced:
 
 def _exp(c: Numbers, x: Traced) -> Traced:
     a = (x > c.overflow).chosen(c.overflow, x)
-    n = _whole(_limited(a, c.overflow) * (1 / math.log(2)))
+    least = c.underflow - 1.0
+    n = _whole((a > least).chosen(a, least) * (1 / math.log(2)))
     r = (a - n * c.log2[0]) - n * c.log2[1]
     e = 1.0 + (r + r * r * polynomial(r, c.exp))
     half = (n * 0.5).truncated()

@@ -240,6 +240,7 @@ def _code(
     lines = [
         f"/* {_plain(labels.title)}: {labels.part}, {style.real}.",
         f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
+        *GUARDS,
         f'#include "{prefix}.h"',
     ]
     if with_math:
@@ -251,7 +252,7 @@ def _code(
         lines.append("#include <math.h>")
     if "bool " in text or "true" in text or "false" in text:
         lines.append("#include <stdbool.h>")
-    lines += [*GUARDS, ""]
+    lines.append("")
     texts = signatures(code, prefix)
     if step.params:
         values = [float(value) for value in step.defaults]
@@ -273,7 +274,10 @@ GUARDS = [
     "#endif",
     "#if defined(__clang__)",
     "#pragma STDC FP_CONTRACT OFF",
+    "#elif defined(__GNUC__)",
+    '#pragma GCC optimize("fp-contract=off")',
     "#endif",
+    "",
 ]
 
 
