@@ -65,6 +65,7 @@ def test_the_options_of_deploy_md_are_those_of_the_function(tmp_path: Path) -> N
         "manifest.json",
     }  # fmt: skip
     assert done.passed
+    assert 0 < done.report["stack"] < 500
     manifest = json.loads((tmp_path / "fw" / "manifest.json").read_text())
     assert sorted(manifest["files"]) == sorted(path.name for path in done.files)
     assert manifest["hash"] == done.report["hash"]
@@ -266,6 +267,14 @@ def test_careless_options_fail_loudly_or_change_nothing(tmp_path: Path) -> None:
     assert "compile without -ffast-math" in refused.stderr
     for options in (["-ffinite-math-only"], ["-std=gnu11", "-march=native", "-ffp-contract=fast"]):
         assert built(out, "joint", ["-O2", *options]).returncode == 0, options
+
+
+def test_nothing_is_undefined(tmp_path: Path) -> None:
+    """gcc's sanitizer stays silent, conversions of numbers to integers included."""
+    scenario = small("sampled", observer={"method": "extended"} | OBSERVERS["extended"][1])
+    uz.export(scenario, out=tmp_path / "fw", name="o")
+    checks = ["-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    assert built(tmp_path / "fw", "o", ["-O1", *checks]).returncode == 0
 
 
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:

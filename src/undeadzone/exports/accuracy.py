@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.exports.code import Code
-from undeadzone.exports.compiler import shared_library
+from undeadzone.exports.compiler import shared_library, stack_bytes
 from undeadzone.exports.fields import Field
 from undeadzone.exports.source import Labels, source
 from undeadzone.support.arrays import Floats
@@ -67,6 +67,7 @@ class Accuracy(NamedTuple):
         sides: at how many steps the measured side differs.
         eigenvalue: smallest eigenvalue of a correlation matrix in double; None: no covariance.
         refusals: what is not good enough, with its number.
+        stack: of a step on this computer [bytes]; None: the compiler does not tell.
     """
 
     machine: float
@@ -76,6 +77,7 @@ class Accuracy(NamedTuple):
     sides: int
     eigenvalue: float | None
     refusals: list[str]
+    stack: int | None = None
 
 
 class Compiled:
@@ -102,6 +104,7 @@ class Compiled:
         files = [folder / f"{prefix}.c", folder / f"{prefix}_run.c"]
         library = ctypes.CDLL(str(shared_library(files, folder / f"{prefix}.so")))
         self._run = library.run
+        self.stack = stack_bytes(folder, prefix)
         self.real: Any = np.float32 if code.single else np.float64
         carried = 0 if code.phases is None else code.phases.carried
         self.memory = code.step.start.size
@@ -144,10 +147,12 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
             refusals.append(
                 f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
             )
-        plain = Accuracy(error, bar, 0, [], 0, None, refusals)
+        plain = Accuracy(error, bar, 0, [], 0, None, refusals, replica.stack)
         if single is None:
             return plain
-        return _beside(plain, Compiled(double, folder), Compiled(single, folder), single, rows)
+        rounded = Compiled(single, folder)
+        plain = plain._replace(stack=rounded.stack)
+        return _beside(plain, Compiled(double, folder), rounded, single, rows)
 
 
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:

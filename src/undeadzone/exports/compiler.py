@@ -36,10 +36,36 @@ def shared_library(sources: list[Path], out: Path) -> Path:
         raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
     files = [str(path) for path in sources]
     options = [*FLAGS, "-O1", "-fPIC", "-shared", "-o", str(out)]
-    finish = subprocess.run([command, *options, *files, "-lm"], capture_output=True, text=True)
+    for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
+        line = [command, *extra, *options, *files, "-lm"]
+        finish = subprocess.run(line, capture_output=True, text=True)
+        if finish.returncode == 0:
+            break
     if finish.returncode:
         raise InputError(f"{command} refuses the exported code: {finish.stderr.strip()[:500]}")
     return out
+
+
+def stack_bytes(folder: Path, prefix: str) -> int | None:
+    """The stack of a step by the compiler's account [bytes]; None: it gave none.
+
+    It is the largest frame of a step or its halves and those of all functions that they may call.
+
+    Args:
+        folder: where `shared_library` put its output.
+        prefix: what the names of the functions begin with.
+    """
+    frames: dict[str, int] = {}
+    for path in folder.glob("*.su"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            place, size, _ = line.split("\t")
+            name = place.rsplit(":", 1)[-1]
+            if name.startswith(f"{prefix}_"):
+                frames[name.removeprefix(f"{prefix}_")] = int(size)
+    steps = [frames.pop(name, 0) for name in ("step", "estimate", "advance")]
+    for other in ("init", "params_default"):
+        frames.pop(other, None)
+    return max(steps) + sum(frames.values()) if max(steps) else None
 
 
 def self_tested(folder: Path, name: str) -> tuple[bool, str]:

@@ -31,8 +31,9 @@ class Exported(NamedTuple):
 
     Attributes:
         files: the files written.
-        report: name, hash, sizes [bytes], operations of a step, accuracy, and `refusals`: why the
-            code should not be used, with the number; empty where all is well.
+        report: name, hash, sizes and the stack on this computer [bytes], operations of a step,
+            accuracy, and `refusals`: why the code should not be used, with the number; empty where
+            all is well.
     """
 
     files: list[Path]
@@ -181,7 +182,8 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
     """The accuracy, and what it refuses."""
     if compiler.compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
-        return {"accuracy": None, "refusals": [message] if printed.single else []}
+        refusals = [message] if printed.single else []
+        return {"accuracy": None, "stack": None, "refusals": refusals}
     single = printed if printed.single else None
     result = accuracy.measure(double, single, rows, bool(text.functions))
     table = {row.name: {"error": row.error, "size": row.size} for row in result.rows}
@@ -193,4 +195,4 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         "sides_differ": result.sides,
         "smallest_correlation_eigenvalue": result.eigenvalue,
     }
-    return {"accuracy": measured, "refusals": result.refusals}
+    return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}

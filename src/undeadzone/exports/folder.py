@@ -25,7 +25,8 @@ CMAKE = """cmake_minimum_required(VERSION 3.10)
 project({name} C)
 add_library({name} STATIC {name}.c)
 target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_compile_options({name} PRIVATE -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections)
+target_compile_options({name} PRIVATE
+  -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections)
 """
 
 PROPERTIES = """name={name}
