@@ -22,6 +22,7 @@ from .errors import StepError as StepError
 from .errors import StructureError as StructureError
 from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
+from .exports.export import Exported as Exported
 from .exports.export import export as export
 from .observers import EKF as EKF
 from .observers import UKF as UKF
