@@ -245,7 +245,10 @@ def _code(
     ]
     if with_math:
         lines.append(f'#include "{prefix}_math.h"')
-    text = "\n".join(line for part in bodies.values() for line in part.lines) + "\n".join(start)
+    lines_of_bodies = list(start)
+    for part in bodies.values():
+        lines_of_bodies += part.lines
+    text = "\n".join(lines_of_bodies)
     if "FLT_M" in text or "DBL_M" in text:
         lines.append("#include <float.h>")
     if any(word in text for word in ("NAN", "sqrt", "fmod", "remainder", "copysign")):
