@@ -63,9 +63,6 @@ def source(code: Code, labels: Labels) -> Source:
     )
 
 
-# --- Statements
-
-
 def _bodies(code: Code, style: Style) -> dict[str, Body]:
     """The statements of each function of a step."""
     step = code.step
@@ -125,9 +122,6 @@ def _used_inputs(graph: Graph) -> set[str]:
         if uses[place] and not node.operands:
             texts.add(node.text)
     return texts
-
-
-# --- Files
 
 
 def _header(code: Code, labels: Labels, style: Style) -> str:
