@@ -14,6 +14,8 @@ from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
+from undeadzone.cli.export import export
+from undeadzone.cli.identify import identify
 from undeadzone.cli.init import init
 from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
@@ -38,15 +40,31 @@ def group() -> None:
     undeadzone ensemble mine.toml     run it thousands of times with what may vary
     undeadzone tune mine.toml         find the gains that do best over such runs
     undeadzone arena mine.toml        compare all methods on it
+    undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone estimate mine.toml log.csv  let its observer follow a recorded log
     undeadzone watch mine.toml < log  estimate from samples as they come
+    undeadzone export mine.toml       write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
     2 bad input.
     """
 
 
-for command in (paper, run, ensemble, tune, arena, check, design, init, estimate, watch):
+COMMANDS = (
+    paper,
+    run,
+    ensemble,
+    tune,
+    arena,
+    check,
+    design,
+    init,
+    identify,
+    estimate,
+    watch,
+    export,
+)
+for command in COMMANDS:
     group.add_command(command)
 
 

@@ -60,6 +60,6 @@ class Auto(
             sensor: the dead zone as the observer takes it.
 
         Raises:
-            InputError: and its kinds, those of the chosen observer.
+            InputError: or a subclass, those of the chosen observer.
         """
         return self.chosen(model, sensor).build(model, sensor)
