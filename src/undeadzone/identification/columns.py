@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import difflib
-import re
 
 from undeadzone.errors import FileError
-from undeadzone.identification.log import Column
-
-TIMES = ("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec")
-INPUTS = ("u", "input", "in", "command", "control")
-OUTPUTS = ("y", "output", "out", "reading", "measured", "measurement")
-INDEXED = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
+from undeadzone.logs.column import Column
+from undeadzone.logs.names import INDEXED, INPUTS, READINGS, TIMES
 
 
 class Chosen:
@@ -59,7 +54,7 @@ def choose(
             )
         return Chosen(columns[0], [columns[1]], columns[2])
     first = _one(columns, time, TIMES, "--time", "times", source)
-    last = _one(columns, output, OUTPUTS, "--output", "readings", source)
+    last = _one(columns, output, READINGS, "--output", "readings", source)
     if inputs is not None:
         chosen = [_named(columns, name, "--input", source) for name in inputs.split(",")]
     else:

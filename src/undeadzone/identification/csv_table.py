@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.identification.log import Column, split_unit
+from undeadzone.logs.column import Column, split_unit
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import reason
 

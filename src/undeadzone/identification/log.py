@@ -8,25 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import FileError
+from undeadzone.logs.column import COUNTS, SECONDS, Column
 from undeadzone.support.arrays import LARGEST, Floats
 
 Flags = npt.NDArray[np.bool_]
 
-SECONDS = {
-    "": 1.0,
-    "s": 1.0,
-    "sec": 1.0,
-    "seconds": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "μs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-    "samples": 1.0,
-    "sample": 1.0,
-}  # length of a unit of time [s]; a time that counts samples is taken to have 1 s between them
+# Length of a unit of time [s]; a time that counts samples is taken to have 1 s between them.
+LENGTHS = SECONDS | dict.fromkeys(COUNTS, 1.0)
 
 
 class Log(NamedTuple):
@@ -56,27 +44,6 @@ class Log(NamedTuple):
     counted: bool
 
 
-class Column(NamedTuple):
-    """A column of a table: its name without the unit, its unit ("" if none), its numbers (N)."""
-
-    name: str
-    unit: str
-    values: Floats
-
-
-def split_unit(title: str) -> tuple[str, str]:
-    """Name and unit of a header: `speed [rad/s]` or `speed (rad/s)`; an index `u[0]` is no unit."""
-    text = title.strip().strip("\"'").strip()
-    for opening, closing in (("[", "]"), ("(", ")")):
-        start = text.rfind(opening)
-        if start <= 0 or not text.endswith(closing):
-            continue
-        inside = text[start + 1 : -1].strip()
-        if not inside.isdigit():
-            return text[:start].strip(), inside
-    return text, ""
-
-
 def make_log(
     time: Column, inputs: list[Column], output: Column, source: str, lines: Any = ()
 ) -> Log:
@@ -97,12 +64,12 @@ def make_log(
             input, readings that are all missing.
     """
     unit = time.unit.lower()
-    if unit not in SECONDS:
+    if unit not in LENGTHS:
         raise FileError(
             f"{source}: unit of time not understood: {time.unit!r}; use s, ms, us, min, h,"
             " or samples"
         )
-    t = time.values * SECONDS[unit]
+    t = time.values * LENGTHS[unit]
     u = np.column_stack([column.values for column in inputs])
     y = np.where(np.isfinite(output.values), output.values, np.nan)
     _check_times(t, source, lines)

@@ -13,7 +13,7 @@ from undeadzone.logs.column import COUNTS, SECONDS, Title
 TIMES: Final = ("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec")
 READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
 INPUTS: Final = ("u", "input", "in", "command", "control")
-_INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
+INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
 _SHOWN: Final = 12  # names in a message
 
 
@@ -225,7 +225,7 @@ def _usual(titles: Sequence[Title], name: str, count: int) -> list[int]:
         return same
     indexed = []
     for k, title in enumerate(titles):
-        match = _INDEXED.match(title.name.lower())
+        match = INDEXED.match(title.name.lower())
         if match and match[1] == name:
             indexed.append((int(match[2]), k))
     return [k for _, k in sorted(indexed)] or same
