@@ -8,7 +8,7 @@ from pathlib import Path
 
 from undeadzone.ensemble.blocks import journal
 from undeadzone.ensemble.blocks.job import Job
-from undeadzone.errors import UndeadzoneError
+from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.support.arrays import Floats
 
 
@@ -41,6 +41,7 @@ def run(
     Raises:
         InputError or a subclass: FileError, ClusterError
     """
+    _require_one(workers, cluster)
     job = prepare()
     store = journal.start(path, job.layout, resume)
     report = progress or _silent
@@ -79,6 +80,16 @@ def _silent(runs: int) -> None:
     """Progress that nobody asked for."""
 
 
+def _require_one(workers: int | None, cluster: str | None) -> None:
+    """Raise InputError for both workers and a cluster, or for no number of workers."""
+    both = workers is not None and cluster is not None
+    if both or (workers is not None and workers < 1):
+        raise InputError(
+            "workers, cluster: expected a number of local processes, 1 or more, or an address; "
+            f"found {workers} and {cluster}"
+        )
+
+
 def _results(
     prepare: Callable[[], Job],
     job: Job,
@@ -87,10 +98,15 @@ def _results(
     cluster: str | None,
 ) -> Generator[tuple[int, Floats], None, None]:
     """(block, its rows) as they are computed."""
-    if workers is not None or cluster is not None:
-        from undeadzone.ensemble.blocks.dask_cluster import results
+    if workers is not None:
+        from undeadzone.ensemble.blocks.local_workers import results as local_results
 
-        yield from results(prepare, blocks, workers=workers, cluster=cluster)
+        yield from local_results(prepare, blocks, workers)
+        return
+    if cluster is not None:
+        from undeadzone.ensemble.blocks.dask_cluster import results as cluster_results
+
+        yield from cluster_results(prepare, blocks, cluster)
         return
     for block in blocks:
         yield block, job.block(block)
