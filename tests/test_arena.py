@@ -1,4 +1,7 @@
-"""The arena: what methods are told, what a run is worth, regret and places, tuning, the command, and one method more."""
+"""The arena: what methods know, what a run is worth, regret and places, tuning, the command.
+
+One method more is entered by being listed.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,12 @@ from undeadzone.arena import leaderboard
 from undeadzone.arena import tune as tuning
 from undeadzone.arena import tuned_file as tuned
 from undeadzone.arena.contest import run_contest
+from undeadzone.arena.entry import entered, numbers
 from undeadzone.arena.leaderboard import CAP, REFUSED, intervals, regrets
-from undeadzone.arena.methods import METHODS, catalogue, entered, middle, numbers
+from undeadzone.arena.methods import METHODS, catalogue, middle
 from undeadzone.arena.metric import Result, Worth
 from undeadzone.arena.prior_knowledge import declaration, situation
-from undeadzone.arena.scenario_sets import given, scenarios
+from undeadzone.arena.scenario_sets import from_files, scenarios
 from undeadzone.arena.traces import traced
 from undeadzone.arena.trials import score, trial
 from undeadzone.cli import group
@@ -563,7 +567,7 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
     other.parent.mkdir()
     shutil.copy(mine, other)
     with pytest.raises(InputError, match="the same file name"):
-        given([mine, other])
+        from_files([mine, other])
 
 
 def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
@@ -648,7 +652,14 @@ from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 
 
-class Held(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="held"):
+class Held(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="held",
+):
     """An observer whose widths stay where they are."""
 
     widths0: Array = 0.0
@@ -656,7 +667,8 @@ class Held(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer."""
         widths, limit = bounded_widths(self.widths0, None, model.p)
-        return measured_side(model, sensor, gains(None, model), np.zeros(model.p), np.zeros(model.n), widths, limit, False)
+        L, gamma, x0 = gains(None, model), np.zeros(model.p), np.zeros(model.n)
+        return measured_side(model, sensor, L, gamma, x0, widths, limit, False)
 '''
 
 

@@ -40,6 +40,7 @@ def scenario(tmp_path: Path) -> Path:
 
 def test_version_and_help() -> None:
     assert re.fullmatch(r"undeadzone, version \d+\.\d+\.\d+\n", undeadzone("--version").stdout)
+    assert undeadzone("-V").stdout == undeadzone("--version").stdout
     for command in ([], ["run"], ["paper"], ["init"], ["watch"]):
         shown = undeadzone(*command, "--help")
         assert shown.returncode == 0
@@ -47,8 +48,20 @@ def test_version_and_help() -> None:
         assert "Example" in shown.stdout or command == []
 
 
+@pytest.mark.parametrize(("option", "code"), [("--version", 0), ("--nonsense", 2)])
+def test_the_package_runs_as_the_command_does(option: str, code: int) -> None:
+    module = subprocess.run(
+        [sys.executable, "-m", "undeadzone", option], capture_output=True, text=True, check=False
+    )
+    command = undeadzone(option)
+    assert module.returncode == command.returncode == code
+    assert module.stdout == command.stdout
+    assert module.stderr.partition(": ")[2] == command.stderr.partition(": ")[2]
+
+
 def test_help_imports_nothing_heavy() -> None:
-    code = "import sys\nimport undeadzone.cli\nprint([m for m in ('numpy', 'casadi', 'scipy', 'numba', 'matplotlib', 'rich') if m in sys.modules])"
+    heavy = ("numpy", "casadi", "scipy", "numba", "matplotlib", "rich")
+    code = f"import sys\nimport undeadzone.cli\nprint([m for m in {heavy} if m in sys.modules])"
     assert (
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -61,7 +74,8 @@ def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
         f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
+        "heavy = 'numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (
         subprocess.run(
@@ -174,7 +188,8 @@ def test_wrong_input_is_one_clear_line(
 
 def test_reference_that_cannot_be_followed(scenario: Path) -> None:
     text = scenario.read_text()
-    plant = "transfer_function = { numerator = [1.0, 0.0, 39.47841760435743], denominator = [1.0, 3.0, 3.0, 1.0] }\n"
+    numerator, denominator = [1.0, 0.0, 39.47841760435743], [1.0, 3.0, 3.0, 1.0]
+    plant = f"transfer_function = {{ numerator = {numerator}, denominator = {denominator} }}\n"
     start = text.index("A = [[0.0")
     text = text[:start] + plant + "#" + text[text.index("# Other forms") :]
     scenario.write_text(
@@ -212,7 +227,7 @@ def test_a_full_stdout_is_one_line(scenario: Path, arguments: list[str]) -> None
 
 
 def test_an_observer_that_is_never_told_anything_ends_with_a_no(scenario: Path) -> None:
-    """Its widths stay what they were, and that is not a success; one that knows them has nothing to learn."""
+    """Its widths stay what they were: no success; one that knows them learns nothing."""
     silent = re.sub(r"amplitude = .*", "amplitude = 0.1", scenario.read_text())
     scenario.write_text(re.sub(r"x0 = .*", "x0 = [0.0, 0.0]", silent))
     done = undeadzone("run", scenario, "--no-figures")

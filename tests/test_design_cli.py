@@ -23,7 +23,6 @@ from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.trajectories import Trajectory, settling, trajectories
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
-from undeadzone.cli.check import plain
 from undeadzone.errors import UndeadzoneError
 from undeadzone.report.gains_page import figures, gains_page
 from undeadzone.report.locus_figures import root_locus
@@ -32,6 +31,7 @@ from undeadzone.report.proof_figures import nyquist
 from undeadzone.report.trade_figures import ellipses
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.assessment import Assessment, assess, attack
+from undeadzone.synthesis.words import plain
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
@@ -51,7 +51,7 @@ class Done(NamedTuple):
 
 
 def run(*arguments: str | Path) -> Done:
-    """A command in this process, so that nothing is imported twice; `main` turns errors into exit code 2."""
+    """A command in this process, so that nothing is imported twice; errors give exit code 2."""
     result = CliRunner().invoke(group, [*map(str, arguments)], standalone_mode=False)
     if isinstance(result.exception, UndeadzoneError | ClickException):
         return Done(
@@ -156,7 +156,8 @@ def test_check_of_an_edge_never_reached_names_the_cure(paper: Callable[..., Path
     done = run(
         "check",
         paper(
-            reference='reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }'
+            reference='reference = { kind = "sine", amplitude = 1.0, '
+            "frequency = 1.0, offset = 0.5 }"
         ),
         *QUIET,
     )
@@ -358,8 +359,10 @@ def test_help_teaches_by_an_example(command: str) -> None:
 def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
-        f"group.main(['check', {str(paper())!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "print([m for m in ('numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas') if m in sys.modules], file=sys.stderr)"
+        f"arguments = ['check', {str(paper())!r}, '--no-figures', '--json']\n"
+        "group.main(arguments, standalone_mode=False)\n"
+        "heavy = 'numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (
         subprocess.run(

@@ -1,4 +1,4 @@
-"""Automatic design: searches on problems with known answers, gains against naive twins, the paper's example, files."""
+"""Automatic design: searches with known answers, gains against naive twins, the paper, files."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.candidates import candidate_of
 from undeadzone.synthesis.check import check
-from undeadzone.synthesis.criteria import certified, make_task, watched
+from undeadzone.synthesis.criteria import certified
 from undeadzone.synthesis.design import design, rounds
-from undeadzone.synthesis.gain_search import Weights, score
+from undeadzone.synthesis.gain_search import Weights
+from undeadzone.synthesis.task import make_task, watched
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {
@@ -64,7 +66,7 @@ def test_evolve_finds_the_bottom_of_a_curved_valley() -> None:
 
 
 def test_pareto_finds_a_front_that_is_known() -> None:
-    """Distances to two points: the front is the segment between them; what is not admitted stays out."""
+    """Distances to two points: the front is the segment between them, without what is refused."""
 
     def costs(x: Floats) -> Floats:
         found = np.stack([((x - 1.0) ** 2).sum(axis=1), ((x + 1.0) ** 2).sum(axis=1)], axis=1)
@@ -81,7 +83,10 @@ def test_pareto_finds_a_front_that_is_known() -> None:
 
 
 def naive(scenario: Any) -> tuple[Floats, Floats]:
-    """(rms from unit noise, rms from unit relative errors of -1, -2 and 1 in A and B) of the sampled error system, step by step."""
+    """(rms from unit noise, rms from unit relative errors in A and B), step by step.
+
+    The errors are those of the entries -1, -2 and 1; the error system is sampled.
+    """
     problem = resolve_scenario(scenario)
     (A, B, C), Ts = problem.model.linear, scenario.simulation.step
     N = round(1 / Ts)
@@ -92,7 +97,8 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
     Phi, G = np.eye(4) + Ts * F, Ts * G
     Z = np.block([[C, np.zeros((1, 2))], [np.zeros((2, 2)), np.eye(2)]])
     target = linear_targets(problem.model, problem.reference, [0], np.arange(N) * Ts)
-    # u held for a step moves x by Bd u: the same input B carries the errors of this companion plant.
+    # u held for a step moves x by Bd u: the same input B carries the errors of this companion
+    # plant.
     forces = [-target.x_ref[:, 0], -2 * target.x_ref[:, 1], target.u_ff[:, 0]]
     total, covariance, x = 0.0, np.zeros((4, 4)), np.zeros((3, 4))
     pushed = np.zeros(3)
@@ -111,7 +117,7 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
 def test_gains_are_those_of_a_step_by_step_simulation() -> None:
     scenario = scene(simulation=SAMPLED)
     problem = resolve_scenario(scenario)
-    found = score(make_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
+    found = candidate_of(make_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
     noise, mismatch = naive(scenario)
     assert found.noise == pytest.approx(noise, rel=1e-9)
     assert found.mismatch == pytest.approx(mismatch, rel=1e-6)
@@ -122,7 +128,10 @@ def test_gains_are_those_of_a_step_by_step_simulation() -> None:
 
 
 def test_noise_gain_is_what_a_noisy_run_shows() -> None:
-    """rms of (z - z^, d - d^) over a long run with small white noise and no false alarm, within the scatter of its finite length."""
+    """rms of (z - z^, d - d^) over a long run with small white noise and no false alarm.
+
+    It agrees within the scatter of the run's finite length.
+    """
     noise = 1e-3
     scenario = scene(
         sensor={"noise": noise, "false_alarm_rate": 1e-9},
@@ -131,7 +140,7 @@ def test_noise_gain_is_what_a_noisy_run_shows() -> None:
     run = simulate(scenario)
     late = run.t > 20
     error = np.hstack([run.z - run.z_hat, run.info.widths - run.d_hat])[late]
-    gain = score(
+    gain = candidate_of(
         make_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])
     ).noise
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(gain * noise, rel=0.05)
@@ -150,7 +159,7 @@ def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> N
     for simulation in ({"step": 1e-3}, {"time": "sampled", "step": 1e-3}):
         problem = resolve_scenario(scene(**changes, simulation=simulation))
         per_second = 1.0 if problem.model.Ts is None else 1e3
-        found = score(
+        found = candidate_of(
             make_task(problem, 0.01),
             problem.observer.params.L * per_second,
             problem.observer.params.gamma * per_second,
@@ -163,7 +172,10 @@ def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> N
     "changes", [{}, {"simulation": SAMPLED}, COUPLED, COUPLED | {"simulation": SAMPLED}]
 )
 def test_shrunk_gains_meet_the_margin_and_no_more(changes: dict[str, Any]) -> None:
-    """Random gains, shrunk until certified, with their own worst frequencies looked at: the exact margin is the one asked for."""
+    """Random gains, shrunk until certified, with their own worst frequencies looked at.
+
+    The exact margin is the one asked for.
+    """
     rng = np.random.default_rng(0)
     problem = resolve_scenario(scene(**changes))
     task = make_task(problem, 0.05)
@@ -209,7 +221,10 @@ def test_the_knee_beats_the_present_gains_in_everything(knee: Design) -> None:
 
 
 def test_gains_near_the_present_ones_that_beat_them_are_found() -> None:
-    """Third order, default L: what is better in everything lies in a narrow valley that the front's search passes by."""
+    """Third order, default L: what is better in everything lies in a narrow valley.
+
+    The front's search passes it by.
+    """
     third = scene(
         plant={"companion": [6.0, 11.0, 6.0]},
         observer={"method": "certified", "gamma": 5.0},
@@ -460,7 +475,10 @@ def test_check_of_what_has_no_certificate() -> None:
 
 
 def test_a_slow_plant_needs_no_fast_step() -> None:
-    """Ten thousand seconds of time constant, a step of a hundred: what `Certified` assumes by default is not in the way."""
+    """A time constant of ten thousand seconds, a step of a hundred.
+
+    What `Certified` assumes by default is not in the way.
+    """
     slow = scene(
         plant={"A": [[-1e-4]], "B": [[1e-4]], "C": [[1.0]]},
         reference={"kind": "sine", "amplitude": 5.0, "frequency": 1e-5},

@@ -1,19 +1,26 @@
-"""The closed loop against twins written without the package: events by SciPy in continuous time, a plain loop in sampled time."""
+"""The closed loop against twins written without the package.
+
+They are events by SciPy in continuous time, and a plain loop in sampled time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
+from undeadzone.numerics.event_location import Crossing
 from undeadzone.signals import noise
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.steps import entered, exogenous_at
+from undeadzone.simulation.wiring import Mode
 from undeadzone.support.arrays import Floats
 
 A, B, C = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
@@ -89,9 +96,16 @@ class Twin(NamedTuple):
         found = np.empty((t.size, state.size))
         while True:
             piece = solve_ivp(
-                lambda t, s, side: self.rate(t, s, side, self.branch(s[0], side)), (now, t[-1]), state, "DOP853", args=(side,),
-                events=[crossing(level, direction) for level, direction, _ in exits[side]], rtol=1e-12, atol=1e-13, dense_output=True,
-            )  # fmt: skip
+                lambda t, s, side: self.rate(t, s, side, self.branch(s[0], side)),
+                (now, t[-1]),
+                state,
+                "DOP853",
+                args=(side,),
+                events=[crossing(level, direction) for level, direction, _ in exits[side]],
+                rtol=1e-12,
+                atol=1e-13,
+                dense_output=True,
+            )
             here = (t >= now) & (t <= piece.t[-1])
             if here.any():
                 found[here] = piece.sol(t[here]).T
@@ -153,7 +167,10 @@ def test_continuous_loop_equals_its_event_twin(twin: Twin, controller: dict[str,
 
 
 def test_jump_sensor_equals_its_event_twin() -> None:
-    """The least width seen is kept by a min, whose kink is not located: the widths are less accurate than the state."""
+    """The least width seen is kept by a min, whose kink is not located.
+
+    The widths are less accurate than the state.
+    """
     found = error(Twin(0.8, 1.2, jump=True, start=(0.5, 0.0, 0.0, 0.0, 3.0, 3.0)), 1e-3, 4.0)
     assert found[:4].max() < 1e-8
     assert found[4:].max() < 1e-5
@@ -169,7 +186,10 @@ def test_jump_sensor_equals_its_event_twin() -> None:
     ids=["no threshold guards the zone", "before and after", "jump"],
 )
 def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
-    """The twin judges reading and side anew at each stage of fifty small steps, so that both err by about h^2 at a change of side."""
+    """The twin judges reading and side anew at each stage of fifty small steps.
+
+    Both err by about h^2 at a change of side.
+    """
     step, substeps, steps = 1e-3, 50, 500
     sensor = {
         "right": twin.right,
@@ -211,7 +231,7 @@ def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -
 
 @pytest.mark.parametrize("kinks", [True, False])
 def test_order_is_four_across_kinks_as_away_from_them(kinks: bool) -> None:
-    """Away from the kinks a raised reference holds z on the right, and a low gamma keeps d^ off its bounds."""
+    """Away from the kinks: a raised reference holds z on the right, a low gamma keeps d^ inside."""
     twin, tables = Twin(), {}
     if not kinks:
         tables = {
@@ -241,7 +261,10 @@ def test_order_is_two_with_the_silence_innovation() -> None:
 
 @pytest.mark.parametrize(("width", "bound"), [(1.0, 1e-7), (0.003, 1e-2)])
 def test_reported_integration_error_is_the_error(width: float, bound: float) -> None:
-    """A zone that is crossed within one step is skipped (one change a step is located): less accurate, and reported."""
+    """A zone that is crossed within one step is skipped (one change a step is located).
+
+    That is less accurate, and reported.
+    """
     twin = Twin(width, width, gamma=0.1, start=(0.5, 0.0, 0.0, 0.0, 1.0, 1.0))
     run = simulate(
         scene(
@@ -257,7 +280,10 @@ def test_reported_integration_error_is_the_error(width: float, bound: float) -> 
 
 @pytest.mark.parametrize("silence", [False, True])
 def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
-    """Mismatched model, asymmetric widths, slope, noise, threshold, disturbance, projection; exact hold by A^-1 (Ad - I) B."""
+    """Mismatched model, asymmetric widths, slope, noise, threshold, disturbance, projection.
+
+    The hold is exact, by A^-1 (Ad - I) B.
+    """
     h, steps, right, left, slope, threshold, gamma, limit = (
         0.01,
         1500,
@@ -381,3 +407,25 @@ def test_two_decoupled_outputs_equal_two_loops() -> None:
             < 1e-8
         )
         assert (both.side[:, i] == alone.side[:, 0]).mean() > 0.999
+
+
+def test_exogenous_inputs_run_through_their_three_instants() -> None:
+    """p = 1: five held entries keep their first value, the rest is a parabola."""
+    column = [ca.DM([value, *[value] * 5]) for value in (1.0, 4.0, 11.0)]
+    at = [np.asarray(exogenous_at(column, ca.DM(c), 1)).ravel() for c in (0.0, 0.25, 0.5, 1.0)]
+    assert [value[0] for value in at] == pytest.approx([1.0, 2.0, 4.0, 11.0])
+    assert np.array_equal(np.stack(at)[:, 1:], np.ones((4, 5)))
+    assert float(exogenous_at(column, 0.5, 1)[0]) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("edge", "rising", "zone"),
+    [(1.0, 1, 1.0), (1.0, 0, 0.0), (-0.5, 1, 0.0), (-0.5, 0, -1.0), (0.2, 1, 0.0), (2.0, 0, 1.0)],
+)
+def test_motion_decides_the_zone_on_an_edge(edge: float, rising: int, zone: float) -> None:
+    crossing = Crossing(ca.DM(1), ca.DM(1), ca.DM(1), ca.DM(rising))
+    before = Mode(ca.DM(9), ca.DM(9))
+    after = entered(before, crossing, ca.DM(edge), ca.DM(1.0), ca.DM(0.5))
+    assert (float(after.zone), float(after.side)) == (zone, 1.0)
+    kept = entered(before, crossing._replace(changed=ca.DM(0)), ca.DM(edge), ca.DM(1), ca.DM(1))
+    assert (float(kept.zone), float(kept.side)) == (9.0, 9.0)

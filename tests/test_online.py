@@ -1,4 +1,4 @@
-"""Live use gives what the sampled loop gives, sample by sample, and survives what a real log holds."""
+"""Live use gives what the sampled loop gives, and survives what a real log holds."""
 
 from __future__ import annotations
 

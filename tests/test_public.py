@@ -1,15 +1,24 @@
-"""The public names: each one in the stub can be imported and is documented, and importing the package loads nothing heavy."""
+"""The public names: each can be imported and is documented, and none is forgotten.
+
+Importing the package loads nothing heavy.
+"""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
+import msgspec
 import pytest
 
 import undeadzone
+from undeadzone.controllers import ControllerOptions
+from undeadzone.observers import ObserverOptions
+from undeadzone.scenario.schema import Scenario
 
 STUB = ast.parse(Path(undeadzone.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
 NAMES = [
@@ -32,6 +41,48 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 def test_what_dir_shows_is_the_stub() -> None:
     assert sorted(undeadzone.__all__) == sorted(NAMES)
     assert set(NAMES) <= set(dir(undeadzone))
+
+
+def structs(annotation: typing.Any) -> set[type[msgspec.Struct]]:
+    """The structs that an annotation allows, those of their own fields included."""
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        return {annotation}.union(
+            *[structs(field.type) for field in msgspec.structs.fields(annotation)]
+        )
+    return set().union(*[structs(part) for part in typing.get_args(annotation)])
+
+
+def hidden(kinds: typing.Iterable[type]) -> list[str]:
+    """The names of those that a user cannot reach."""
+    public = {getattr(undeadzone, name) for name in NAMES}
+    return sorted(kind.__name__ for kind in kinds if kind not in public)
+
+
+def test_every_part_of_a_scenario_is_public() -> None:
+    kinds = structs(Scenario)
+    assert set(typing.get_args(ObserverOptions) + typing.get_args(ControllerOptions)) <= kinds
+    assert len(kinds) > 60
+    assert not hidden(kinds)
+
+
+def test_a_part_that_was_forgotten_is_found() -> None:
+    class Forgotten(msgspec.Struct):
+        inner: list[Scenario] | None = None
+
+    assert {Forgotten, Scenario} <= structs(dict[str, Forgotten | None])
+    assert hidden({Forgotten, Scenario}) == ["Forgotten"]
+
+
+def test_what_public_functions_return_is_public() -> None:
+    returned = set()
+    for name in NAMES:
+        public = getattr(undeadzone, name)
+        if not isinstance(public, type) and callable(public):
+            returned |= set(re.findall(r"\w+", public.__annotations__["return"]))
+    elsewhere = {"Any", "Path", "None", "Figure"}  # of Python and matplotlib
+    classes = {name for name in returned if name[0].isupper()} - elsewhere
+    assert {"Run", "Design", "Tuned"} <= classes
+    assert classes <= set(NAMES)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from scenes import scene
 from test_engines import compiled, distance, generated, own_cache, parts  # noqa: F401 (a fixture for all tests here)
 from test_ensemble import table
 from test_report import Auditor
-from undeadzone.cli.run import _told_apart, write
 from undeadzone.engine import interpret
 from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.replay import replay
@@ -32,9 +31,11 @@ from undeadzone.plants.robots.arm import evaluate_rows, torque
 from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
 from undeadzone.report import animation, arm_figures
 from undeadzone.report.figures import overview
+from undeadzone.report.run_files import write_run as write
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import quantised, side
+from undeadzone.simulation.compare import labels as _told_apart
 from undeadzone.simulation.run import FRAMES, Run
 from undeadzone.simulation.simulate import simulate
 

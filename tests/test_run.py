@@ -1,4 +1,4 @@
-"""Runs on disk: exact round trips, complete or absent files, and what is said of files that are neither."""
+"""Runs on disk: exact round trips, complete or absent files, and messages about other ones."""
 
 from __future__ import annotations
 
@@ -119,9 +119,19 @@ def test_measures_of_a_run_by_hand(run: Run) -> None:
     error = np.where(t >= 3.0 - 1e-9, 0.3, 9.0)[:, None]
     column = np.zeros((t.size, 1))
     by_hand = replace(
-        run, t=t, z=column + error, r=column, z_hat=column, x=column, x_hat=column, u=column, side=column, V=np.array([3.0, 1.0, 1.3, 1.2, 1.5] + [0.0] * 5),
-        d_hat=np.hstack([column, column + 2]), info=msgspec.structs.replace(run.info, tracked=[0]),
-    )  # fmt: skip
+        run,
+        t=t,
+        z=column + error,
+        r=column,
+        z_hat=column,
+        x=column,
+        x_hat=column,
+        u=column,
+        side=column,
+        V=np.array([3.0, 1.0, 1.3, 1.2, 1.5] + [0.0] * 5),
+        d_hat=np.hstack([column, column + 2]),
+        info=msgspec.structs.replace(run.info, tracked=[0]),
+    )
     assert by_hand.rms_tracking == pytest.approx(np.sqrt((4 * 0.09 + 81) / 5))
     assert by_hand.rms_estimation == by_hand.rms_tracking
     assert by_hand.largest_rise_of_V == pytest.approx(0.5 / 3)

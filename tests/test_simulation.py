@@ -1,16 +1,24 @@
-"""Runs: what must hold of any simulation, V along them, disturbances and noise, what is reported of a run that goes wrong."""
+"""Runs: what must hold of any simulation, V along them, disturbances and noise.
+
+What goes wrong in a run is reported.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, scene
-from undeadzone.errors import TrackingError
+from undeadzone.errors import InputError, TrackingError
+from undeadzone.observers import Certified, Luenberger
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation import exogenous
+from undeadzone.simulation.compare import compare, labels
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 
@@ -26,7 +34,10 @@ CERTIFIED: dict[str, Any] = {
 
 
 def test_the_repaired_example_tracks_and_finds_its_widths() -> None:
-    """20 s of the paper's example: rms below 1e-3, d^ within 1e-3, V never rises beyond the integration error."""
+    """20 s of the paper's example: rms below 1e-3, d^ within 1e-3.
+
+    V never rises beyond the integration error.
+    """
     run = simulate(scene(simulation={"duration": 20.0}))
     assert run.rms_tracking < 1e-3
     assert run.rms_estimation < 1e-3
@@ -114,9 +125,12 @@ def test_disturbance_enters_at_the_input() -> None:
 def test_random_disturbance_has_its_rms_and_seed(time: str) -> None:
     """x = w filtered: B = C = 1 with a fast pole reads the disturbance itself."""
     tables: dict[str, Any] = {
-        "plant": {"A": [[-100.0]], "B": [[100.0]], "C": [[1.0]]}, "reference": NO_REFERENCE, "controller": IDLE | {"K": [0.0]},
-        "observer": {"method": "luenberger", "L": [0.0]}, "disturbance": {"kind": "random", "rms": 2.0, "correlation_time": 0.2},
-    }  # fmt: skip
+        "plant": {"A": [[-100.0]], "B": [[100.0]], "C": [[1.0]]},
+        "reference": NO_REFERENCE,
+        "controller": IDLE | {"K": [0.0]},
+        "observer": {"method": "luenberger", "L": [0.0]},
+        "disturbance": {"kind": "random", "rms": 2.0, "correlation_time": 0.2},
+    }
 
     def run(seed: int) -> Run:
         return simulate(
@@ -215,3 +229,44 @@ def test_a_reference_that_the_plant_cannot_follow_is_refused() -> None:
     plant = {"transfer_function": {"numerator": [1.0, 0.0], "denominator": [1.0, 2.0, 1.0]}}
     with pytest.raises(TrackingError, match="a zero of the plant at s = 0"):
         simulate(scene(plant=plant, reference={"kind": "step", "amplitude": 1.0}))
+
+
+def test_two_observers_are_compared_on_one_scenario() -> None:
+    naive = Luenberger(L=[1.0, 1.5])
+    scenario = msgspec.structs.replace(scene(simulation={"duration": 2.0}), compare=naive)
+    steps: list[int] = []
+    first, second = compare(scenario, progress=steps.append)
+    alone = simulate(msgspec.structs.replace(scenario, observer=naive))
+    assert (first.name, second.name) == ("certified", "luenberger")
+    assert (first.info.method, second.info.method) == ("certified", "luenberger")
+    assert np.array_equal(first.x, simulate(scenario).x)
+    assert np.array_equal(second.x, alone.x)
+    assert sum(steps) == 2 * (2001 + 4001)
+
+
+def test_without_a_rival_there_is_nothing_to_compare() -> None:
+    with pytest.raises(InputError, match=r"compare: this scenario has no \[compare\]; name there"):
+        compare(scene())
+
+
+def test_labels_prefer_a_switch_and_fall_back_to_the_method() -> None:
+    plain, silent = Certified(gamma=2.0), Certified(gamma=3.0, silence=True)
+    assert labels(plain, Luenberger()) == ("certified", "luenberger")
+    assert labels(plain, Certified(gamma=3.0)) == (
+        "certified, gamma = 2.0",
+        "certified, gamma = 3.0",
+    )
+    assert labels(plain, silent) == ("certified", "certified, silence")
+    assert labels(plain, plain) == ("certified", "certified")
+
+
+@pytest.mark.parametrize("order", [4, 8])
+def test_true_widths_of_a_drifting_zone_do_not_depend_on_the_order(order: int) -> None:
+    """Taylor series hold `order` columns an input where Runge-Kutta holds three instants."""
+    options = {"duration": 2.0, "step": 0.01, "time": "continuous"}
+    drifting = {"right": 1.0, "left": 0.7, "drift": 0.1}
+    plain = resolve_scenario(scene(sensor=drifting, simulation=options))
+    series = resolve_scenario(scene(sensor=drifting, simulation=options | {"order": order}))
+    expected = exogenous.widths(plain, exogenous.exogenous(plain))
+    np.testing.assert_array_equal(exogenous.widths(series, exogenous.exogenous(series)), expected)
+    assert np.ptp(expected[:, 0]) > 0.01

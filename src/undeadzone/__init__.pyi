@@ -1,4 +1,5 @@
 from .analysis.certificate.design_file import Design as Design
+from .analysis.certificate.passivity import Certificate as Certificate
 from .analysis.certificate.passivity import certify as certify
 from .controllers import LQR as LQR
 from .controllers import PD as PD
@@ -22,12 +23,15 @@ from .errors import StepError as StepError
 from .errors import StructureError as StructureError
 from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
+from .interfaces import Estimate as Estimate
+from .linear.matrices import Matrices as Matrices
 from .observers import EKF as EKF
 from .observers import UKF as UKF
 from .observers import AdaptiveInverse as AdaptiveInverse
 from .observers import Auto as Auto
 from .observers import Censored as Censored
 from .observers import Certified as Certified
+from .observers import Extended as Extended
 from .observers import FullState as FullState
 from .observers import FuzzyResidual as FuzzyResidual
 from .observers import HighGain as HighGain
@@ -44,6 +48,7 @@ from .observers import RobustGradient as RobustGradient
 from .observers import SuperTwisting as SuperTwisting
 from .observers import TaylorResidual as TaylorResidual
 from .observers import WalcottZak as WalcottZak
+from .observers.parts.claims import Claims as Claims
 from .observers.parts.width_laws import EModification as EModification
 from .observers.parts.width_laws import Gradient as Gradient
 from .observers.parts.width_laws import LeastSquares as LeastSquares
@@ -56,6 +61,11 @@ from .plants.interop import to_scipy as to_scipy
 from .plants.options import Plant as Plant
 from .plants.options import SecondOrder as SecondOrder
 from .plants.options import TransferFunction as TransferFunction
+from .plants.region import Region as Region
+from .plants.robots.options import URDF as URDF
+from .plants.robots.options import ElasticJoint as ElasticJoint
+from .plants.robots.options import OneLink as OneLink
+from .plants.robots.options import TwoLink as TwoLink
 from .report.figures import plot as plot
 from .scenario.ensemble_table import Distribution as Distribution
 from .scenario.ensemble_table import Vary as Vary
@@ -77,10 +87,15 @@ from .signals.exosystem import Trapezoid as Trapezoid
 from .signals.paths import Circle as Circle
 from .signals.paths import FigureEight as FigureEight
 from .signals.paths import Quintic as Quintic
+from .simulation.compare import compare as compare
 from .simulation.online import Online as Online
 from .simulation.run import Run as Run
 from .simulation.simulate import simulate as simulate
 from .synthesis.check import check as check
+from .synthesis.design import design as design
+from .synthesis.gain_search import Weights as Weights
+from .tuning.result import Tuned as Tuned
+from .tuning.sweep import Sweep as Sweep
 from .tuning.sweep import sweep as sweep
 from .tuning.tune import tune as tune
 

@@ -1,1 +1,1 @@
-"""The arena: every method on every scenario, on the same ground (docs/arena.md)."""
+"""The arena: every method on every scenario, under the same conditions (docs/arena.md)."""

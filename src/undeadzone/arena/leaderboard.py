@@ -1,8 +1,8 @@
-"""From results to ranks: regret against two lines, median and worst over scenarios, with bootstrap intervals."""
+"""From results to ranks: regret against two lines, median and worst, with bootstrap intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -14,18 +14,40 @@ from undeadzone.support.arrays import Floats
 
 FRAME: Final = ("full_state", "luenberger")  # regret 0 and 1
 CAP: Final = 10.0  # regret of a run that diverged, and the largest of any
-REFUSED: Final = 1.0  # regret where a method is not applicable: what is left is the naive observer
+REFUSED: Final = 1.0  # where a method is not applicable: what is left is the naive observer
 RESAMPLES: Final = 2000
+MEANS: Final = ("tracking", "estimation", "coverage")  # of which a row gives the mean over runs
+MEDIANS: Final = ("width", "centre", "effort", "slew")  # of which a row gives the median
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """A method's place.
 
-    median_regret, worst_regret: over scenarios, of the mean over seeds, with 95 % intervals; worst_scenario: where. behind: median over
-    scenarios of the difference to the best contestant on the same scenario and seed, with its interval. Of the runs that did
-    not diverge: tracking: mean rms of z - r [z]; estimation: mean rms of z - z^ [z]; width, centre: median errors where
-    identifiable; coverage: mean; effort, slew: median [u]; None where no run has one. settled, diverged, not_applicable: shares
-    of all runs. cost: of a step, in those of the naive observer, median over scenarios.
+    Regrets are means over seeds. Intervals are those of 95 % confidence. Errors are those of the
+    runs that did not diverge; None where no run has one.
+
+    Attributes:
+        method: its name.
+        reference: whether it is a line to compare with, no contestant.
+        median_regret: over scenarios.
+        median_interval: of the median.
+        worst_regret: over scenarios.
+        worst_interval: of the worst.
+        worst_scenario: where it is worst.
+        diverged: share of all runs.
+        not_applicable: share of all runs.
+        behind: median over scenarios of the difference to the best contestant on the same scenario
+            and seed.
+        behind_interval: of that.
+        settled: share of all runs.
+        tracking: mean rms of z - r [z].
+        estimation: mean rms of z - z^ [z].
+        width: median error of d_r + d_l where identifiable, relative.
+        centre: median error of d_r - d_l where identifiable, relative.
+        coverage: mean share of 95 % intervals that hold the truth.
+        effort: median rms of u [u].
+        slew: median rms of the change of u per step [u].
+        cost: of a step, in those of the naive observer, median over scenarios.
     """
 
     method: str
@@ -51,56 +73,54 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def regrets(results: Sequence[Result]) -> dict[str, Floats]:
-    """Regret (scenarios x seeds) by method: (J - J_full) / (J_naive - J_full), J the rms of z - r, of the same seed; NaN where refused."""
-    scenarios, seeds = (
-        list(dict.fromkeys(r.scenario for r in results)),
-        list(dict.fromkeys(r.seed for r in results)),
-    )
-    J = {
-        name: np.full((len(scenarios), len(seeds)), np.nan)
-        for name in dict.fromkeys(r.method for r in results)
-    }
+    """Regret (scenarios x seeds) by method; NaN where refused.
+
+    It is (J - J_full) / (J_naive - J_full), J the rms of z - r, of the same scenario and seed.
+    """
+    scenarios = list(dict.fromkeys(result.scenario for result in results))
+    seeds = list(dict.fromkeys(result.seed for result in results))
+    shape = len(scenarios), len(seeds)
+    names = dict.fromkeys(result.method for result in results)
+    J = {name: np.full(shape, np.nan) for name in names}
     for result in results:
         if result.worth is not None:
-            J[result.method][scenarios.index(result.scenario), seeds.index(result.seed)] = (
-                np.inf if result.worth.diverged else result.worth.tracking
-            )
+            place = scenarios.index(result.scenario), seeds.index(result.seed)
+            J[result.method][place] = np.inf if result.worth.diverged else result.worth.tracking
     full, naive = (J[name] for name in FRAME)
+    regret = {}
     with np.errstate(invalid="ignore"):
-        return {
-            name: np.where(np.isnan(own), np.nan, np.fmin((own - full) / (naive - full), CAP))
-            for name, own in J.items()
-        }
+        for name, own in J.items():
+            capped = np.fmin((own - full) / (naive - full), CAP)
+            regret[name] = np.where(np.isnan(own), np.nan, capped)
+    return regret
 
 
 def leaderboard(
     results: Sequence[Result], references: Container[str] = (), seed: int = 0
 ) -> list[Row]:
-    """The methods by median regret, of equals by the worst. Where one is not applicable its regret counts REFUSED."""
+    """The methods by median regret, of equals by the worst.
+
+    Where one is not applicable its regret counts REFUSED.
+
+    Args:
+        results: of the runs.
+        references: names of the methods that are lines to compare with.
+        seed: of the resampling.
+    """
     counted = {
         name: np.where(np.isnan(regret), REFUSED, regret)
         for name, regret in regrets(results).items()
     }
     scenarios = list(dict.fromkeys(result.scenario for result in results))
-    times = {name: _times(results, name) for name in counted}
-    medians = {
-        name: (np.median(regret.mean(axis=1)), regret.mean(axis=1).max())
-        for name, regret in counted.items()
-    }
-    best = counted[
-        min(
-            (name for name in counted if name not in references),
-            key=medians.__getitem__,
-            default=FRAME[0],
-        )
-    ]
+    best = counted[_best(counted, references)]
+    naive = _times(results, FRAME[1])
     rows = []
     for name, regret in counted.items():
         own = [result for result in results if result.method == name]
-        (median, worst), (behind, _) = intervals(regret, seed), intervals(regret - best, seed)
-        done = [result.worth for result in own if result.worth is not None]
-        kept = [worth for worth in done if not worth.diverged]
-        ratios = [times[name][scenario] / times[FRAME[1]][scenario] for scenario in times[name]]
+        median, worst = intervals(regret, seed)
+        behind, _ = intervals(regret - best, seed)
+        times = _times(results, name)
+        ratios = [times[scenario] / naive[scenario] for scenario in times]
         rows.append(
             Row(
                 method=name,
@@ -112,44 +132,67 @@ def leaderboard(
                 worst_scenario=scenarios[int(regret.mean(axis=1).argmax())],
                 behind=behind.value,
                 behind_interval=(behind.low, behind.high),
-                diverged=(len(done) - len(kept)) / len(own),
-                not_applicable=1 - len(done) / len(own),
-                settled=sum(worth.settling is not None for worth in kept) / len(own),
                 cost=float(np.median(ratios)) if ratios else None,
-                **{
-                    field: _over(kept, field, np.mean)
-                    for field in ("tracking", "estimation", "coverage")
-                },
-                **{
-                    field: _over(kept, field, np.median)
-                    for field in ("width", "centre", "effort", "slew")
-                },
+                **_averages(own),
             )
         )
     return sorted(rows, key=lambda row: (row.median_regret, row.worst_regret))
 
 
+def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
+    """The contestant of least median regret, of equals that of the least worst one."""
+    best, least = FRAME[0], (np.inf, np.inf)
+    for name, regret in counted.items():
+        each = regret.mean(axis=1)
+        place = (float(np.median(each)), float(each.max()))
+        if name not in references and place < least:
+            best, least = name, place
+    return best
+
+
+def _averages(results: Sequence[Result]) -> dict[str, Any]:
+    """The entries of a row that are averages or shares of a method's runs."""
+    done = [result.worth for result in results if result.worth is not None]
+    kept = [worth for worth in done if not worth.diverged]
+    settled = [worth for worth in kept if worth.settling is not None]
+    total = len(results)
+    return {
+        "diverged": (len(done) - len(kept)) / total,
+        "not_applicable": 1 - len(done) / total,
+        "settled": len(settled) / total,
+        **{field: _over(kept, field, np.mean) for field in MEANS},
+        **{field: _over(kept, field, np.median) for field in MEDIANS},
+    }
+
+
 def _over(
     kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]
 ) -> float | None:
-    values = [value for worth in kept if (value := getattr(worth, field)) is not None]
+    """A statistic of a field over the runs that have it; None where none has."""
+    every = [getattr(worth, field) for worth in kept]
+    values = [value for value in every if value is not None]
     return float(statistic(values)) if values else None
 
 
 def _times(results: Sequence[Result], name: str) -> dict[str, float]:
-    """Seconds per step by scenario: the least of the seeds, since other work on the machine only adds."""
-    found: dict[str, float] = {}
+    """Seconds per step by scenario: the least of the seeds, since other work only adds."""
+    times: dict[str, float] = {}
     for result in results:
         if result.method == name and result.worth is not None:
-            found[result.scenario] = min(result.worth.cost, found.get(result.scenario, np.inf))
-    return found
+            before = times.get(result.scenario, np.inf)
+            times[result.scenario] = min(result.worth.cost, before)
+    return times
 
 
 def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
-    """Median and largest over scenarios of the mean over seeds (regret: scenarios x seeds), with their bootstrap intervals.
+    """Median and largest over scenarios of the mean over seeds, with their bootstrap intervals.
 
-    Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that of these very
-    scenarios: resampled ones could only leave it out.
+    Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that
+    of these very scenarios: resampled ones could only leave it out.
+
+    Args:
+        regret: (scenarios x seeds).
+        seed: of the resampling.
     """
     rng = np.random.default_rng(seed)
     rows, columns = regret.shape
@@ -158,7 +201,9 @@ def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
     again = np.take_along_axis(means, rng.integers(0, rows, (RESAMPLES, rows)), axis=1)
     each = regret.mean(axis=1)
     ends = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    median_ends = np.quantile(np.median(again, axis=1), ends).tolist()
+    worst_ends = np.quantile(means.max(axis=1), ends).tolist()
     return (
-        Interval(float(np.median(each)), *np.quantile(np.median(again, axis=1), ends).tolist()),
-        Interval(float(each.max()), *np.quantile(means.max(axis=1), ends).tolist()),
+        Interval(float(np.median(each)), *median_ends),
+        Interval(float(each.max()), *worst_ends),
     )

@@ -20,13 +20,21 @@ SURE: Final = 1.959963984540054  # standard deviations of a 95 % interval
 
 
 class Worth(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one run; errors are root mean squares over its last fifth.
+    """What one run is worth; errors are root mean squares over its last fifth.
 
-    tracking: z - r of the tracked outputs, the true z [z]; estimation: z - z^ [z]; width, centre: |error| of d_r + d_l, of
-    d_r - d_l at the end, relative to the true d_r + d_l, None where the run's readings cannot tell or the method does not
-    try; coverage: share of claimed 95 % intervals of widths that hold the truth at the end, None without claims; settling [s]: from
-    when on |z - r| stays within a tenth of the largest |r|, None if never; effort, slew: rms of u and of its change
-    per step [u]; cost [s]: of a step, measured; diverged: a signal left +-1e12 or was no number.
+    Attributes:
+        tracking: z - r of the tracked outputs, the true z [z].
+        estimation: z - z^ [z].
+        width: |error| of d_r + d_l at the end, relative to the true d_r + d_l; None where the run's
+            readings cannot tell or the method does not try.
+        centre: |error| of d_r - d_l at the end, likewise.
+        coverage: share of claimed 95 % intervals of widths that hold the truth at the end; None
+            without claims.
+        settling: from when on |z - r| stays within a tenth of the largest |r| [s]; None: never.
+        effort: rms of u [u].
+        slew: rms of the change of u per step [u].
+        cost: of a step, measured [s].
+        diverged: whether a signal left +-1e12 or was no number.
     """
 
     tracking: float
@@ -42,7 +50,15 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one method on one scenario with one seed; worth: None where the method is not applicable, for the reason that it gives."""
+    """The result of one method on one scenario with one seed.
+
+    Attributes:
+        method: its name.
+        scenario: its name.
+        seed: of the run.
+        worth: what the run is worth; None where the method is not applicable.
+        reason: that the method gives for not being applicable.
+    """
 
     method: str
     scenario: str
@@ -52,21 +68,20 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
-    """The worth of a run: its signals, and its true widths at the end (2 x p)."""
+    """The worth of a run.
+
+    Args:
+        problem: what was simulated.
+        out: its signals (a row per sample).
+        truth: true widths at the end (2 x p) [z].
+        cost: of a step [s].
+    """
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
     tail = slice(int((1 - TAIL) * len(t)), None)
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
-        diverged = not bool(
-            (
-                np.abs(
-                    np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left, out.u])
-                )
-                < LIMIT
-            ).all()
-        )
-        outside = np.flatnonzero(~(np.abs(error).max(axis=1) <= SETTLED * np.abs(r).max()))
+        diverged = _diverged(out)
         width, centre = (None, None) if diverged else _widths(problem, out, truth)
         return Worth(
             tracking=rms(error[tail]),
@@ -74,11 +89,7 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
             width=width,
             centre=centre,
             coverage=None if diverged else _coverage(out, truth),
-            settling=0.0
-            if not outside.size
-            else float(t[outside[-1] + 1])
-            if outside[-1] < tail.start
-            else None,
+            settling=_settling(t, error, r, tail.start),
             effort=rms(out.u),
             slew=rms(np.diff(out.u, axis=0)),
             cost=cost,
@@ -91,32 +102,49 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def _diverged(out: Outputs) -> bool:
+    """Whether a signal left +-LIMIT or was no number."""
+    estimate = out.estimate
+    signals = np.hstack([out.x, estimate.x, estimate.right, estimate.left, out.u])
+    return not bool((np.abs(signals) < LIMIT).all())
+
+
+def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
+    """From when on the error stays small [s]; None if it does not before the tail begins."""
+    small = np.abs(error).max(axis=1) <= SETTLED * np.abs(r).max()
+    outside = np.flatnonzero(~small)
+    if not outside.size:
+        return 0.0
+    return float(t[outside[-1] + 1]) if outside[-1] < tail else None
+
+
 def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None, float | None]:
+    """The errors of d_r + d_l and of d_r - d_l at the end, relative, where they can be known."""
     estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
     schedule = recorded(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
-    told = verdicts(
-        linear,
-        schedule,
-        unknown_bias(problem.scenario.disturbance, linear.B),
-        sensor.kind == "jump",
-    )
+    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
     off, size = estimated[-1] - truth, truth.sum(axis=0)
-    errors = {"width": np.abs(off.sum(axis=0)) / size, "centre": np.abs(off[0] - off[1]) / size}
+    width = np.abs(off.sum(axis=0)) / size
+    centre = np.abs(off[0] - off[1]) / size
+    width_known = np.array([verdict.width for verdict in judged])
+    centre_known = np.array([verdict.centre for verdict in judged])
+    return _mean(width[width_known]), _mean(centre[centre_known])
 
-    def mean(name: str) -> float | None:
-        known = np.array([getattr(verdict, name) for verdict in told])
-        return float(errors[name][known].mean()) if known.any() else None
 
-    return mean("width"), mean("centre")
+def _mean(values: Floats) -> float | None:
+    """The mean; None of nothing."""
+    return float(values.mean()) if values.size else None
 
 
 def _coverage(out: Outputs, truth: Floats) -> float | None:
-    if not out.estimate.right_std.size:
+    """The share of claimed 95 % intervals of widths that hold the truth at the end (2 x p)."""
+    estimate = out.estimate
+    if not estimate.right_std.size:
         return None
-    off = np.abs(np.stack([out.estimate.right[-1], out.estimate.left[-1]]) - truth)
-    return float(
-        (off <= SURE * np.stack([out.estimate.right_std[-1], out.estimate.left_std[-1]])).mean()
-    )
+    off = np.abs(np.stack([estimate.right[-1], estimate.left[-1]]) - truth)
+    std = np.stack([estimate.right_std[-1], estimate.left_std[-1]])
+    return float((off <= SURE * std).mean())

@@ -1,4 +1,7 @@
-"""What a method may know of a scenario: the believed model, the sensor but for its widths, and what is declared; never the truth."""
+"""What a method may know of a scenario; never the truth.
+
+That is the model, the sensor but for its widths, and what the scenario declares.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,25 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
-VAGUE: Final = 3.0  # largest width of the scenario's own sensor, in which its widths are taken to lie where nothing is declared
+# In largest widths of the scenario's own sensor: where its widths lie if nothing is declared.
+VAGUE: Final = 3.0
 MARGIN: Final = 1.2  # beyond what the reference asks for
-SWING: Final = 0.5  # rms, in largest widths, by which a disturbance of which nothing is declared moves z in a quarter period
+# In largest widths: the rms by which a disturbance of which nothing is declared moves z in a
+# quarter period.
+SWING: Final = 0.5
 
 
 class PriorKnowledge(NamedTuple):
-    """kind: of the sensor; declared; model: sampled if the simulation is; widths: declared ranges of all d_r, then all d_l (2p x 2) [z].
+    """What a method may know of a scenario.
 
-    reach: how far |z|, |z'|, ... may go, from the reference and the widths (relative degree) [z, z/s, ...].
-    loop_rate: geometric mean of the closed loop's poles [1/s].
+    Attributes:
+        kind: of the sensor.
+        declared: the claims of the scenario.
+        model: sampled if the simulation is.
+        widths: declared ranges of all d_r, then all d_l (2p x 2) [z].
+        reach: how far |z|, |z'|, ... may go, from the reference and the widths (relative degree)
+            [z, z/s, ...].
+        loop_rate: geometric mean of the closed loop's poles [1/s].
     """
 
     kind: str
@@ -66,11 +78,8 @@ class PriorKnowledge(NamedTuple):
     @property
     def correlation(self) -> float:
         """The correlation time of the disturbance [s]."""
-        return (
-            self.quarter
-            if self.declared.correlation_time is None
-            else self.declared.correlation_time
-        )
+        declared = self.declared.correlation_time
+        return self.quarter if declared is None else declared
 
     @property
     def bias(self) -> float:
@@ -88,10 +97,12 @@ class PriorKnowledge(NamedTuple):
 
     @property
     def white(self) -> float:
-        """The rms of a disturbance that is new at every sample and moves the state as far as bias and gusts do [u]."""
-        return math.hypot(self.disturbance_rms, self.bias) * math.sqrt(
-            2 * self.correlation / (self.model.Ts or self.correlation)
-        )
+        """The rms of a disturbance that is new at every sample [u].
+
+        It moves the state as far as bias and gusts do.
+        """
+        samples = 2 * self.correlation / (self.model.Ts or self.correlation)
+        return math.hypot(self.disturbance_rms, self.bias) * math.sqrt(samples)
 
     def gain(self, speed: float) -> Floats:
         """L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
@@ -121,63 +132,66 @@ class Setting(NamedTuple):
 
 
 def situation(scenario: Scenario) -> Setting:
-    """What is known of a scenario. Raises InputError and its kinds."""
+    """A scenario with what is known of it. Raises InputError or a subclass."""
     problem = resolve_scenario(scenario)
-    given = declaration(scenario)
-    widths = ranges(given.right, given.left, problem.model.p)
-    return Setting(
-        scenario,
-        PriorKnowledge(
-            scenario.sensor.kind,
-            given,
-            problem.model,
-            widths,
-            _reach(problem, float(widths.max())),
-            _loop_rate(problem),
-        ),
+    claims = declaration(scenario)
+    widths = ranges(claims.right, claims.left, problem.model.p)
+    prior = PriorKnowledge(
+        kind=scenario.sensor.kind,
+        declared=claims,
+        model=problem.model,
+        widths=widths,
+        reach=_reach(problem, float(widths.max())),
+        loop_rate=_loop_rate(problem),
     )
+    return Setting(scenario, prior)
 
 
 def declaration(scenario: Scenario) -> Claims:
-    """What the scenario declares; else what its observer is told; else that widths lie between 0 and VAGUE times the largest."""
+    """What the scenario declares.
+
+    Where it declares nothing, what its observer claims; else that widths lie between 0 and VAGUE
+    times the largest.
+    """
     if scenario.declared is not None:
         return scenario.declared
-    observer = scenario.observer
-    told = {
-        name: value
-        for name in Claims.__struct_fields__
-        if (value := getattr(observer, name, None)) is not None
-    }
-    if "right" in told:
-        return Claims(**told)
+    observer, sensor = scenario.observer, scenario.sensor
+    every = {name: getattr(observer, name, None) for name in Claims.__struct_fields__}
+    claims = {name: value for name, value in every.items() if value is not None}
+    if "right" in claims:
+        return Claims(**claims)
     most = getattr(observer, "width_max", None)
-    limit = (
-        VAGUE * max(np.max(scenario.sensor.right), np.max(scenario.sensor.left))
-        if most is None
-        else np.max(most)
-    )
+    if most is None:
+        limit = VAGUE * max(np.max(sensor.right), np.max(sensor.left))
+    else:
+        limit = np.max(most)
     return Claims(right=np.array([0.0, float(limit)]))
 
 
 def _reach(problem: Problem, width: float) -> Floats:
-    """MARGIN times the largest |r|, |r'|, ... over the tracked outputs, as many as one output has derivatives that no input moves; z wider by a width."""
+    """MARGIN times the largest |r|, |r'|, ... over the tracked outputs; z wider by a width.
+
+    They are as many as one output has derivatives that no input moves.
+    """
     flow, t = problem.flow.linear, np.arange(problem.steps + 1) * problem.scenario.simulation.step
     order, row = 1, flow.C
     while order < problem.model.n and np.allclose(row @ flow.B, 0.0):
         order, row = order + 1, row @ flow.A
-    found = np.array([np.abs(problem.reference.value(t, k)).max() for k in range(order)])
-    return MARGIN * found + width * (np.arange(order) == 0)
+    largest = np.array([np.abs(problem.reference.value(t, k)).max() for k in range(order)])
+    return MARGIN * largest + width * (np.arange(order) == 0)
 
 
 def _loop_rate(problem: Problem) -> float:
-    """Of the poles of A - B K; ten times the plant's fastest where the controller has no K."""
-    K = problem.controller.K
+    """The geometric mean of the poles of A - B K [1/s].
+
+    It is ten times the plant's fastest where the controller has no K.
+    """
+    K, model = problem.controller.K, problem.model
     if K is None:
-        return 10 * fastest_pole(problem.model)
-    poles = np.linalg.eigvals(problem.model.linear.A - problem.model.linear.B @ K)
-    rates = (
-        np.abs(poles)
-        if problem.model.Ts is None
-        else np.abs(np.log(poles.astype(complex))) / problem.model.Ts
-    )
+        return 10 * fastest_pole(model)
+    poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)
+    if model.Ts is None:
+        rates = np.abs(poles)
+    else:
+        rates = np.abs(np.log(poles.astype(complex))) / model.Ts
     return float(np.exp(np.log(np.maximum(rates, 1e-9)).mean()))

@@ -14,14 +14,17 @@ from undeadzone.scenario.schema import Scenario
 
 
 def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
-    """The arena's own scenarios, by file name without its suffix. Each method takes the place of their observer."""
+    """The arena's own scenarios, by file name without its suffix.
+
+    Each method takes the place of their observer.
+    """
     with as_file(files("undeadzone.arena") / "scenarios" / kind) as folder:
         return {path.stem: read(path) for path in sorted(folder.glob("*.toml"))}
 
 
-def given(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
-    """Scenarios of one's own, likewise. Raises FileError, InputError."""
-    found = {Path(path).stem: read(path) for path in paths}
-    if len(found) < len(paths):
+def from_files(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
+    """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError."""
+    own = {Path(path).stem: read(path) for path in paths}
+    if len(own) < len(paths):
         raise InputError("arena: two scenarios have the same file name; rename one")
-    return found
+    return own

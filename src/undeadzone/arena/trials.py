@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.arena.entry import entered
+from undeadzone.arena.entry import numbers as built_in
 from undeadzone.arena.leaderboard import FRAME
-from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, entered, require
-from undeadzone.arena.methods import numbers as built_in
+from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, require
 from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of
@@ -25,10 +26,20 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import closed, named
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+
+FEW: Final = 8  # trials for which a process is worth starting
+
+
+class _TrialRun(NamedTuple):
+    """A run: its signals, true widths at the end (2 x p), and seconds per step."""
+
+    out: Outputs
+    truth: Floats
+    cost: float
 
 
 def trial(
@@ -39,60 +50,82 @@ def trial(
     seeds: Sequence[int],
     numbers: Mapping[str, float] = NOTHING,
 ) -> list[Result]:
-    """A method on a scenario, a run per seed; that the method refuses it is a result."""
+    """A method on a scenario, a run per seed; that the method refuses it is a result.
+
+    Args:
+        name: of the method.
+        method: what is tried.
+        title: of the scenario.
+        ground: the scenario, and what may be known of it.
+        seeds: of the runs.
+        numbers: of the method's knobs, by address.
+    """
     try:
         problem = resolve_scenario(entered(method, ground, numbers))
     except (UndeadzoneError, np.linalg.LinAlgError) as error:
+        reason = str(error)
         return [
-            Result(method=name, scenario=title, seed=seed, worth=None, reason=str(error))
+            Result(method=name, scenario=title, seed=seed, worth=None, reason=reason)
             for seed in seeds
         ]
-    runs = zip(seeds, _runs(problem, seeds), strict=True)
-    return [
-        Result(method=name, scenario=title, seed=seed, worth=worth(problem, *run))
-        for seed, run in runs
-    ]
+    results = []
+    for seed, run in zip(seeds, _runs(problem, seeds), strict=True):
+        value = worth(problem, run.out, run.truth, run.cost)
+        results.append(Result(method=name, scenario=title, seed=seed, worth=value))
+    return results
 
 
 def signals(problem: Problem, seed: int) -> Outputs:
     """The signals of one run."""
-    return next(iter(_runs(problem, [seed])))[0]
+    return next(iter(_runs(problem, [seed]))).out
 
 
-def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[tuple[Outputs, Floats, float]]:
-    """(signals, true widths at the end (2 x p), seconds per step) of each run."""
+def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
+    """The runs of a problem."""
     observer = problem.observer
     loop = None if isinstance(observer, NumericObserver) else closed(problem)
     for seed in seeds:
         exogenous = inputs.exogenous(problem, seed=seed)
         began = time.perf_counter()
         if isinstance(observer, NumericObserver):
-            simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
-            seeded = problem._replace(
-                scenario=msgspec.structs.replace(problem.scenario, simulation=simulation)
-            )
-            out = live.run_sample_by_sample(seeded, observer, exogenous)
+            out = live.run_sample_by_sample(_seeded(problem, seed), observer, exogenous)
         else:
             assert loop is not None
-            state = tree.pack(loop.state._replace(plant=problem.x0))
-            out = named(loop, interpret.run(loop.step, state, exogenous, tree.pack(loop.params))[0])
-        yield (
-            out,
-            inputs.widths(problem, exogenous)[-1],
-            (time.perf_counter() - began) / len(exogenous),
-        )
+            out = _interpreted(loop, problem, exogenous)
+        truth = inputs.widths(problem, exogenous)[-1]
+        yield _TrialRun(out, truth, (time.perf_counter() - began) / len(exogenous))
 
 
-FEW: Final = 8  # trials for which a process is worth starting
+def _seeded(problem: Problem, seed: int) -> Problem:
+    """The problem with another seed."""
+    simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
+    scenario = msgspec.structs.replace(problem.scenario, simulation=simulation)
+    return problem._replace(scenario=scenario)
+
+
+def _interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
+    """The outputs of a loop on CasADi's virtual machine."""
+    state = tree.pack(loop.state._replace(plant=problem.x0))
+    outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    return named(loop, outputs)
 
 
 class Job(NamedTuple):
-    """A trial to be done: all that a process is sent. method: None for that of this name in the catalogue."""
+    """A trial to be done: all that a process is sent.
+
+    Attributes:
+        name: of the method.
+        method: the method; None: that of this name in the catalogue.
+        title: of the scenario.
+        scenario: the scenario.
+        seeds: of the runs.
+        numbers: of the method's knobs, by address.
+    """
 
     name: str
     method: Method | None
-    scenario: str
-    given: Scenario
+    title: str
+    scenario: Scenario
     seeds: tuple[int, ...]
     numbers: Mapping[str, float]
 
@@ -106,34 +139,56 @@ def score(
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Result]:
-    """The results of methods (default: all) on scenarios (default: those held out), with the two lines that make a regret (FRAME).
+    """The results of methods on scenarios, with the two lines that make a regret (FRAME).
 
-    methods: names in the catalogue, or methods of one's own by name, which run in this process. numbers: of their knobs
-    (default: those that come with the package). processes: default one per processor. progress: told of the runs just done. Raises InputError and its kinds.
+    Args:
+        methods: names in the catalogue, or methods of one's own by name, which run in this
+            process; None: all of the catalogue.
+        scenarios: by name; None: those held out.
+        seeds: of the runs of each method on each scenario.
+        numbers: of the knobs, by method; None: those that come with the package.
+        processes: at once; None: one per processor.
+        progress: called with the number of runs just done.
+
+    Raises:
+        InputError: or a subclass.
     """
     own = methods if isinstance(methods, Mapping) else {}
-    named = (
-        list(catalogue()) if methods is None else [] if own else [require(name) for name in methods]
-    )
-    names = list(dict.fromkeys([*FRAME, *named, *own]))
+    names = list(dict.fromkeys([*FRAME, *_names(methods)]))
     values = built_in() if numbers is None else numbers
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
-    jobs = [
-        Job(name, own.get(name), title, given, tuple(seeds), dict(values.get(name, {})))
-        for title, given in grounds.items()
-        for name in names
-    ]
-    found: list[list[Result]] = [[] for _ in jobs]
+    jobs = []
+    for title, scenario in grounds.items():
+        for name in names:
+            knobs = dict(values.get(name, {}))
+            jobs.append(Job(name, own.get(name), title, scenario, tuple(seeds), knobs))
+    by_job: list[list[Result]] = [[] for _ in jobs]
     for k, results in _done(jobs, 1 if own else processes):
-        found[k] = results
+        by_job[k] = results
         if progress is not None:
             progress(len(results))
-    return [result for results in found for result in results]
+    every: list[Result] = []
+    for results in by_job:
+        every += results
+    return every
+
+
+def _names(methods: Sequence[str] | Mapping[str, Method] | None) -> list[str]:
+    """The names of methods. Raises InputError for one that is not in the catalogue."""
+    if methods is None:
+        return list(catalogue())
+    if isinstance(methods, Mapping):
+        return list(methods)
+    return [require(name) for name in methods]
 
 
 def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, list[Result]]]:
-    """Results by number of the job, as they come; processes are started anew, so that nothing is inherited."""
-    count = min(len(jobs) // FEW, (os.cpu_count() or 1) if processes is None else processes)
+    """Results by number of the job, as they come.
+
+    Processes are started anew, so that nothing is inherited.
+    """
+    allowed = (os.cpu_count() or 1) if processes is None else processes
+    count = min(len(jobs) // FEW, allowed)
     if count <= 1:
         yield from ((k, _try(job)) for k, job in enumerate(jobs))
         return
@@ -148,5 +203,6 @@ def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, lis
 
 
 def _try(job: Job) -> list[Result]:
+    """The results of a job."""
     method = catalogue()[job.name] if job.method is None else job.method
-    return trial(job.name, method, job.scenario, situation(job.given), job.seeds, job.numbers)
+    return trial(job.name, method, job.title, situation(job.scenario), job.seeds, job.numbers)

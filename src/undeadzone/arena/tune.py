@@ -1,4 +1,4 @@
-"""Fair tuning: the same budget of candidates for every method, on the same runs of the tuning scenarios."""
+"""Fair tuning: the same budget of candidates for every method, on the same runs of scenarios."""
 
 from __future__ import annotations
 
@@ -34,26 +34,32 @@ def tune(
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Tuned:
-    """The numbers of each method's knobs that make its mean regret small; progress is told of methods done. Raises InputError and its kinds."""
-    given = {title: situation(scenario) for title, scenario in grounds.items()}
+    """The numbers of each method's knobs that make its mean regret small.
+
+    Args:
+        names: of the methods.
+        grounds: scenarios to tune on, by name.
+        budget: candidates of each method.
+        seeds: of the runs.
+        search: seed of the evolution.
+        processes: at once; None: one per processor.
+        progress: called with the number of methods just done.
+
+    Raises:
+        InputError: or a subclass.
+    """
     known = catalogue()
-    frame = [
-        result
-        for name in FRAME
-        for title, ground in given.items()
-        for result in trial(name, known[name], title, ground, seeds)
-    ]
-    found: dict[str, Found] = {}
-    with ProcessPoolExecutor(
-        os.cpu_count() if processes is None else processes, get_context("spawn")
-    ) as pool:
-        waiting = {
-            pool.submit(_search, name, dict(grounds), frame, budget, tuple(seeds), search): name
-            for name in names
-            if known[name].knobs
-        }
+    frame = _frame(grounds, seeds)
+    methods: dict[str, Found] = {}
+    count = os.cpu_count() if processes is None else processes
+    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        waiting = {}
+        for name in names:
+            if known[name].knobs:
+                arguments = name, dict(grounds), frame, budget, tuple(seeds), search
+                waiting[pool.submit(_search, *arguments)] = name
         for future in as_completed(waiting):
-            found[waiting[future]] = future.result()
+            methods[waiting[future]] = future.result()
             if progress is not None:
                 progress(1)
     return Tuned(
@@ -61,8 +67,19 @@ def tune(
         seeds=list(seeds),
         search=search,
         scenarios=list(grounds),
-        methods={name: found[name] for name in names if name in found},
+        methods={name: methods[name] for name in names if name in methods},
     )
+
+
+def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
+    """The results of the two lines that make a regret."""
+    settings = {title: situation(scenario) for title, scenario in grounds.items()}
+    known = catalogue()
+    results: list[Result] = []
+    for name in FRAME:
+        for title, setting in settings.items():
+            results += trial(name, known[name], title, setting, seeds)
+    return results
 
 
 def _search(
@@ -73,47 +90,59 @@ def _search(
     seeds: Sequence[int],
     search: int,
 ) -> Found:
+    """The numbers of one method's knobs, found in a process of its own."""
     grounds = {title: situation(scenario) for title, scenario in scenarios.items()}
     method = catalogue()[name]
-    return best(
-        method, lambda numbers: mean_regret(method, grounds, frame, seeds, numbers), budget, search
-    )
+
+    def cost(numbers: Mapping[str, float]) -> float:
+        return mean_regret(method, grounds, frame, seeds, numbers)
+
+    return best(method, cost, budget, search)
 
 
 def best(
     method: Method, cost: Callable[[Mapping[str, float]], float], budget: int, search: int
 ) -> Found:
-    """The cheapest of `budget` candidates: evolution from the middle of the ranges, on logarithmic scales; a grid for a single knob."""
-    tried: list[tuple[float, dict[str, float]]] = []
+    """The cheapest of `budget` candidates.
+
+    They come from an evolution that begins in the middle of the ranges, on logarithmic scales; from
+    a grid for a single knob.
+
+    Args:
+        method: whose knobs.
+        cost: cost(numbers) is made small.
+        budget: how many candidates.
+        search: seed of the evolution.
+    """
+    centre = middle(method)
+    tried: list[tuple[float, dict[str, float]]] = [(cost(centre), centre)]
 
     def costs(shares: Floats) -> Floats:
+        """Of candidates (b, d) as shares of the ranges; inf for those beyond the budget."""
         for row in shares[: budget - len(tried)]:
-            numbers = {
-                address: float(knob.low * (knob.high / knob.low) ** u)
-                for (address, knob), u in zip(method.knobs.items(), row, strict=True)
-            }
+            numbers = _numbers(method, row)
             tried.append((cost(numbers), numbers))
-        fresh = [each for each, _ in tried[-len(shares) :]]
+        fresh = [value for value, _ in tried[-len(shares) :]]
         return np.array(fresh + [np.inf] * (len(shares) - len(fresh)))
 
-    tried.append((cost(middle(method)), middle(method)))
     d = len(method.knobs)
     if d == 1:
         costs(np.linspace(0.0, 1.0, budget - 1)[:, None])
     else:
         size = 4 + int(3 * np.log(d))
-        evolve(
-            costs,
-            np.zeros(d),
-            np.ones(d),
-            search,
-            size,
-            -(-(budget - 1) // size),
-            np.full(d, 0.5),
-            SPREAD,
-        )
+        rounds = -(-(budget - 1) // size)  # rounded up
+        evolve(costs, np.zeros(d), np.ones(d), search, size, rounds, np.full(d, 0.5), SPREAD)
     regret, numbers = min(tried, key=lambda each: each[0])
     return Found(regret=regret, before=tried[0][0], candidates=len(tried), knobs=numbers)
+
+
+def _numbers(method: Method, shares: Floats) -> dict[str, float]:
+    """The numbers of a method's knobs at shares of their ranges, on logarithmic scales."""
+    knobs = zip(method.knobs.items(), shares, strict=True)
+    return {
+        address: float(knob.low * (knob.high / knob.low) ** share)
+        for (address, knob), share in knobs
+    }
 
 
 def mean_regret(
@@ -123,11 +152,20 @@ def mean_regret(
     seeds: Sequence[int],
     numbers: Mapping[str, float],
 ) -> float:
-    """Over scenarios and seeds; CAP where the method is not applicable with these numbers, lest it be tuned to refuse what is hard."""
-    own = [
-        result
-        for title, ground in grounds.items()
-        for result in trial("own", method, title, ground, seeds, numbers)
-    ]
-    found = regrets([*frame, *own])["own"]
-    return float(np.where(np.isnan(found), CAP, found).mean())
+    """The mean regret of a method over scenarios and seeds.
+
+    It counts CAP where the method is not applicable with these numbers, lest it be tuned to refuse
+    what is hard.
+
+    Args:
+        method: what is tried.
+        grounds: scenarios by name, and what may be known of them.
+        frame: results of the two lines that make a regret.
+        seeds: of the runs.
+        numbers: of the method's knobs, by address.
+    """
+    own: list[Result] = []
+    for title, ground in grounds.items():
+        own += trial("own", method, title, ground, seeds, numbers)
+    regret = regrets([*frame, *own])["own"]
+    return float(np.where(np.isnan(regret), CAP, regret).mean())

@@ -10,9 +10,21 @@ from undeadzone.errors import FileError
 from undeadzone.support import toml
 from undeadzone.support.files import reason, write_text
 
+HEAD = (
+    "# Written by undeadzone arena --tune. Knobs are counted in the units that "
+    "undeadzone/arena/methods.py names.\n"
+)
+
 
 class Found(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Of one method. regret: mean over the tuning scenarios; before: with every knob in the middle of its range; knobs: in the units of `situation.UNITS`."""
+    """What tuning found of one method.
+
+    Attributes:
+        regret: mean over the tuning scenarios.
+        before: the same with every knob in the middle of its range.
+        candidates: how many were tried.
+        knobs: the numbers found, in the units of `prior_knowledge.UNITS`.
+    """
 
     regret: float
     before: float
@@ -21,7 +33,15 @@ class Found(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """budget: candidates of each method; seeds: of the runs; search: of the evolution; scenarios: tuned on."""
+    """What tuning found of all methods, and how.
+
+    Attributes:
+        budget: candidates of each method.
+        seeds: of the runs.
+        search: seed of the evolution.
+        scenarios: names of those tuned on.
+        methods: what was found, by method.
+    """
 
     budget: int
     seeds: list[int]
@@ -30,12 +50,14 @@ class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     methods: dict[str, Found]
 
 
-def save(found: Tuned, path: Path) -> Path:
-    """Write the numbers; of methods that were not tuned now, those already in the file stay. Raises FileError."""
+def save(tuned: Tuned, path: Path) -> Path:
+    """Write the numbers. Raises FileError.
+
+    Of methods that were not tuned now, those already in the file stay.
+    """
     kept = load(path).methods if path.is_file() else {}
-    methods = dict(sorted((kept | found.methods).items()))
-    head = "# Written by undeadzone arena --tune. Knobs are counted in the units that undeadzone/arena/methods.py names.\n"
-    return write_text(head + toml.dumps(msgspec.structs.replace(found, methods=methods)), path)
+    methods = dict(sorted((kept | tuned.methods).items()))
+    return write_text(HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods)), path)
 
 
 def load(path: Path) -> Tuned:

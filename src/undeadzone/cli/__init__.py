@@ -20,11 +20,11 @@ from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 from undeadzone.errors import UndeadzoneError
 
-DONE, BAD_INPUT = 0, 2
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(undeadzone.__version__, prog_name="undeadzone")
+@click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:
     """See through a sensor's dead zone.
 
@@ -32,14 +32,15 @@ def group() -> None:
     undeadzone paper                  run the paper's example, check its claims, draw its figures
     undeadzone init mine.toml         write a commented scenario to start from
     undeadzone run mine.toml          simulate your plant, sensor, observer and controller
-    undeadzone check mine.toml        judge the observer's gains: proof, rate, what can be known
+    undeadzone check mine.toml        assess the observer's gains: proof, rate, what can be known
     undeadzone design mine.toml       find gains with a proof, and the trade between rate and noise
     undeadzone ensemble mine.toml     run it thousands of times with what may vary
     undeadzone tune mine.toml         find the gains that do best over such runs
     undeadzone arena mine.toml        compare all methods on it
     undeadzone watch mine.toml < log  estimate from samples as they come
 
-    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable); 2 bad input.
+    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
+    2 bad input.
     """
 
 
@@ -49,7 +50,8 @@ for command in (paper, run, ensemble, tune, arena, check, design, init, watch):
 
 def main() -> None:
     """Entry point: run a command, turn errors into one line on stderr and an exit code."""
-    # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage collection only delay it.
+    # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage
+    # collection only delay it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     try:
@@ -59,25 +61,25 @@ def main() -> None:
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        where = (
-            f"{error.ctx.command_path}: "
-            if isinstance(error, click.UsageError) and error.ctx
-            else "undeadzone: "
-        )
-        click.echo(where + error.format_message(), err=True)
+        click.echo(f"{_where(error)}: {error.format_message()}", err=True)
         sys.exit(BAD_INPUT)
     except UndeadzoneError as error:
         click.echo(f"undeadzone: {error}", err=True)
         sys.exit(BAD_INPUT)
     except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
-        click.echo(
-            ": ".join(filter(None, ("undeadzone: interrupted", str(error.__cause__ or error)))),
-            err=True,
-        )
-        sys.exit(130)
+        message = str(error.__cause__ or error)
+        click.echo(": ".join(filter(None, ("undeadzone: interrupted", message))), err=True)
+        sys.exit(INTERRUPTED)
     except OSError as error:  # of stdout: files have errors of their own
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(DONE)
         click.echo(f"undeadzone: stdout: cannot write: {error.strerror}", err=True)
         sys.exit(BAD_INPUT)
+
+
+def _where(error: click.ClickException) -> str:
+    """The command that an error is of."""
+    if isinstance(error, click.UsageError) and error.ctx:
+        return error.ctx.command_path
+    return "undeadzone"

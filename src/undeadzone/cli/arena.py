@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,6 +16,18 @@ if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
 
 FOLDER = Path("arena-results")
+HEAD = (
+    "",
+    "method",
+    "median regret",
+    "behind the best",
+    "worst regret",
+    "worst where",
+    "diverged",
+    "n/a",
+    "rms z - r",
+    "coverage",
+)
 
 
 @click.command(
@@ -81,30 +93,44 @@ FOLDER = Path("arena-results")
     help="At once (default: one per processor).",
 )
 def arena(
-    scenarios: tuple[Path, ...], methods: str | None, seeds: int, html: bool, out: Path | None, as_json: bool,
-    tuning: bool, budget: int, tuned: Path | None, processes: int | None,
-) -> int:  # fmt: skip
-    """Compare methods: each in the place of the scenario's observer, told only what the scenario declares.
+    scenarios: tuple[Path, ...],
+    methods: str | None,
+    seeds: int,
+    html: bool,
+    out: Path | None,
+    as_json: bool,
+    tuning: bool,
+    budget: int,
+    tuned: Path | None,
+    processes: int | None,
+) -> int:
+    """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
-    Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is full state feedback, 1 a
-    Luenberger observer that ignores the dead zone; the median over the scenarios, and the worst, with 95 % intervals. See docs/arena.md.
+    Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
+    full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
+    scenarios, and the worst, with 95 % intervals. See docs/arena.md.
     """
-    from undeadzone.arena.scenario_sets import given
+    from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
 
-    names = (
-        None if methods is None else [name.strip() for name in methods.split(",") if name.strip()]
-    )
-    own = given(scenarios)
+    names = None if methods is None else _names(methods)
+    own = from_files(scenarios)
+    folder = out or FOLDER
     if tuning:
-        return _tune(names, own or built_in("tuning"), budget, processes, out or FOLDER, as_json)
+        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json)
     contest = _held(names, own or built_in("held_out"), tuple(range(seeds)), tuned, processes)
-    written = _written(contest, out or FOLDER, bool(own)) if html or out else []
+    written = _written(contest, folder, bool(own)) if html or out else []
     if as_json:
         print_json(contest.summary() | {"files": [str(path) for path in written]})
     else:
         _print(contest, written)
     return 0
+
+
+def _names(methods: str) -> list[str]:
+    """The names in a list with commas between them."""
+    names = [name.strip() for name in methods.split(",")]
+    return [name for name in names if name]
 
 
 def _held(
@@ -114,10 +140,13 @@ def _held(
     tuned: Path | None,
     processes: int | None,
 ) -> Contest:
+    """The contest, held."""
     from undeadzone.arena.contest import run_contest
-    from undeadzone.arena.methods import catalogue, numbers
+    from undeadzone.arena.entry import numbers
+    from undeadzone.arena.methods import catalogue
 
-    runs = len(grounds) * len(seeds) * (len(catalogue()) if names is None else len(names) + 2)
+    methods = len(catalogue()) if names is None else len(names) + 2
+    runs = len(grounds) * len(seeds) * methods
     with progress("arena", runs, "runs") as advance:
         return run_contest(names, grounds, seeds, numbers(tuned), processes, advance)
 
@@ -130,20 +159,21 @@ def _tune(
     folder: Path,
     as_json: bool,
 ) -> int:
+    """Tune methods, write and print their numbers."""
     from undeadzone.arena.methods import catalogue, require
     from undeadzone.arena.tune import tune
     from undeadzone.arena.tuned_file import save
 
     chosen = list(catalogue()) if names is None else [require(name) for name in names]
     with progress("tuning", len(chosen), "methods") as advance:
-        found = tune(chosen, grounds, budget, processes=processes, progress=advance)
-    path = save(found, folder / "tuned.toml")
+        tuned = tune(chosen, grounds, budget, processes=processes, progress=advance)
+    path = save(tuned, folder / "tuned.toml")
     if as_json:
         import msgspec
 
-        print_json(msgspec.to_builtins(found) | {"files": [str(path)]})
+        print_json(msgspec.to_builtins(tuned) | {"files": [str(path)]})
     else:
-        _print_tuned(found, path)
+        _print_tuned(tuned, path)
     return 0
 
 
@@ -155,10 +185,8 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone.support import toml
     from undeadzone.support.files import write_text
 
-    written = [
-        contest.save(folder / "results.json"),
-        *write_arena(contest, traced(contest), folder),
-    ]
+    written = [contest.save(folder / "results.json")]
+    written += write_arena(contest, traced(contest), folder)
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:
@@ -171,66 +199,65 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 
 def _print(contest: Contest, written: list[Path]) -> None:
-    rank = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
-    head = (
-        "",
-        "method",
-        "median regret",
-        "behind the best",
-        "worst regret",
-        "worst where",
-        "diverged",
-        "n/a",
-        "rms z - r",
-        "coverage",
-    )
+    """Print the leaderboard."""
+    places = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
     refused = [row.method for row in contest.rows if row.not_applicable == 1]
-    print_table(
-        [
-            head,
-            *(
-                _cells(rank.get(row.method, "-"), row)
-                for row in contest.rows
-                if row.method not in refused
-            ),
-        ]
-    )
+    table: list[tuple[str, ...]] = [HEAD]
+    for row in contest.rows:
+        if row.method not in refused:
+            table.append(_cells(places.get(row.method, "-"), row))
+    print_table(table)
     if refused:
         click.echo(f"\nnot applicable (--json says why): {', '.join(refused)}")
-    runs = f"{len(contest.scenarios)} scenario{'s' * (len(contest.scenarios) > 1)}, {len(contest.seeds)} run{'s' * (len(contest.seeds) > 1)} each"
-    click.echo(f"\n{runs}; - : line to compare with; 95 % intervals in ()")
+    scenarios = _counted(len(contest.scenarios), "scenario")
+    runs = _counted(len(contest.seeds), "run")
+    click.echo(f"\n{scenarios}, {runs} each; - : line to compare with; 95 % intervals in ()")
     if written:
         click.echo(f"written: {', '.join(map(str, written))}")
 
 
-def _cells(rank: str, row: Row) -> tuple[str, ...]:
-    def regret(value: float, interval: tuple[float, float]) -> str:
-        return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+def _counted(number: int, what: str) -> str:
+    """1 run, 2 runs."""
+    return f"{number} {what}{'s' * (number > 1)}"
 
-    def number(value: float | None, form: str) -> str:
-        return "" if value is None else format(value, form)
 
+def _cells(place: str, row: Row) -> tuple[str, ...]:
+    """A row of the leaderboard as text."""
     return (
-        rank,
+        place,
         row.method,
-        regret(row.median_regret, row.median_interval),
-        regret(row.behind, row.behind_interval),
-        regret(row.worst_regret, row.worst_interval),
+        _regret(row.median_regret, row.median_interval),
+        _regret(row.behind, row.behind_interval),
+        _regret(row.worst_regret, row.worst_interval),
         row.worst_scenario,
-        f"{100 * row.diverged:.0f} %" if row.diverged else "",
-        f"{100 * row.not_applicable:.0f} %" if row.not_applicable else "",
-        number(row.tracking, ".3g"),
-        number(row.coverage, ".2f"),
+        _share(row.diverged),
+        _share(row.not_applicable),
+        _number(row.tracking, ".3g"),
+        _number(row.coverage, ".2f"),
     )
 
 
-def _print_tuned(found: Tuned, path: Path) -> None:
-    def knobs(values: dict[str, Any]) -> str:
-        return ", ".join(f"{address} {value:.3g}" for address, value in values.items())
+def _regret(value: float, interval: tuple[float, float]) -> str:
+    """A regret and its interval."""
+    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
 
-    rows = [
-        (name, f"{each.before:.3f} -> {each.regret:.3f}", str(each.candidates), knobs(each.knobs))
-        for name, each in found.methods.items()
-    ]
-    print_table([("method", "mean regret", "candidates", "knobs"), *rows])
+
+def _share(value: float) -> str:
+    """A share in percent; nothing where there is none."""
+    return f"{100 * value:.0f} %" if value else ""
+
+
+def _number(value: float | None, form: str) -> str:
+    """A number; nothing where there is none."""
+    return "" if value is None else format(value, form)
+
+
+def _print_tuned(tuned: Tuned, path: Path) -> None:
+    """Print the numbers that tuning found."""
+    rows = [("method", "mean regret", "candidates", "knobs")]
+    for name, found in tuned.methods.items():
+        regret = f"{found.before:.3f} -> {found.regret:.3f}"
+        knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
+        rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
+    print_table(rows)
     click.echo(f"\nwritten: {path}")

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 PATIENCE = 2.0  # [s] before a progress bar appears
@@ -18,24 +21,39 @@ PATIENCE = 2.0  # [s] before a progress bar appears
 
 def common(command: Command) -> Command:
     """Add --out, --json and --no-figures."""
-    for option in (
-        click.option("--no-figures", is_flag=True, help="Compute only; draw nothing."),
-        click.option(
-            "--json",
-            "as_json",
-            is_flag=True,
-            help="Print one JSON object on stdout and nothing else there.",
-        ),
-        click.option(
-            "--out",
-            type=click.Path(path_type=Path),
-            default=None,
-            metavar="DIR",
-            help="Folder for the files written (made if missing).",
-        ),
-    ):
-        command = option(command)
-    return command
+    no_figures = click.option("--no-figures", is_flag=True, help="Compute only; draw nothing.")
+    as_json = click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print one JSON object on stdout and nothing else there.",
+    )
+    out = click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        default=None,
+        metavar="DIR",
+        help="Folder for the files written (made if missing).",
+    )
+    return out(as_json(no_figures(command)))
+
+
+def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
+    """The folder for the files written; None: nothing is written.
+
+    Args:
+        out: what --out says.
+        no_figures: whether --no-figures is given.
+        default: name of the folder without --out.
+    """
+    if out is not None:
+        return out
+    return None if no_figures else Path(default)
+
+
+def named_files(written: Sequence[Path]) -> dict[str, Any]:
+    """The line that names the files written, for `print_pairs`; nothing where there are none."""
+    return {"written": ", ".join(map(str, written))} if written else {}
 
 
 def print_json(value: Any) -> None:
@@ -54,73 +72,90 @@ def print_pairs(pairs: dict[str, Any]) -> None:
     """Aligned `name  value` lines; a list takes a line for each of its entries."""
     width = max(map(len, pairs))
     for name, value in pairs.items():
-        for k, entry in enumerate(value if isinstance(value, list) else [value]):
-            click.echo(
-                f"{'' if k else name:<{width}}  {f'{entry:.6g}' if isinstance(entry, float) else entry}"
-            )
+        head = name
+        for entry in value if isinstance(value, list) else [value]:
+            text = f"{entry:.6g}" if isinstance(entry, float) else str(entry)
+            click.echo(f"{head:<{width}}  {text}")
+            head = ""
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
     """Aligned columns, the first row their heads."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
-        click.echo(
-            "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-        )
-
-
-def yes_no(verdict: Mapping[str, bool]) -> str:
-    """What can be known of one output: right yes, left NO, ..."""
-    return ", ".join(
-        f"{name} {'yes' if verdict[name] else 'NO'}"
-        for name in ("right", "left", "width", "centre")
-    )
+        cells = [f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)]
+        click.echo("  ".join(cells).rstrip())
 
 
 @contextmanager
 def progress(
     what: str, total: int | None, unit: str | None = None
 ) -> Iterator[Callable[[int], None]]:
-    """A function to call with the steps just done; a bar on stderr once 2 s have passed, if stderr is a terminal.
+    """A function to call with the steps just done.
 
-    unit: what is counted; with it the bar shows how many per second.
+    A bar appears on stderr once 2 s have passed, if stderr is a terminal.
+
+    Args:
+        what: words in front of the bar.
+        total: steps in all; None: unknown.
+        unit: what is counted; with it the bar shows how many per second.
     """
     if not sys.stderr.isatty():
         yield lambda done: None
         return
-    began, bar, task, waiting, seen = time.monotonic(), None, None, 0, 0
-
-    def advance(done: int) -> None:
-        nonlocal bar, task, waiting, seen
-        waiting += done
-        seen += done
-        if bar is None and time.monotonic() - began > PATIENCE:
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                Progress,
-                TextColumn,
-                TimeRemainingColumn,
-            )
-
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[rate]}"),
-                TimeRemainingColumn(),
-            )
-            bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            bar.start()
-            task = bar.add_task(what, total=total, rate="")
-        if bar is not None and task is not None:
-            rate = f"{seen / (time.monotonic() - began):,.0f} {unit}/s" if unit else ""
-            bar.update(task, advance=waiting, rate=rate)
-            waiting = 0
-
+    bar = _Bar(what, total, unit)
     try:
-        yield advance
+        yield bar.advance
     finally:
-        if bar is not None:
-            bar.stop()
+        bar.stop()
+
+
+class _Bar:
+    """A progress bar that appears once PATIENCE has passed."""
+
+    def __init__(self, what: str, total: int | None, unit: str | None) -> None:
+        self._what, self._total, self._unit = what, total, unit
+        self._began = time.monotonic()
+        self._seen = 0  # steps done
+        self._waiting = 0  # of them, those that the bar does not show yet
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def advance(self, done: int) -> None:
+        """Show that so many steps more are done."""
+        self._waiting += done
+        self._seen += done
+        elapsed = time.monotonic() - self._began
+        if self._bar is None and elapsed > PATIENCE:
+            self._start()
+        if self._bar is not None and self._task is not None:
+            rate = f"{self._seen / elapsed:,.0f} {self._unit}/s" if self._unit else ""
+            self._bar.update(self._task, advance=self._waiting, rate=rate)
+            self._waiting = 0
+
+    def stop(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _start(self) -> None:
+        """Draw the bar."""
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._bar.start()
+        self._task = self._bar.add_task(self._what, total=self._total, rate="")

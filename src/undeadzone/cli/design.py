@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.check import in_words, plain
-from undeadzone.cli.common import common, print_json, print_pairs, progress
+from undeadzone.cli.common import common, folder_for, named_files, print_json, print_pairs, progress
 
 if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.scenario.schema import Scenario
+
+UNITS = {
+    "rate": "1/s",
+    "disturbance": "rms error per white disturbance",
+    "mismatch": "per relative model error",
+    "noise": "per rms noise",
+}
 
 
 def powers(
@@ -22,16 +28,17 @@ def powers(
     if value is None:
         return None
     try:
-        found = tuple(map(float, value.split(",")))
+        numbers = tuple(map(float, value.split(",")))
     except ValueError:
-        found = ()
-    if len(found) != 3 or not all(0 <= power < float("inf") for power in found):
+        numbers = ()
+    if len(numbers) != 3 or not all(0 <= power < float("inf") for power in numbers):
         raise click.BadParameter(
-            f"expected three numbers, none negative, with commas between them, as in 1,0,0.5; found {value!r}",
+            "expected three numbers, none negative, with commas between them, as in 1,0,0.5; "
+            f"found {value!r}",
             context,
             parameter,
         )
-    return found
+    return numbers
 
 
 @click.command(
@@ -78,131 +85,121 @@ def design(
 ) -> int:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
 
-    Prints the gains, the proof, the rate, what they trade against your present ones, and what can be known. Writes
-    design.toml, figures and report.html to DIR (default: NAME-design); with --no-figures and no --out it writes nothing.
-    A scenario uses the file by
+    Prints the gains, the proof, the rate, what they trade against your present ones, and what can
+    be known. Writes design.toml, figures and report.html to DIR (default: NAME-design); with
+    --no-figures and no --out it writes nothing. A scenario uses the file by
 
     \b
         [observer]
         method = "certified"
         design = "NAME-design/design.toml"
 
-    and the proof is checked again whenever it is read. Exit code 1: no gains can be certified for this plant.
+    and the proof is checked again whenever it is read. Exit code 1: no gains can be certified for
+    this plant.
     """
+    from undeadzone.scenario.problem import systems
     from undeadzone.scenario.reader import read
-    from undeadzone.synthesis.check import check as judge
+    from undeadzone.synthesis.check import check as assess_gains
     from undeadzone.synthesis.design import design as search
-    from undeadzone.synthesis.design import rounds
+    from undeadzone.synthesis.design import impossible, rounds, with_gains
     from undeadzone.synthesis.gain_search import Weights
 
     if maximise is not None and weights is not None:
         raise click.UsageError(
             "give --maximise or --weights, not both", click.get_current_context()
         )
-    problem = read(scenario)
-    if reason := impossible(problem):
-        if as_json:
-            print_json(
-                {"title": problem.title, "certified": False, "reasons": [reason], "files": []}
-            )
-        else:
-            print_pairs(
-                {
-                    "scenario": problem.title,
-                    "certified": "NO gains can be",
-                    "why": reason,
-                    "next": f"undeadzone check {scenario} says what can be known",
-                }
-            )
+    planned = read(scenario)
+    _, flow, _ = systems(planned)
+    reason = impossible(flow)
+    if reason:
+        _print_impossible(planned, scenario, reason, as_json)
         return 1
-    wanted: Any = (maximise or "knee") if weights is None else Weights(*weights)
-    with progress("designing", rounds(wanted)) as advance:
-        found = search(problem, wanted, margin=margin, seed=seed, progress=advance)
-    folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-design")
-    designed = with_gains(problem, found)
-    summary = judge(designed)
-    written = [] if folder is None else write(found, designed, folder, not no_figures)
+    aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
+    with progress("designing", rounds(aim)) as advance:
+        result = search(planned, aim, margin=margin, seed=seed, progress=advance)
+    designed = with_gains(planned, result)
+    summary = assess_gains(designed)
+    folder = folder_for(out, no_figures, f"{scenario.stem}-design")
+    written = [] if folder is None else _written(result, designed, folder, not no_figures)
     if as_json:
-        print_json(_numbers(found) | summary | {"files": [str(path) for path in written]})
+        print_json(_numbers(result) | summary | {"files": [str(path) for path in written]})
     else:
-        print_pairs(
-            _words(found, summary, designed)
-            | ({"written": ", ".join(map(str, written))} if written else {})
-        )
+        print_pairs(_words(result, summary, designed) | named_files(written))
     return 0
 
 
-def impossible(scenario: Scenario) -> str:
-    """Why no gains can be certified for a linear model, or an empty string. Raises InputError and its kinds for a wrong scenario."""
-    import numpy as np
-
-    from undeadzone.analysis.certificate.passivity import certify
-    from undeadzone.scenario.problem import systems
-
-    _, flow, _ = systems(scenario)
-    return (
-        ""
-        if flow.nonlinear
-        else certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
+def _print_impossible(scenario: Scenario, path: Path, reason: str, as_json: bool) -> None:
+    """Print why no gains can be certified."""
+    if as_json:
+        print_json({"title": scenario.title, "certified": False, "reasons": [reason], "files": []})
+        return
+    print_pairs(
+        {
+            "scenario": scenario.title,
+            "certified": "NO gains can be",
+            "why": reason,
+            "next": f"undeadzone check {path} says what can be known",
+        }
     )
 
 
-def with_gains(scenario: Scenario, found: Design) -> Scenario:
-    """The scenario with the gains of a design."""
-    import msgspec
+def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:
+    """The files of a design: design.toml always, figures and page where wanted.
 
-    from undeadzone.observers import Certified
-
-    kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
-    return msgspec.structs.replace(
-        scenario, observer=msgspec.structs.replace(kept, L=found.L, gamma=found.gamma, design=None)
-    )
-
-
-def write(found: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:
-    """The files of a design and of the scenario that has its gains: design.toml always, figures and page where wanted."""
-    written = [found.save(folder / "design.toml")]
+    Args:
+        design: the gains found.
+        scenario: that has these gains.
+        folder: for the files.
+        figures: whether figures and page are wanted.
+    """
+    written = [design.save(folder / "design.toml")]
     if figures:
         from undeadzone.report.gains_page import write_gains
         from undeadzone.scenario.problem import resolve_scenario
         from undeadzone.synthesis.assessment import assess, attack
 
-        of = assess(resolve_scenario(scenario))
-        written += write_gains(of, attack(of, found.seed), folder, found)
+        assessment = assess(resolve_scenario(scenario))
+        attempts = attack(assessment, design.seed)
+        written += write_gains(assessment, attempts, folder, design)
     return written
 
 
-def _numbers(found: Design) -> dict[str, Any]:
+def _numbers(design: Design) -> dict[str, Any]:
     """A design for JSON, its gains first."""
     import msgspec
 
-    numbers = msgspec.to_builtins(found)
+    numbers = msgspec.to_builtins(design)
     return numbers.pop("best") | numbers
 
 
-def _words(found: Design, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
-    units = {
-        "rate": " 1/s",
-        "disturbance": " rms error per white disturbance",
-        "mismatch": " per relative model error",
-        "noise": " per rms noise",
+def _words(design: Design, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """A design in words: its gains, their proof, their trade, and what `check` says of them."""
+    from undeadzone.synthesis.words import in_words, plain
+
+    checked = in_words(summary, scenario)
+    checked.pop("observer")
+    shown: dict[str, Any] = {
+        "scenario": checked.pop("scenario"),
+        "chosen": f"{design.chosen}, seed {design.seed}",
+        "L": plain(design.best.L),
+        "gamma": plain(design.best.gamma),
+        "certified": checked.pop("certified"),
+        "rate": checked.pop("rate"),
+        "proof P": [plain(row) for row in design.P],
+        "proof W": plain(design.W),
+        "trade": _trade(design),
     }
-    now = {name: f"{name} {getattr(found.best, name):.4g}{unit}" for name, unit in units.items()}
-    if found.present is not None:
-        now = {
-            name: f"{words}; yours {getattr(found.present, name):.4g}"
-            for name, words in now.items()
-        }
-    rest = in_words(summary, scenario)
-    return {
-        "scenario": rest.pop("scenario"),
-        "chosen": f"{found.chosen}, seed {found.seed}",
-        "L": plain(found.best.L),
-        "gamma": plain(found.best.gamma),
-        **{name: rest.pop(name) for name in ("certified", "rate")},
-        "proof P": [plain(row) for row in found.P],
-        "proof W": plain(found.W),
-        "trade": list(now.values()),
-        **({"remark": found.remarks} if found.remarks else {}),
-        **{name: value for name, value in rest.items() if name != "observer"},
-    }
+    if design.remarks:
+        shown["remark"] = design.remarks
+    return shown | checked
+
+
+def _trade(design: Design) -> list[str]:
+    """What the gains are worth, against the present ones if there are any."""
+    lines = []
+    for name, unit in UNITS.items():
+        words = f"{name} {getattr(design.best, name):.4g} {unit}"
+        if design.present is not None:
+            words += f"; yours {getattr(design.present, name):.4g}"
+        lines.append(words)
+    return lines

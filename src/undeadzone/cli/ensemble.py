@@ -71,7 +71,7 @@ def ensemble(
     as_json: bool,
     no_figures: bool,
 ) -> int:
-    """Run a scenario many times: how often does it settle, how large do the errors get, what decides?
+    """Run a scenario many times: how often does it settle, how large are the errors, what decides?
 
     A table of the scenario says what varies; besides, every run has noise of its own:
 
@@ -80,24 +80,24 @@ def ensemble(
         "sensor.right" = { uniform = [0.3, 2.0] }
         "plant.A[1,1]" = { normal = [1.0, 0.1], relative = true }
 
-    Prints the shares that settle and that diverge, quantiles with 95 % intervals, what each entry decides, and the worst
-    runs: undeadzone run DIR/runs.npz --replay NUMBER shows one in full. Writes runs.npz, figures and report.html to DIR
-    (default: NAME-ensemble); with --no-figures runs.npz alone. Exit code 1: some run diverged.
+    Prints the shares that settle and that diverge, quantiles with 95 % intervals, what each entry
+    decides, and the worst runs: undeadzone run DIR/runs.npz --replay NUMBER shows one in full.
+    Writes runs.npz, figures and report.html to DIR (default: NAME-ensemble); with --no-figures
+    runs.npz alone. Exit code 1: some run diverged.
 
-    Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume computes the rest.
-    docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
+    Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
+    computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
     from undeadzone.ensemble.run_ensemble import run_ensemble
     from undeadzone.scenario.reader import read
 
-    problem = _sized(read(scenario), runs)
+    varied = _sized(read(scenario), runs)
+    total = varied.ensemble.runs if varied.ensemble else None
     folder = out if out is not None else Path(f"{scenario.stem}-ensemble")
     path = folder / ("runs.parquet" if parquet else "runs.npz")
-    with progress(
-        "running", problem.ensemble.runs if problem.ensemble else None, "runs"
-    ) as advance:
+    with progress("running", total, "runs") as advance:
         result = run_ensemble(
-            problem, path, resume=resume, workers=workers, cluster=cluster, progress=advance
+            varied, path, resume=resume, workers=workers, cluster=cluster, progress=advance
         )
     summary = result.summary()
     written = [path]
@@ -112,112 +112,127 @@ def ensemble(
     return 1 if summary["diverged"]["value"] else 0
 
 
-def _sized(problem: Scenario, runs: int | None) -> Scenario:
-    """The scenario with that many runs."""
+def _sized(scenario: Scenario, runs: int | None) -> Scenario:
+    """The scenario with that many runs. Raises InputError."""
     import msgspec
 
     from undeadzone.errors import InputError
 
-    if runs is None or problem.ensemble is None:
-        return problem
+    if runs is None or scenario.ensemble is None:
+        return scenario
     if runs < 1:
         raise InputError(f"--runs: expected 1 or more, found {runs}")
-    return msgspec.structs.replace(
-        problem, ensemble=msgspec.structs.replace(problem.ensemble, runs=runs)
-    )
+    ensemble = msgspec.structs.replace(scenario.ensemble, runs=runs)
+    return msgspec.structs.replace(scenario, ensemble=ensemble)
 
 
 def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: list[Path]) -> None:
-    from undeadzone.report.style import label
-    from undeadzone.simulation.run import LAST
-
-    info, path = result.info, written[0]
+    """Print what an ensemble came to."""
+    info = result.info
+    sampling = info.sampling.replace("_", " ")
     click.echo(
-        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, {info.sampling.replace('_', ' ')} sampling, seed {info.seed}\n"
+        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, "
+        f"{sampling} sampling, seed {info.seed}\n"
     )
-    lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
-    lost = summary["diverged"]
-    which = (
-        f": {_listed(lost['runs'], int(result.diverged.sum()))}; left out of what follows"
-        if lost["runs"]
-        else ""
-    )
-    shares = {
-        "settled": f"{_share(summary['settled'])}: |z - r| within {100 * info.tolerance:g} % of the largest |r| {lasts}",
-        "diverged": f"{_share(lost)}{which}",
-    }
-    print_pairs(shares)
+    print_pairs(_shares(result, summary))
     if summary["metrics"]:
-        found = (
-            (label(name, result.unit(key)), summary["metrics"][key])
-            for key, name in METRICS.items()
-            if key in summary["metrics"]
-        )
-        rows = [
-            (name, *(_interval(metric[column]) for column in ("median", "p95", "p99")))
-            for name, metric in found
-        ]
         click.echo()
-        print_table(
-            [("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below"), *rows]
-        )
+        print_table(_quantiles(result, summary["metrics"]))
     if summary["sensitivities"]:
         click.echo()
-        print_table(
-            [
-                ("what decides rms z - r", "rank correlation", "share of the variance"),
-                *map(_decides, list(summary["sensitivities"].items())[:SHOWN]),
-            ]
-        )
+        entries = list(summary["sensitivities"].items())[:SHOWN]
+        heads = ("what decides rms z - r", "rank correlation", "share of the variance")
+        print_table([heads, *(_decides(name, entry) for name, entry in entries)])
     click.echo()
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
     print_pairs(
         {
             "worst runs": ", ".join(map(str, worst)),
-            "see one": f"undeadzone run {shlex.quote(str(path))} --replay {worst[0]}",
-            "written": f"{folder}: {', '.join(name.name for name in written)}",
+            "see one": f"undeadzone run {shlex.quote(str(written[0]))} --replay {worst[0]}",
+            "written": f"{folder}: {', '.join(path.name for path in written)}",
         }
     )
 
 
+def _shares(result: Ensemble, summary: dict[str, Any]) -> dict[str, str]:
+    """The shares of runs that settle and that diverge."""
+    from undeadzone.simulation.run import LAST
+
+    info, diverged = result.info, summary["diverged"]
+    lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
+    which = ""
+    if diverged["runs"]:
+        runs = _listed(diverged["runs"], int(result.diverged.sum()))
+        which = f": {runs}; left out of what follows"
+    return {
+        "settled": (
+            f"{_share(summary['settled'])}: |z - r| within {100 * info.tolerance:g} % of the "
+            f"largest |r| {lasts}"
+        ),
+        "diverged": f"{_share(diverged)}{which}",
+    }
+
+
+def _quantiles(result: Ensemble, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
+    """The table of quantiles of each metric."""
+    from undeadzone.report.style import label
+
+    rows: list[tuple[str, ...]] = [
+        ("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below")
+    ]
+    for key, name in METRICS.items():
+        if key in metrics:
+            quantiles = [_interval(metrics[key][column]) for column in ("median", "p95", "p99")]
+            rows.append((label(name, result.unit(key)), *quantiles))
+    return rows
+
+
 def _listed(runs: list[int], total: int) -> str:
-    return f"run{'s' * (total > 1)} {', '.join(map(str, runs[:SHOWN]))}{', ...' * (total > SHOWN)}"
+    """The first runs of a list."""
+    names = ", ".join(map(str, runs[:SHOWN]))
+    return f"run{'s' * (total > 1)} {names}{', ...' * (total > SHOWN)}"
 
 
-def _share(found: dict[str, Any]) -> str:
-    value, low, high = (f"{100 * found[key]:.3g} %" for key in ("value", "low", "high"))
-    return _within(value, low if found["value"] > 0 else None, high if found["value"] < 1 else None)
+def _share(share: dict[str, Any]) -> str:
+    """A share and its interval in percent; one end of which is left out at 0 % and at 100 %."""
+    value, low, high = (f"{100 * share[key]:.3g} %" for key in ("value", "low", "high"))
+    if share["value"] <= 0:
+        return _within(value, None, high if share["value"] < 1 else None)
+    return _within(value, low, high if share["value"] < 1 else None)
 
 
-def _interval(found: dict[str, Any]) -> str:
-    """A settling time without a bound is one that is never over."""
-    value, low, high = (
-        None if found[key] is None else f"{found[key]:.4g}" for key in ("value", "low", "high")
-    )
-    if value is None:
-        return "never settles" if low is None else f"never settles (or after {low})"
-    return _within(value, low, high)
+def _interval(metric: dict[str, Any]) -> str:
+    """A metric and its interval; a settling time without a bound is one that is never over."""
+    low, high = _number(metric["low"]), _number(metric["high"])
+    if metric["value"] is not None:
+        return _within(f"{metric['value']:.4g}", low, high)
+    return "never settles" if low is None else f"never settles (or after {low})"
 
 
-def _decides(entry: tuple[str, dict[str, Any]]) -> tuple[str, str, str]:
-    name, found = entry
-    share = found["total_order"] or found["first_order"]
-    chance = found["floor"] is not None and share["value"] < found["floor"]
-    rank, part = (
-        _within(*(f"{one[key]:z.2f}" for key in ("value", "low", "high")))
-        for one in (found["spearman"], share)
-    )
-    return name, rank, "may be chance" if chance else part
+def _number(value: float | None) -> str | None:
+    """A number to four digits; None where there is none."""
+    return None if value is None else f"{value:.4g}"
+
+
+def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
+    """What an entry decides: its rank correlation, and its share of the variance."""
+    share = entry["total_order"] or entry["first_order"]
+    chance = entry["floor"] is not None and share["value"] < entry["floor"]
+    rank = _in_hundredths(entry["spearman"])
+    return name, rank, "may be chance" if chance else _in_hundredths(share)
+
+
+def _in_hundredths(value: dict[str, float]) -> str:
+    """A value and its interval, with two decimals."""
+    return _within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))
 
 
 def _within(value: str, low: str | None, high: str | None) -> str:
     """A value and its interval, an end of which may be unknown."""
-    if high is None or low is None:
-        return (
-            value
-            if high == low
-            else f"{value} ({low} or more)"
-            if high is None
-            else f"{value} ({high} or less)"
-        )
+    if low is None and high is None:
+        return value
+    if high is None:
+        return f"{value} ({low} or more)"
+    if low is None:
+        return f"{value} ({high} or less)"
     return value if value == low == high else f"{value} ({low} to {high})"

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, print_json, progress
+from undeadzone.cli.common import common, folder_for, print_json, progress
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
+NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that hold numbers
+COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
 @click.command(epilog="Example: undeadzone paper --out results && open results/report.html")
@@ -14,43 +22,35 @@ from undeadzone.cli.common import common, print_json, progress
 def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     """Run the paper's example as printed and repaired, and check every claim.
 
-    Prints the table of claims with what was measured for each. Writes paper.json, figures 3-8 and report.html to
-    DIR (default: paper-results); with --no-figures and no --out it writes nothing.
+    Prints the table of claims with what was measured for each. Writes paper.json, figures 3-8 and
+    report.html to DIR (default: paper-results); with --no-figures and no --out it writes nothing.
     """
     from undeadzone.paper import audit, write
 
+    folder = folder_for(out, no_figures, "paper-results")
+    written = []
     with progress("auditing the paper", None) as advance:
-        found = audit(progress=advance)
-        folder = out if out is not None else None if no_figures else Path("paper-results")
-        written = (
-            write(found, folder, figures=not no_figures, progress=advance)
-            if folder is not None
-            else []
-        )
+        result = audit(progress=advance)
+        if folder is not None:
+            written = write(result, folder, figures=not no_figures, progress=advance)
+    summary = result.summary()
     if as_json:
-        print_json(found.summary())
-        return 0
-    from rich import box
+        print_json(summary)
+    else:
+        _print(summary, written)
+    return 0
+
+
+def _print(summary: dict[str, Any], written: list[Path]) -> None:
+    """Print the claims and what was measured."""
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
-    summary = found.summary()
-    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("claim", "measured", "as printed", "repaired", "limit", "verdict"):
-        table.add_column(
-            column, justify="right" if column in ("as printed", "repaired", "limit") else "left"
-        )
-    for claim in summary["claims"]:
-        numbers = (_shown(claim[key]) for key in ("printed", "repaired", "limit"))
-        colour = {"holds": "green", "holds after repair": "yellow"}.get(claim["verdict"], "red")
-        table.add_row(
-            claim["claim"], claim["quantity"], *numbers, f"[{colour}]{claim['verdict']}[/]"
-        )
-    console.print(table)
+    console.print(_table(summary["claims"]))
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(
-        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = {printed['max_abs_y']:g}: the sensor never speaks."
+        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
+        f"{printed['max_abs_y']:g}: the sensor never speaks."
     )
     console.print(
         f"Repaired: rms z - r = {repaired['rms_tracking']:.3g} over the last 2 s, "
@@ -58,8 +58,24 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     )
     for path in written:
         console.print(f"wrote {path}", highlight=False)
-    return 0
+
+
+def _table(claims: list[dict[str, Any]]) -> Table:
+    """The table of claims."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in COLUMNS:
+        table.add_column(column, justify="right" if column in NUMBERS else "left")
+    for claim in claims:
+        numbers = [_shown(claim[key]) for key in ("printed", "repaired", "limit")]
+        verdict = claim["verdict"]
+        colour = COLOURS.get(verdict, "red")
+        table.add_row(claim["claim"], claim["quantity"], *numbers, f"[{colour}]{verdict}[/]")
+    return table
 
 
 def _shown(value: float | None) -> str:
+    """A number; one that there is not comes of a run that diverges."""
     return "diverges" if value is None else f"{value:.3g}"

@@ -7,16 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, print_json, print_pairs, progress
+from undeadzone.cli.common import (
+    common,
+    folder_for,
+    named_files,
+    print_json,
+    print_pairs,
+    progress,
+)
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
     from undeadzone.scenario.tune_table import Tune
+    from undeadzone.statistics.intervals import Interval
     from undeadzone.tuning.result import Tuned
 
 
 @click.command(
-    epilog="Example: undeadzone tune examples/tune.toml --out tuned && undeadzone run tuned/tuned.toml"
+    epilog="Example: undeadzone tune examples/tune.toml --out tuned "
+    "&& undeadzone run tuned/tuned.toml"
 )
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
@@ -82,18 +91,19 @@ def tune(
         "observer.gamma" = { between = [0.1, 100.0], log = true }
         "observer.L" = { between = [0.01, 100.0], log = true }
 
-    Prints the numbers found and what they are worth on held-out runs, others than those tuned on. Writes tuned.toml, the
-    scenario with these numbers, and figures to DIR (default: NAME-tune); with --no-figures and no --out it writes nothing.
-    Exit code 1: no better on the held-out runs, or not certified though this was asked for.
+    Prints the numbers found and what they are worth on held-out runs, others than those tuned on.
+    Writes tuned.toml, the scenario with these numbers, and figures to DIR (default: NAME-tune);
+    with --no-figures and no --out it writes nothing. Exit code 1: no better on the held-out runs,
+    or not certified though this was asked for.
     """
     from undeadzone.scenario.reader import read
     from undeadzone.tuning.tune import tune as search
 
-    problem = read(scenario)
-    what = _wanted(problem, over, changes)
-    with progress("tuning", what.budget, "candidates") as advance:
-        result = search(problem, what, progress=advance)
-    folder = out if out is not None else None if no_figures else Path(f"{scenario.stem}-tune")
+    tuned = read(scenario)
+    wanted = _wanted(tuned, over, changes)
+    with progress("tuning", wanted.budget, "candidates") as advance:
+        result = search(tuned, wanted, progress=advance)
+    folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if folder is not None and not no_figures:
         from undeadzone.report.tune_figures import write_figures
@@ -102,19 +112,20 @@ def tune(
     if as_json:
         print_json(result.summary() | {"files": [str(path) for path in written]})
     else:
-        print_pairs(_words(result) | ({"written": ", ".join(map(str, written))} if written else {}))
+        print_pairs(_words(result) | named_files(written))
     return 0 if result.improved and result.certified else 1
 
 
-def _wanted(problem: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> Tune:
+def _wanted(scenario: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> Tune:
     """The [tune] of a scenario with what the options say. Raises InputError."""
     import msgspec
 
     from undeadzone.scenario.tune_table import Tune
 
-    what = problem.tune or Tune()
-    given = {name: value for name, value in changes.items() if value is not None}
-    return msgspec.structs.replace(what, entries=what.entries | dict(map(_bounds, over)), **given)
+    table = scenario.tune or Tune()
+    options = {name: value for name, value in changes.items() if value is not None}
+    entries = table.entries | dict(map(_bounds, over))
+    return msgspec.structs.replace(table, entries=entries, **options)
 
 
 def _bounds(text: str) -> tuple[str, Any]:
@@ -131,40 +142,52 @@ def _bounds(text: str) -> tuple[str, Any]:
         return address.strip(), Range(between=(float(low), float(high)), log=scale == "log")
     except ValueError:
         raise InputError(
-            f"--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as observer.gamma=0.1:100:log, found {text!r}"
+            "--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as "
+            f"observer.gamma=0.1:100:log, found {text!r}"
         ) from None
 
 
 def _words(result: Tuned) -> dict[str, Any]:
-    what, edge = result.what, result.at_edge
+    """What tuning found."""
+    what = result.what
     shown: dict[str, Any] = {
         "scenario": result.scenario.title,
-        "made small": f"{what.statistic} of {what.metric}, {what.runs} runs, {len(result.trials)} candidates of {what.budget}",
+        "made small": (
+            f"{what.statistic} of {what.metric}, {what.runs} runs, {len(result.trials)} candidates "
+            f"of {what.budget}"
+        ),
     }
-    for p, value in zip(result.parameters, result.values, strict=True):
-        shown[p.name] = (
-            f"{value:.6g} (from {p.start:.6g})"
-            + ", at the end of its range: a wider one may do better" * (p.name in edge)
-        )
-    before, after, runs = result.held_out[0]
-    shown["runs tuned on"] = f"{result.cost[0]:.4g} -> {result.cost[1]:.4g}"
-    shown["held-out runs"] = (
-        f"{_interval(before.value)} -> {_interval(after.value)}, {f'{runs} runs' if runs > 1 else 'one run: nothing differs between them'}"
-    )
-    shown["change"] = (
-        f"{_interval(result.change)}: {'better' if result.improved else 'NO improvement that chance could not explain'}"
-    )
-    if before.diverged.value or after.diverged.value:
-        shown["diverged"] = (
-            f"{100 * before.diverged.value:.3g} % -> {100 * after.diverged.value:.3g} % of the held-out runs"
-        )
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        shown[parameter.name] = f"{value:.6g} (from {parameter.start:.6g})"
+        if parameter.name in result.at_edge:
+            shown[parameter.name] += ", at the end of its range: a wider one may do better"
+    shown |= _gained(result)
     if result.margin is not None:
         shown["certified"] = f"{'yes' if result.certified else 'NO'}, margin {result.margin:.4g}"
     return shown
 
 
-def _interval(found: Any) -> str:
-    return "{:.4g} ({} to {})".format(
-        found.value,
-        *("?" if abs(end) == float("inf") else f"{end:.4g}" for end in (found.low, found.high)),
-    )
+def _gained(result: Tuned) -> dict[str, str]:
+    """What tuning gained, on the runs tuned on and on those held out."""
+    before, after, runs = result.held_out[0]
+    drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
+    verdict = "better" if result.improved else "NO improvement that chance could not explain"
+    shown = {
+        "runs tuned on": f"{result.cost[0]:.4g} -> {result.cost[1]:.4g}",
+        "held-out runs": f"{_interval(before.value)} -> {_interval(after.value)}, {drawn}",
+        "change": f"{_interval(result.change)}: {verdict}",
+    }
+    if before.diverged.value or after.diverged.value:
+        first, second = 100 * before.diverged.value, 100 * after.diverged.value
+        shown["diverged"] = f"{first:.3g} % -> {second:.3g} % of the held-out runs"
+    return shown
+
+
+def _interval(interval: Interval) -> str:
+    """A value and its interval, an end of which may be unknown."""
+    return f"{interval.value:.4g} ({_end(interval.low)} to {_end(interval.high)})"
+
+
+def _end(value: float) -> str:
+    """An end of an interval."""
+    return "?" if abs(value) == float("inf") else f"{value:.4g}"

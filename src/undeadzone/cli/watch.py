@@ -27,21 +27,23 @@ if TYPE_CHECKING:
 def watch(scenario: Path, as_json: bool) -> int:
     """Read samples from stdin, write one estimate per sample to stdout, each line flushed at once.
 
-    A sample is a CSV line: the readings, then the inputs that act until the next sample; a time in front is allowed
-    and passed through, and so is a header line. Samples are simulation.step apart. An empty or NaN reading counts as
-    missing: the estimate is predicted, not corrected. The observer and [model] (or [plant]) of the scenario are used.
+    A sample is a CSV line: the readings, then the inputs that act until the next sample; a time in
+    front is allowed and passed through, and so is a header line. Samples are simulation.step apart.
+    An empty or NaN reading counts as missing: the estimate is predicted, not corrected. The
+    observer and [model] (or [plant]) of the scenario are used.
     """
-    from undeadzone.scenario.problem import believed_plant
+    from undeadzone.scenario.problem import modelled_plant
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.online import Online
 
-    problem = read(scenario)
+    watched = read(scenario)
+    step = watched.simulation.step
     online = Online(
-        problem.observer,
-        believed_plant(problem),
-        problem.sensor,
-        problem.simulation.step,
-        problem.simulation.substeps,
+        watched.observer,
+        modelled_plant(watched),
+        watched.sensor,
+        step,
+        watched.simulation.substeps,
     )
     p, m = online.model.p, online.model.m
     count = 0
@@ -50,13 +52,14 @@ def watch(scenario: Path, as_json: bool) -> int:
             continue
         if len(row) not in (p + m, p + m + 1):
             raise FileError(
-                f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, found {len(row)}"
+                f"stdin, line {number}: expected {p + m} values ({p} readings, {m} inputs) or a "
+                f"time and these, found {len(row)}"
             )
         values = [_value(cell, number) for cell in row]
         columns = _columns(online, online.update(values[-(p + m) : -m], values[-m:]))
         if count == 0 and not as_json:
             click.echo(",".join(_header(columns)))
-        time = values[0] if len(row) > p + m else count * problem.simulation.step
+        time = values[0] if len(row) > p + m else count * step
         click.echo(_json(time, columns) if as_json else _csv(time, columns))
         sys.stdout.flush()
         count += 1
@@ -67,6 +70,7 @@ def watch(scenario: Path, as_json: bool) -> int:
 
 
 def _rows() -> Iterator[list[str]]:
+    """The lines of stdin, in cells. Raises FileError."""
     try:
         yield from csv.reader(sys.stdin)
     except (csv.Error, UnicodeDecodeError) as error:
@@ -74,6 +78,7 @@ def _rows() -> Iterator[list[str]]:
 
 
 def _value(cell: str, number: int) -> float:
+    """The number in a cell; NaN in an empty one. Raises FileError that names the line."""
     if not cell.strip():
         return math.nan
     try:
@@ -85,6 +90,7 @@ def _value(cell: str, number: int) -> float:
 
 
 def _is_number(cell: str) -> bool:
+    """Whether a cell holds a number or nothing, and is no word of a header."""
     try:
         float(cell)
     except ValueError:

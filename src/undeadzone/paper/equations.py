@@ -84,7 +84,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         14,
         "x' = A x + B u, y = Dz(C x)",
-        "simulation.loop.close",
+        "simulation.close.close",
         "as printed",
         "any A, B, C, several outputs, nonlinear plants too",
     ),

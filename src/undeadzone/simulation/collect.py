@@ -20,58 +20,69 @@ from undeadzone.support.arrays import Floats
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
-    """What a run's readings tell of each output's widths; of a nonlinear plant along the run, given what the observer is told of its start."""
-    sensor, disturbance, step = (
-        problem.sensor,
-        problem.scenario.disturbance,
-        problem.scenario.simulation.step,
-    )
-    if not problem.plant.nonlinear:
-        schedule = recorded(signal.z, sensor, step, problem.model.Ts)
-        return verdicts(
-            problem.model.linear,
-            schedule,
-            unknown_bias(disturbance, problem.model.linear.B),
-            sensor.kind == "jump",
-        )
+    """What a run's readings tell of each output's widths.
+
+    Of a nonlinear plant they are judged along the run, given what the observer claims of its start.
+
+    Args:
+        problem: what was simulated.
+        signal: the outputs of the loop (a row per sample).
+    """
+    if problem.plant.nonlinear:
+        return _verdicts_along(problem, signal)
+    sensor, linear = problem.sensor, problem.model.linear
+    schedule = recorded(signal.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
+    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    return verdicts(linear, schedule, bias, sensor.kind == "jump")
+
+
+def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
+    """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    bias = unknown_bias(disturbance, np.eye(problem.plant.m))
-    traits = problem.observer.traits
+    bias = unknown_bias(problem.scenario.disturbance, np.eye(problem.plant.m))
+    traits, step = problem.observer.traits, problem.scenario.simulation.step
 
-    def given(start_std: Floats | None) -> list[Verdict]:
+    def with_start(start_std: Floats | None) -> list[Verdict]:
         return verdicts_along(
             problem.plant,
             signal.x,
             signal.u,
             signal.z,
-            sensor,
+            problem.sensor,
             step,
             bias,
             traits.uncertain,
             start_std,
         )
 
-    alone = given(None)
+    alone = with_start(None)
     if traits.start_std is None:
         return alone
-    homed = given(traits.start_std)
+    homed = with_start(traits.start_std)
     return [_homed(*pair) for pair in zip(alone, homed, strict=True)]
 
 
 def _homed(alone: Verdict, homed: Verdict) -> Verdict:
     """The verdict with a declared start, which says what nothing else tells."""
     gained = [name for name in DIRECTIONS if getattr(homed, name) and not getattr(alone, name)]
-    return homed._replace(
-        reasons=(
-            *homed.reasons,
-            *[f"{', '.join(gained)} from the declared start alone"] * bool(gained),
-        )
-    )
+    if not gained:
+        return homed
+    reason = f"{', '.join(gained)} from the declared start alone"
+    return homed._replace(reasons=(*homed.reasons, reason))
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's tip is, is believed to be, and should be (N x 2 or 3 each) [m]; nothing without an arm."""
+    """Where an arm's tip is, is believed to be, and should be [m]; nothing without an arm.
+
+    Args:
+        problem: what was simulated.
+        x, x_hat: state and its estimate (N x n).
+        t: times (N) [s].
+
+    Returns:
+        tip, tip_hat and tip_r (N x 2 or 3 each).
+    """
     body = problem.plant.arm
     if body is None or problem.path is None:
         return {}
@@ -88,6 +99,7 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
 
 
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
+    """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
     body = problem.plant.arm
     if body is None:
         return {}
@@ -113,17 +125,17 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    found = signal.estimate
-    d_hat = _interleaved(found.right, found.left)
+    estimate = signal.estimate
+    d_hat = _interleaved(estimate.right, estimate.left)
     proof = certificate(problem)
     optional = {
-        "x_std": found.x_std,
-        "d_std": _interleaved(found.right_std, found.left_std),
-        "width_std": found.width_std,
-        "innovation_std": found.innovation_std,
-        "w_hat": found.w,
-        "theta_hat": found.theta,
-        "theta_std": found.theta_std,
+        "x_std": estimate.x_std,
+        "d_std": _interleaved(estimate.right_std, estimate.left_std),
+        "width_std": estimate.width_std,
+        "innovation_std": estimate.innovation_std,
+        "w_hat": estimate.w,
+        "theta_hat": estimate.theta,
+        "theta_std": estimate.theta_std,
     }
     return Run(
         t=t,
@@ -131,16 +143,16 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
         z=signal.z,
         y=signal.y,
         side=signal.side,
-        x_hat=found.x,
-        z_hat=found.z,
+        x_hat=estimate.x,
+        z_hat=estimate.z,
         d_hat=d_hat,
-        z_inverse=found.z_inverse,
-        innovation=found.innovation,
+        z_inverse=estimate.z_inverse,
+        innovation=estimate.innovation,
         u=signal.u,
         r=problem.reference.value(t),
-        V=_storage(problem, proof, signal.x - found.x, d_hat),
+        V=_storage(problem, proof, signal.x - estimate.x, d_hat),
         info=_info(problem, signal, proof, error, began),
-        **tips(problem, signal.x, found.x, t),
+        **tips(problem, signal.x, estimate.x, t),
         **_poses(problem, signal.x, t),
         **{name: value for name, value in optional.items() if value.size},
     )

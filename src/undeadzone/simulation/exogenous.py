@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -13,81 +14,119 @@ from undeadzone.signals import noise
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA
 from undeadzone.support.arrays import Floats, Integers, vector
 
-NUDGE = 1e-9  # of a step: corners of a reference on the grid belong to the step that follows them
-INSTANTS = (0.0, 0.5, 1.0)  # of a continuous step, as fractions of it
+NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
+INSTANTS: Final = (0.0, 0.5, 1.0)  # of a continuous step, as fractions of it
+
+
+class _Grid(NamedTuple):
+    """The starts of a run's steps, and the random disturbance along them.
+
+    Attributes:
+        rows: number of each step (N).
+        refine: rows per step of the scenario.
+        step: between two rows [s].
+        knots: the random disturbance at the scenario's samples, between which it runs straight.
+    """
+
+    rows: Integers
+    refine: int
+    step: float
+    knots: Floats
+
+    @property
+    def lower(self) -> Integers:
+        """The scenario's sample at or before each row (N)."""
+        return self.rows // self.refine
 
 
 def exogenous(
     problem: Problem, refine: int = 1, run: int | None = 0, seed: int | None = None
 ) -> Floats:
-    """One row per step, and one for the last instant, in the order of `loop.Exogenous`; three instants if continuous.
+    """The exogenous inputs of a run: one row per step, and one for the last instant.
 
-    With Taylor series (simulation.order above 4) the coefficients of a step stand in place of the instants.
+    A row is in the order of `loop.Exogenous`, of one instant in sampled time and of three in
+    continuous time. With Taylor series (simulation.order above 4) the coefficients of a step stand
+    in place of the instants.
 
-    refine: rows per step; run, seed: of the noise and the random disturbance (None: 0 in their place; the scenario's).
+    Args:
+        problem: what is simulated.
+        refine: rows per step.
+        run: number of the run, which tells noise and random disturbance of one from those of
+            another; None: 0 in their place.
+        seed: of the random numbers; None: the scenario's.
     """
     simulation, plant = problem.scenario.simulation, problem.plant
-    starts = np.arange(problem.steps * refine + 1)
-    step = simulation.step / refine
+    rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
-    held = np.zeros((starts.size, HELD * plant.p))
+    held = np.zeros((rows.size, HELD * plant.p))
     knots: Floats = np.zeros((problem.steps + 2, plant.m))
     if run is not None:
-        held[:] = np.hstack(_held(problem, seed, run))[starts // refine]
-        if (random := random_disturbance(problem)) is not None:
+        held[:] = np.hstack(_held(problem, seed, run))[rows // refine]
+        random = random_disturbance(problem)
+        if random is not None:
             knots = noise.coloured(seed, problem.steps + 2, *random, simulation.step, run)
-
-    def disturbance(t: Floats, fraction: float) -> Floats:
-        """w at the instants t [s], which are at that fraction of their steps."""
-        if problem.disturbance is not None:
-            return problem.disturbance.value(t)
-        lower, rest = starts // refine, (starts % refine + fraction)[:, None] / refine
-        return between(knots[lower], knots[lower + 1], rest)
-
+    grid = _Grid(rows, refine, simulation.step / refine, knots)
     if plant.Ts is not None:
-        return np.hstack(
-            [*_targets(problem, starts * step), disturbance(starts * step + step / 2, 0.5), held]
-        )
+        return np.hstack(_at_samples(problem, grid, held))
     if simulation.order > RUNGE_KUTTA:
-        return np.hstack(_coefficients(problem, starts, refine, knots, held))
-    instants = [((starts + min(max(c, NUDGE), 1 - NUDGE)) * step, c) for c in INSTANTS]
-    return np.hstack(
-        [part for t, c in instants for part in (*_targets(problem, t), disturbance(t, c), held)]
-    )
+        return np.hstack(_coefficients(problem, grid, held))
+    return np.hstack(_at_instants(problem, grid, held))
 
 
-def _coefficients(
-    problem: Problem, starts: Integers, refine: int, knots: Floats, held: Floats
-) -> list[Floats]:
-    """The exogenous inputs of each step as Taylor coefficients, one after the other; what is held has the first alone."""
-    step = problem.scenario.simulation.step / refine
-    lower, rest = starts // refine, (starts % refine)[:, None] / refine
-    t, parts = (starts + NUDGE) * step, []
+def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
+    """The inputs of each step in sampled time: targets at its start, w at its middle."""
+    t = grid.rows * grid.step
+    w = _disturbance(problem, grid, t + grid.step / 2, 0.5)
+    return [*_targets(problem, t), w, held]
+
+
+def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
+    """The inputs at the start, middle and end of each step, one after the other."""
+    parts: list[Floats] = []
+    for fraction in INSTANTS:
+        nudged = min(max(fraction, NUDGE), 1 - NUDGE)
+        t = (grid.rows + nudged) * grid.step
+        w = _disturbance(problem, grid, t, fraction)
+        parts += [*_targets(problem, t), w, held]
+    return parts
+
+
+def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
+    """The inputs of each step as Taylor coefficients, one after the other.
+
+    What is held has the first coefficient alone.
+    """
+    t = (grid.rows + NUDGE) * grid.step
+    parts = []
     for k in range(problem.scenario.simulation.order):
-        scale = step**k / math.factorial(k)
+        scale = grid.step**k / math.factorial(k)
         targets = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
+        scaled = [scale * part for part in targets[:3]]
         if problem.disturbance is not None:
             w = scale * problem.disturbance.value(t, k)
         else:
-            w = (
-                between(knots[lower], knots[lower + 1], rest)
-                if k == 0
-                else (knots[lower + 1] - knots[lower]) * (k == 1) / refine
-            )
-        parts.append(
-            np.hstack(
-                [
-                    *(scale * part for part in targets[:3]),
-                    w,
-                    held if k == 0 else np.zeros_like(held),
-                ]
-            )
-        )
-    for k in range(len(parts) - 1):
-        parts[k] = (
-            parts[k] - (k + 1) * NUDGE * parts[k + 1]
-        )  # from the nudged instant back to the step's start
+            w = _coefficient_of_lines(grid, k)
+        constant = held if k == 0 else np.zeros_like(held)
+        parts.append(np.hstack([*scaled, w, constant]))
+    for k in range(len(parts) - 1):  # from the nudged instant back to the step's start
+        parts[k] = parts[k] - (k + 1) * NUDGE * parts[k + 1]
     return parts
+
+
+def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> Floats:
+    """w at the instants t [s], which are at that fraction of their steps (N x m)."""
+    if problem.disturbance is not None:
+        return problem.disturbance.value(t)
+    share = (grid.rows % grid.refine + fraction)[:, None] / grid.refine
+    return between(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
+
+
+def _coefficient_of_lines(grid: _Grid, k: int) -> Floats:
+    """The Taylor coefficient of order k of the random disturbance's straight lines (N x m)."""
+    first, last = grid.knots[grid.lower], grid.knots[grid.lower + 1]
+    if k == 0:
+        return between(first, last, (grid.rows % grid.refine)[:, None] / grid.refine)
+    return (last - first) * (k == 1) / grid.refine
 
 
 def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
@@ -98,7 +137,8 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
         shape = problem.steps + 1, channels
         return noise.gaussian(seed, stream, *shape, run) if size.any() else np.zeros(shape)
 
-    walk = worn(np.cumsum(normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem), axis=0))
+    moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
+    walk = worn(np.cumsum(moves, axis=0))
     missing = lost(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
     return [
         normal(noise.BEFORE, sensor.noise_before, p),
@@ -111,9 +151,13 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
 def widths(problem: Problem, exogenous: Floats) -> Floats:
     """The true d_r, d_l at the start of each step (N x 2 x p)."""
     p = problem.plant.p
-    wear = exogenous[:, : exogenous.shape[1] // (1 if problem.plant.Ts is not None else 3)][
-        :, -3 * p : -p
-    ]
+    order = problem.scenario.simulation.order
+    if problem.plant.Ts is not None:
+        instants = 1
+    else:
+        instants = order if order > RUNGE_KUTTA else len(INSTANTS)
+    first = exogenous[:, : exogenous.shape[1] // instants]
+    wear = first[:, -3 * p : -p]
     return np.stack([problem.sensor.right, problem.sensor.left]) * (1 + wear.reshape(-1, 2, p))
 
 
@@ -128,44 +172,57 @@ def worn(walk: Floats) -> Floats:
 
 
 def lost(normal: Floats, dropout: Floats) -> Floats:
-    """NaN where standard normal numbers (... x p) are so low as happens with that probability, else 0."""
+    """NaN where a reading is missing, else 0 (... x p).
+
+    Args:
+        normal: standard normal numbers (... x p); the lowest ones are those that are missing.
+        dropout: probability that a reading is missing (p).
+    """
     from scipy.special import ndtri
 
-    return (
-        np.where(normal < ndtri(dropout), np.nan, 0.0) if dropout.any() else np.zeros_like(normal)
-    )
+    if not dropout.any():
+        return np.zeros_like(normal)
+    return np.where(normal < ndtri(dropout), np.nan, 0.0)
 
 
 def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
-    """(rms (m), correlation time [s]) of a random disturbance, which runs in straight lines between samples of the time grid."""
+    """(rms (m), correlation time [s]) of a random disturbance; None where there is no such one.
+
+    It runs in straight lines between the samples of the time grid.
+    """
     signal = problem.scenario.disturbance
     if not isinstance(signal, signals.Random):
         return None
-    return np.broadcast_to(
-        np.asarray(signal.rms, float).ravel(), problem.plant.m
-    ), signal.correlation_time
+    rms = np.broadcast_to(np.asarray(signal.rms, float).ravel(), problem.plant.m)
+    return rms, signal.correlation_time
 
 
 def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
-    """The straight line from first to last at a fraction of the way, exactly first at 0 and last at 1."""
+    """The straight line from first to last, exactly first at fraction 0 and last at 1."""
     return first * (1.0 - fraction) + last * fraction
 
 
 def _targets(problem: Problem, t: Floats) -> Target:
-    """Targets at times t [s], with what the controller plans along them; u_ff of a sampled nonlinear model is that of the middle of the step."""
+    """Targets at times t [s], with what the controller plans along them.
+
+    u_ff of a sampled nonlinear model is that of the middle of the step.
+    """
     target, plan = _followed(problem, t), problem.controller.plan
     if problem.model.nonlinear and problem.model.Ts is not None:
         target = target._replace(u_ff=_followed(problem, t + problem.model.Ts / 2).u_ff)
-    return target._replace(
-        plan=np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target)
-    )
+    planned = np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target)
+    return target._replace(plan=planned)
 
 
 def _followed(problem: Problem, t: Floats) -> Target:
+    """Targets at times t [s], by the method that the model allows."""
     if not problem.model.nonlinear:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
     if problem.path is not None:
         return flat_targets(problem.flow, problem.path, problem.tracked, t)
-    eq = problem.scenario.plant.x_eq
-    start = np.zeros(problem.model.n) if eq is None else vector("plant.x_eq", eq, problem.model.n)
+    x_eq = problem.scenario.plant.x_eq
+    if x_eq is None:
+        start: Floats = np.zeros(problem.model.n)
+    else:
+        start = vector("plant.x_eq", x_eq, problem.model.n)
     return inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)

@@ -13,7 +13,8 @@ from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.scenario.problem import require_bounded_error, require_visible
+from undeadzone.scenario.problem import require_visible
+from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.sensor import Sensor, present, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
@@ -87,7 +88,9 @@ class Online:
         return Estimate(*[out[part] for part in self._where.estimate])
 
     def peek(self, y: Array) -> Estimate:
-        """The estimate that `update(y, u)` would return, which does not depend on u; nothing advances.
+        """The estimate that `update(y, u)` would return; nothing advances.
+
+        It does not depend on u.
 
         Args:
             y: reading (p).
@@ -109,15 +112,25 @@ class _Out(NamedTuple):
 def _graph(
     model: System, observer: Observer, threshold: Floats
 ) -> tuple[ca.Function, Floats, Floats, _Out]:
-    """(step(s, w, p) -> (next, out), state, params, the shapes of out) of an observer alone; w = [y; u]."""
+    """The graph of an observer alone.
+
+    Args:
+        model: the sampled model.
+        observer: the observer.
+        threshold: |y| that counts as silent (p).
+
+    Returns:
+        The function step(s, w, p) -> (next, out) with w = [y; u], its packed state, its packed
+        params, and the shapes of out.
+    """
     values = (observer.params, threshold)
-    column, (params, eps) = tree.symbols(values, "p")
+    column, (params, silent) = tree.symbols(values, "p")
     state = (observer.init(observer.params), np.zeros(model.m))
     s_column, (s, held) = tree.symbols(state, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     seen = ca.if_else(present(y), y, np.nan)
     used = ca.if_else(present(u), u, held)
-    reading = Reading(seen, side(seen, eps))
+    reading = Reading(seen, side(seen, silent))
     after, estimate = observer.step(params, s, used, reading)
     out = _Out(estimate, reading.side, ca.mmin(present(y)) == 0)
     function = ca.Function(

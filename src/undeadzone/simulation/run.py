@@ -1,62 +1,56 @@
-"""The result of a run: named signals with their units, what was found out about them, and how to keep them."""
+"""The result of a run: signals by name, with their units and what was found out about them."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import os
-import zipfile
-import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import msgspec
 import numpy as np
 
-from undeadzone.errors import FileError, InputError
-from undeadzone.scenario.schema import Units
+from undeadzone.simulation.run_columns import to_columns, unit_of
+from undeadzone.simulation.run_file import read, write
+from undeadzone.simulation.run_info import Info as Info
 from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.files import reason, replacing
 
-LAST = 2.0  # [s] over which errors are measured
-FRAMES = 25  # per second, of an arm's poses
-LIMIT = 1e12  # beyond this a state has diverged
-
-
-class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What a run knows besides its signals; widths: the true [right, left] of each output; joints: names, of an arm;
-    uncertain: the parameters that the observer estimates, and their true values; label: what tells its observer from one that it is compared with.
-    """
-
-    title: str
-    method: str
-    time: str
-    step: float
-    tracked: list[int]
-    widths: list[float]
-    threshold: list[float]
-    certified: bool | None
-    integration_error: float | None
-    identifiable: list[dict[str, Any]]
-    seconds: float
-    units: Units = Units()
-    joints: list[str] = []
-    uncertain: dict[str, float] = {}
-    label: str = ""
-    adapts: bool = True
+LAST: Final = 2.0  # [s] over which errors are measured
+FRAMES: Final = 25  # per second, of an arm's poses
+LIMIT: Final = 1e12  # beyond this a state has diverged
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """Signals of one run, one row per sample: t [s] (N), the others N x (n, p, m, 2p); V (N) where a certificate exists.
+    """Signals of one run, one row per sample.
 
-    x: state; z: true output; y: reading; side: measured side; x_hat, z_hat: estimates; d_hat: [d_r^, d_l^] of each
-    output; z_inverse: the deadzone inverse (26); u: input; r: reference of the tracked outputs; innovation: observer's.
-    x_std, d_std, width_std, innovation_std: standard deviations of x_hat, d_hat, d_r^ + d_l^ and innovation, where the
-    observer knows them; w_hat: what its model leaves out, x' = f(x, u) + w (n), where it estimates that; theta_hat, theta_std: the model's
-    parameters that it takes for uncertain (info.uncertain), and their standard deviations. Of an arm: tip,
-    tip_hat, tip_r: where its tip is, is believed to be and should be [m] (2 or 3); poses (F x K x 3): where base, joints and tip are at
-    FRAMES instants per second, from t = 0 on [m] (in `.npz` files only).
+    A signal is None where the method does not estimate it or the plant does not have it.
+
+    Attributes:
+        t: time (N) [s].
+        x: state (N x n).
+        z: true output (N x p) [z].
+        y: reading (N x p) [y].
+        side: measured side (N x p): +1 right, -1 left, 0 silent.
+        x_hat: estimate of x (N x n).
+        z_hat: estimate of z (N x p) [z].
+        d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].
+        z_inverse: the deadzone inverse (26) (N x p) [z].
+        innovation: the observer's (N x p).
+        u: input (N x m).
+        r: reference of the tracked outputs (N x tracked).
+        V: storage function (N), where a certificate exists.
+        info: what is known besides the signals.
+        x_std: standard deviation of x_hat (N x n).
+        d_std: standard deviation of d_hat (N x 2p) [z].
+        width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
+        innovation_std: standard deviation of the innovation (N x p).
+        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
+        theta_std: standard deviations of theta_hat.
+        tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
+            [m].
+        poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
+            (F x K x 3) [m]; in `.npz` files only.
     """
 
     t: Floats
@@ -92,7 +86,7 @@ class Run:
 
     @property
     def diverged_at(self) -> float | None:
-        """The time [s] at which a signal left +-1e12 or stopped being a number; None if none did."""
+        """The time [s] at which a signal left +-1e12 or was no number; None if none did."""
         worst = np.abs(np.hstack([self.x, self.x_hat, self.d_hat, self.u])).max(axis=1)
         bad = np.flatnonzero(~(worst < LIMIT))
         return float(self.t[bad[0]]) if bad.size else None
@@ -100,16 +94,17 @@ class Run:
     @property
     def shown(self) -> slice:
         """The samples that a figure shows: those up to where the run diverged, two at least."""
-        return slice(
-            0,
-            self.t.size
-            if self.diverged_at is None
-            else max(2, int(np.searchsorted(self.t, self.diverged_at))),
-        )
+        diverged = self.diverged_at
+        if diverged is None:
+            return slice(0, self.t.size)
+        return slice(0, max(2, int(np.searchsorted(self.t, diverged))))
 
     @property
     def name(self) -> str:
-        """What figures call its observer: the method, and what tells it from one that it is compared with."""
+        """What figures call its observer.
+
+        This is the method, or what tells it from the one that it is compared with.
+        """
         return self.info.label or self.info.method
 
     @property
@@ -124,7 +119,10 @@ class Run:
 
     @property
     def rms_tip(self) -> float | None:
-        """Root mean square distance of an arm's tip from where it should be over the last 2 s [m]; None without an arm."""
+        """Root mean square distance of an arm's tip from where it should be over the last 2 s [m].
+
+        None without an arm.
+        """
         if self.tip is None or self.tip_r is None:
             return None
         return float(np.sqrt(np.sum((self.tip - self.tip_r)[self.last] ** 2, axis=1).mean()))
@@ -147,9 +145,10 @@ class Run:
 
     @property
     def outputs(self) -> list[str]:
-        """The names of the outputs: those of an arm's joints where it has one for each, else their numbers."""
-        several = len(self.info.joints) == self.z.shape[1]
-        return list(self.info.joints) if several else [str(i) for i in range(self.z.shape[1])]
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        if len(self.info.joints) == self.z.shape[1]:
+            return list(self.info.joints)
+        return [str(i) for i in range(self.z.shape[1])]
 
     @property
     def silent_fraction(self) -> float:
@@ -158,13 +157,15 @@ class Run:
 
     @property
     def largest_rise_of_V(self) -> float | None:
-        """The largest increase of V above any earlier value, relative to the largest V; None without a certificate."""
+        """The largest increase of V above any earlier value, relative to the largest V.
+
+        None without a certificate.
+        """
         if self.V is None:
             return None
         with np.errstate(invalid="ignore"):
-            return float(
-                (self.V - np.minimum.accumulate(self.V)).max() / np.maximum(self.V.max(), 1e-300)
-            )
+            rise = (self.V - np.minimum.accumulate(self.V)).max()
+            return float(rise / np.maximum(self.V.max(), 1e-300))
 
     @property
     def fully_identifiable(self) -> bool:
@@ -173,18 +174,18 @@ class Run:
 
     @property
     def adapts(self) -> bool:
-        """Whether the observer estimates the widths: `luenberger` and `oracle` do not, nor does a blind filter."""
+        """Whether the observer estimates the widths.
+
+        `luenberger` and `oracle` do not, nor does a blind filter.
+        """
         return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
-
-        def each(column: Floats) -> Any:
-            return column.tolist() if column.size > 1 else float(column[0])
-
-        right, left = map(each, self.widths.T)
+        right, left = (_one_or_list(column) for column in self.widths.T)
+        d_std, width_std = self.d_std, self.width_std
         verdicts = self.info.identifiable
-        found: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
             "time": self.info.time,
@@ -194,10 +195,10 @@ class Run:
             **({} if self.tip is None else {"rms_tip": self.rms_tip}),
             "d_right": right,
             "d_left": left,
-            "d_right_std": None if self.d_std is None else each(self.d_std[-1, 0::2]),
-            "d_left_std": None if self.d_std is None else each(self.d_std[-1, 1::2]),
+            "d_right_std": None if d_std is None else _one_or_list(d_std[-1, 0::2]),
+            "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
-            "width_std": None if self.width_std is None else each(self.width_std[-1]),
+            "width_std": None if width_std is None else _one_or_list(width_std[-1]),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
@@ -206,106 +207,60 @@ class Run:
             "diverged_at": self.diverged_at,
             "seconds": self.info.seconds,
         }
-        return finite(found)
+        return finite(numbers)
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
-        found = {"t": self.t}
-        for name in ARRAYS[1:]:
-            value = getattr(self, name)
-            if value is None or value.ndim > 2:
-                continue
-            if value.ndim == 1:
-                found[name] = value
-            elif name in EDGES:
-                found |= {
-                    f"{EDGES[name][i % 2]}[{i // 2}]": value[:, i] for i in range(value.shape[1])
-                }
-            else:
-                found |= {f"{name}[{i}]": value[:, i] for i in range(value.shape[1])}
-        return found
+        return to_columns(self._signals())
 
     def unit(self, name: str) -> str:
-        """The unit of a signal or of one of its columns."""
-        units, (signal, _, index) = self.info.units, name.partition("[")
-        if signal in ("x", "x_hat", "x_std", "w_hat"):
-            state = (
-                units.state
-                if isinstance(units.state, str)
-                else units.state[int(index.rstrip("]") or 0)]
-            )
-            return f"{state}/s" if signal == "w_hat" else state
-        if signal in ("theta_hat", "theta_std"):
-            return "1"
-        return {
-            "t": "s",
-            "u": units.input,
-            "side": "1",
-            "V": "1",
-            "tip": "m",
-            "tip_hat": "m",
-            "tip_r": "m",
-        }.get(signal, units.output)
+        """The unit of a signal or of one of its columns.
+
+        Args:
+            name: of the signal, `x`, or of the column, `x[0]`.
+        """
+        return unit_of(name, self.info.units)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `.npz` or `.csv` (17 digits, units in the header, the info as a first line after #). Raises FileError, InputError."""
-        path = Path(path)
-        if path.suffix == ".npz":
-            arrays = {name: value for name in ARRAYS if (value := getattr(self, name)) is not None}
-            with replacing(path) as temporary, open(temporary, "wb") as file:
-                np.savez_compressed(
-                    file, info=np.frombuffer(msgspec.json.encode(self.info), np.uint8), **arrays
-                )
-        elif path.suffix == ".csv":
-            columns = self.columns()
-            with (
-                replacing(path) as temporary,
-                open(temporary, "w", encoding="utf-8", newline="") as table,
-            ):
-                table.write(f"# {msgspec.json.encode(self.info).decode()}\n")
-                csv.writer(table, lineterminator="\n").writerow(
-                    [f"{name} [{' '.join(self.unit(name).split())}]" for name in columns]
-                )
-                np.savetxt(
-                    table, np.stack(list(columns.values()), axis=1), fmt="%.17g", delimiter=","
-                )
-        else:
-            raise InputError(f"{path}: the name must end in .npz or .csv")
-        return path
+        """Write the run to a file.
+
+        Args:
+            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
+                first line after #).
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: it cannot be written.
+            InputError: the name ends otherwise.
+        """
+        return write(Path(path), self.info, self._signals())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
-        """Read a run saved as `.npz` or `.csv`, exactly as it was. Raises FileError."""
-        try:
-            if Path(path).suffix == ".csv":
-                return cls(**_read_csv(Path(path)))
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in ARRAYS if name in file}
-                info = msgspec.json.decode(file["info"].tobytes(), type=Info)
-            return cls(**{"V": None, **arrays}, info=info)
-        except OSError as error:
-            raise FileError(f"{path}: cannot read: {reason(error)}") from None
-        except (
-            ValueError,
-            KeyError,
-            TypeError,
-            StopIteration,
-            EOFError,
-            msgspec.DecodeError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
-            raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
+        """Read a run saved as `.npz` or `.csv`, exactly as it was.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileError: it cannot be read, or is no run.
+        """
+        return cls(**read(Path(path), ARRAYS, REQUIRED))
+
+    def _signals(self) -> dict[str, Floats]:
+        """The signals that there are, by name."""
+        every = {name: getattr(self, name) for name in ARRAYS}
+        return {name: value for name, value in every.items() if value is not None}
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
         import pandas as pd
 
         columns = self.columns()
-        return pd.DataFrame(
-            {name: values for name, values in columns.items() if name != "t"},
-            index=pd.Index(columns["t"], name="t"),
-        )
+        t = pd.Index(columns.pop("t"), name="t")
+        return pd.DataFrame(columns, index=t)
 
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
@@ -314,36 +269,19 @@ REQUIRED = tuple(
     for field in dataclasses.fields(Run)
     if field.name in ARRAYS and field.default is dataclasses.MISSING
 )
-EDGES = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}  # names of columns
 
 
 def last_samples(t: Floats) -> slice:
-    """The samples at times t [s] over which errors are measured: of the last 2 s (all of a shorter run)."""
+    """The samples at times t [s] over which errors are measured: of the last 2 s, or all."""
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
-def _read_csv(path: Path) -> dict[str, Any]:
-    """The fields of a `Run` from the columns that `Run.columns` names."""
-    with open(path, encoding="utf-8", newline="") as file:
-        info = msgspec.json.decode(file.readline().removeprefix("# "), type=Info)
-        names = [cell.partition(" [")[0] for cell in next(csv.reader([file.readline()]))]
-        rows = file.readlines()
-    if not rows:
-        raise ValueError("no samples")
-    table = np.loadtxt(rows, delimiter=",", ndmin=2)
-    columns = dict(zip(names, table.T, strict=True))
-    fields: dict[str, Any] = {"info": info, "V": columns.get("V"), "t": columns["t"]}
-    for name in set(ARRAYS) - {"t", "V"}:
-        parts = [
-            column
-            for key, column in columns.items()
-            if key.partition("[")[0] in EDGES.get(name, (name,))
-        ]
-        if parts or name in REQUIRED:
-            fields[name] = np.stack(parts, axis=1)
-    return fields
+def _one_or_list(column: Floats) -> Any:
+    """A number of each output: itself where there is one output, else a list."""
+    return column.tolist() if column.size > 1 else float(column[0])
 
 
 def _rms(values: Floats) -> float:
+    """Root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))

@@ -17,43 +17,69 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
+from undeadzone.simulation.close import close
 from undeadzone.simulation.collect import collect
-from undeadzone.simulation.loop import Loop, Outputs, close
+from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.run import Run
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 Engine = Literal["interpret", "lanes"]
+Progress = Callable[[int], None]  # called with the number of steps just done
 
 
 def simulate(
     scenario: Scenario,
     *,
     check_step: bool = True,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     engine: Engine = "interpret",
 ) -> Run:
     """Simulate a scenario.
 
-    check_step: in continuous time, run again with half the step and report the difference as `integration_error`.
-    progress: called with the number of steps just done, from two threads. engine: CasADi's virtual machine (interpret), or the loop
-    compiled for this CPU (lanes), which takes seconds the first time; they agree to the last bits. Raises InputError
-    and its kinds for what is wrong.
+    Args:
+        scenario: what to simulate.
+        check_step: in continuous time, run again with half the step and report the difference as
+            `integration_error`.
+        progress: called with the number of steps just done, from two threads.
+        engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes),
+            which takes seconds the first time; they agree to the last bits.
+
+    Returns:
+        The signals of the run, and what was found out about them.
+
+    Raises:
+        InputError: or a subclass, for what is wrong with the scenario.
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
-    if isinstance(problem.observer, NumericObserver) and engine == "interpret":
-        return collect(
-            problem,
-            live.run_sample_by_sample(
-                problem, problem.observer, inputs.exogenous(problem), progress
-            ),
-            None,
-            began,
-        )
+    signal, error = _signals(problem, check_step, progress, engine)
+    return collect(problem, signal, error, began)
+
+
+def _signals(
+    problem: Problem, check_step: bool, progress: Progress | None, engine: Engine
+) -> tuple[Outputs, float | None]:
+    """The signals of a run, and the error of its integration where that is measured."""
+    observer = problem.observer
+    if isinstance(observer, NumericObserver) and engine == "interpret":
+        exogenous = inputs.exogenous(problem)
+        return live.run_sample_by_sample(problem, observer, exogenous, progress), None
     loop, state, exogenous = prepare(problem)
-    if not check_step or problem.plant.Ts is not None:
-        return collect(problem, run_loop(loop, state, exogenous, progress, engine), None, began)
+    if check_step and problem.plant.Ts is None:
+        return _with_error(problem, loop, state, exogenous, progress, engine)
+    return run_loop(loop, state, exogenous, progress, engine), None
+
+
+def _with_error(
+    problem: Problem,
+    loop: Loop,
+    state: Floats,
+    exogenous: Floats,
+    progress: Progress | None,
+    engine: Engine,
+) -> tuple[Outputs, float]:
+    """The signals of a run, and by how much its twin of half the step differs, run beside it."""
     interrupted = threading.Event()
 
     def tick(done: int) -> None:
@@ -62,26 +88,34 @@ def simulate(
         if progress is not None:
             progress(done)
 
-    def finer() -> Outputs:
-        halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-        fine = run_loop(halved, state, inputs.exogenous(problem, 2), tick, engine)
-        every_other = (part[::2] for _, part in tree.leaves(fine))
-        outputs: Outputs = tree.rebuild(fine, every_other)
-        return outputs
-
     with ThreadPoolExecutor(1) as beside:
-        twin = beside.submit(finer)
+        twin = beside.submit(_at_half_the_step, problem, loop, state, tick, engine)
         try:
             signal = run_loop(loop, state, exogenous, progress, engine)
-            error = _difference(signal, twin.result())
+            return signal, _difference(signal, twin.result())
         except BaseException:
             interrupted.set()
             raise
-    return collect(problem, signal, error, began)
+
+
+def _at_half_the_step(
+    problem: Problem, loop: Loop, state: Floats, progress: Progress, engine: Engine
+) -> Outputs:
+    """The signals of a run with half the step, at the instants of the whole ones."""
+    halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
+    fine = run_loop(halved, state, inputs.exogenous(problem, 2), progress, engine)
+    every_other = (part[::2] for _, part in tree.leaves(fine))
+    outputs: Outputs = tree.rebuild(fine, every_other)
+    return outputs
 
 
 def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
-    """(the closed loop, its initial state with the plant at x0, exogenous inputs (steps + 1 rows))."""
+    """What a run of a problem starts from.
+
+    Returns:
+        The closed loop, its packed initial state with the plant at x0, and the exogenous inputs
+        (steps + 1 rows).
+    """
     loop = closed(problem)
     return loop, tree.pack(loop.state._replace(plant=problem.x0)), inputs.exogenous(problem)
 
@@ -106,17 +140,27 @@ def run_loop(
     loop: Loop,
     state: Floats,
     exogenous: Floats,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     engine: Engine = "interpret",
 ) -> Outputs:
-    """The outputs of a loop from a packed state along exogenous inputs, by name (rows: time). Raises InputError for an unknown engine."""
+    """The outputs of a loop along exogenous inputs, by name (rows: time).
+
+    Args:
+        loop: the closed loop.
+        state: its packed initial state.
+        exogenous: exogenous inputs (one row per step, and one).
+        progress: called with the number of steps just done.
+        engine: interpret or lanes.
+
+    Raises:
+        InputError: the engine is unknown.
+    """
     params = tree.pack(loop.params)
     if engine == "lanes":
         from undeadzone.engine import lanes
 
-        outputs = lanes.run(
-            lanes.build(loop.step, width=1), state, exogenous, params, progress=progress
-        )[0][0]
+        compiled = lanes.build(loop.step, width=1)
+        outputs = lanes.run(compiled, state, exogenous, params, progress=progress)[0][0]
     elif engine == "interpret":
         outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
     else:

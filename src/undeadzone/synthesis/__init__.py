@@ -1,1 +1,1 @@
-"""Gains judged, and found, under a certificate."""
+"""Gains of a scenario: assessed, and found by a search, under a certificate."""

@@ -1,8 +1,11 @@
-"""All that a report shows of a scenario's gains: certificate, rate, attempts to break it, and what can be known."""
+"""All that a report shows of a scenario's gains.
+
+That is their certificate, their rate, attempts to break them, and what can be known.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -26,16 +29,29 @@ from undeadzone.simulation.run import Run
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.knowledge import knowledge, plan, trial_run
 
-CONSTANTS = 6  # time constants that a course lasts
-TRIES, PERIODS = 600, 5  # of the search for a growing cycle; of the cycle shown
-GROWS = 1 + 1e-6  # factor above which a cycle is one that grows
+CONSTANTS: Final = 6  # time constants that a trajectory lasts
+TRIES: Final = 600  # of the search for a growing cycle
+PERIODS: Final = 5  # of the cycle shown
+GROWS: Final = 1 + 1e-6  # factor above which a cycle is one that grows
+POINTS: Final = 100  # shown of each mode of an attack, and of each period of a cycle
 
 
 class Gains(NamedTuple):
-    """Constant gains L (n x p), gamma (p), both [1/s], and what they are worth; nearest: certified ones, if these are not.
+    """Constant gains and what they are worth.
 
-    settled [s]: after which every error is at most 1 % of what it was, in size sqrt(V); None where none of that is sure.
-    dynamics, V: of the errors that matter; a jump sensor's readings do not hold d, so that its widths are left out.
+    The dynamics are those of the errors that matter: a jump sensor's readings do not hold d, so
+    that its widths are left out.
+
+    Attributes:
+        L: gain of x^ (n x p) [1/s].
+        gamma: gain of the widths (p) [1/s].
+        certificate: the proof that V never rises, or why there is none.
+        rates: how fast the error dies along the reference.
+        settled: time after which every error is at most 1 % of what it was, in size sqrt(V) [s];
+            None: none of that is sure.
+        nearest: certified gains near to these, if these are not certified.
+        dynamics: of the error.
+        V: the storage function.
     """
 
     L: Floats
@@ -49,7 +65,13 @@ class Gains(NamedTuple):
 
 
 class Attacks(NamedTuple):
-    """Attempts to make V rise: the falsifier's, the periodic side sequence of fastest growth if not certified, and courses."""
+    """Attempts to make V rise.
+
+    Attributes:
+        attack: the falsifier's.
+        cycle: the periodic side sequence of fastest growth; None: the gains are certified.
+        courses: trajectories of the error.
+    """
 
     attack: Attack
     cycle: Cycle | None
@@ -57,9 +79,14 @@ class Attacks(NamedTuple):
 
 
 class Assessment(NamedTuple):
-    """A problem, a run of it if one was needed, its schedule of sides, what can be known of each output.
+    """What a scenario's gains are worth, and what its readings can tell.
 
-    gains: of a linear plant, where they are constant.
+    Attributes:
+        problem: the scenario's parts.
+        run: a run of it, where one was needed.
+        schedule: of its sides.
+        known: what can be known of each output.
+        gains: of a linear plant, where they are constant.
     """
 
     problem: Problem
@@ -70,70 +97,72 @@ class Assessment(NamedTuple):
 
 
 def assess(problem: Problem) -> Assessment:
-    """The account of a problem."""
+    """The assessment of a problem."""
     run = trial_run(problem)
     schedule = plan(problem, run)
-    given = None if problem.model.nonlinear else constant_gains(problem.observer, problem.model)
-    return Assessment(
-        problem,
-        run,
-        schedule,
-        knowledge(problem, schedule, run),
-        None if given is None else _gains(problem, schedule, *given),
-    )
+    known = knowledge(problem, schedule, run)
+    constant = constant_gains(problem.observer, problem.model)
+    if constant is None or problem.model.nonlinear:
+        gains = None
+    else:
+        gains = _gains(problem, schedule, *constant)
+    return Assessment(problem, run, schedule, known, gains)
 
 
-def attack(of: Assessment, seed: int = 0) -> Attacks | None:
-    """Attempts to break the gains of an account, which take seconds; None where no V exists that could be tried."""
-    found = of.gains
-    if found is None or not np.linalg.eigvalsh(found.V.P)[0] > 0:
+def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:
+    """Attempts to break the gains of an assessment, which take seconds.
+
+    Args:
+        assessment: of a scenario.
+        seed: of the random numbers.
+
+    Returns:
+        The attempts; None where no V exists that could be tried.
+    """
+    gains = assessment.gains
+    if gains is None or not np.linalg.eigvalsh(gains.V.P)[0] > 0:
         return None
-    given, V = found.dynamics, found.V
-    attack = falsify(given, V, seed=seed)
-    cycle = None if found.certificate.certified else diverge(given, seed, TRIES)
-    longest = max(of.problem.scenario.simulation.duration, of.schedule.duration)
-    drawn = trajectories(
-        given, V, of.schedule, min(CONSTANTS / max(abs(found.rates.rate), 1e-300), longest), seed
-    )
-    if attack.broken:
-        drawn.append(
-            trajectory("attack", given, V, attack.start, [attack.mode], attack.mode.seconds / 100)
-        )
+    dynamics, V = gains.dynamics, gains.V
+    attempt = falsify(dynamics, V, seed=seed)
+    cycle = None if gains.certificate.certified else diverge(dynamics, seed, TRIES)
+    duration = assessment.problem.scenario.simulation.duration
+    longest = max(duration, assessment.schedule.duration)
+    settling_time = CONSTANTS / max(abs(gains.rates.rate), 1e-300)
+    span = min(settling_time, longest)  # [s]
+    drawn = trajectories(dynamics, V, assessment.schedule, span, seed)
+    if attempt.broken:
+        interval = attempt.mode.seconds / POINTS
+        drawn.append(trajectory("attack", dynamics, V, attempt.start, [attempt.mode], interval))
     if cycle is not None and cycle.factor > GROWS:
-        drawn.append(
-            trajectory(
-                "cycle",
-                given,
-                V,
-                growing(given, cycle),
-                PERIODS * [*cycle.modes],
-                cycle.seconds / 100,
-            )
-        )
-    return Attacks(attack, cycle, drawn)
+        start, modes = growing(dynamics, cycle), PERIODS * [*cycle.modes]
+        drawn.append(trajectory("cycle", dynamics, V, start, modes, cycle.seconds / POINTS))
+    return Attacks(attempt, cycle, drawn)
 
 
 def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains:
+    """What gains L (n x p), gamma (p) [1/s] are worth on a schedule of sides."""
     linear, Ts, jump = problem.model.linear, problem.model.Ts, problem.sensor.kind == "jump"
     certificate = certify(linear, L, gamma, Ts)
-    given, V = certificate.dynamics, certificate.V
+    dynamics, V = certificate.dynamics, certificate.V
     if jump:
-        given, V = given._replace(gamma=0 * given.gamma), V._replace(gamma=0 * V.gamma)
+        dynamics = dynamics._replace(gamma=0 * dynamics.gamma)
+        V = V._replace(gamma=0 * V.gamma)
     speed = rates(linear, L, gamma, schedule, jump)
+    settled, near = None, None
     if certificate.certified:
-        return Gains(L, gamma, certificate, speed, settling(given, V, schedule), None, given, V)
-    return Gains(
-        L, gamma, certificate, speed, None, _nearest(problem, schedule, L, gamma), given, V
-    )
+        settled = settling(dynamics, V, schedule)
+    else:
+        near = _nearest(problem, schedule, L, gamma)
+    return Gains(L, gamma, certificate, speed, settled, near, dynamics, V)
 
 
 def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
+    """Certified gains near to L (n x p), gamma (p) [1/s]; None where none were found."""
     try:
-        found = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
+        certificate = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
     except StructureError:
         return None
-    return (
-        _gains(problem, schedule, found.dynamics.L, np.diag(found.dynamics.gamma)[::2])
-        if found.certified
-        else None
-    )
+    if not certificate.certified:
+        return None
+    dynamics = certificate.dynamics
+    return _gains(problem, schedule, dynamics.L, np.diag(dynamics.gamma)[::2])

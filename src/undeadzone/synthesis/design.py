@@ -1,9 +1,9 @@
-"""A design as a value: gains, their proof, what they are worth, what can be known; kept in TOML, proved again on load."""
+"""Gains for a scenario, found under a certificate: the function `design`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -14,37 +14,108 @@ from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.controllers import StateFeedback
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import Certified
+from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.criteria import make_task
+from undeadzone.synthesis.candidates import Candidate, candidate_of
 from undeadzone.synthesis.gain_search import (
     RATE,
-    ROUNDS,
     STARTS,
-    Candidate,
+    Synthesis,
     Weights,
-    balanced,
-    candidate_of,
     fastest,
 )
+from undeadzone.synthesis.knee import ROUNDS, balanced
 from undeadzone.synthesis.knowledge import determined, knowledge
+from undeadzone.synthesis.task import make_task
+
+Aim = Literal["knee", "rate"] | Weights
 
 
 def design(
     scenario: Scenario,
-    maximise: Literal["knee", "rate"] | Weights = "knee",
+    maximise: Aim = "knee",
     *,
     margin: float = 0.01,
     seed: int = 0,
     progress: Callable[[int], None] | None = None,
 ) -> Design:
-    """Gains for a scenario's model along its reference: the knee of the trade, the fastest, or the best for given weights.
+    """Find gains L, gamma for a scenario's model along its reference, with a proof.
 
-    Certified with `margin`. progress is called with the number of rounds just done, `rounds(maximise)` in all. Raises
-    StructureError where no gains can be certified, InputError where there is nothing to plan on.
+    Args:
+        scenario: whose plant (or model), sensor and reference are planned on.
+        maximise: "knee" of the trade between rate, disturbance and noise; "rate" alone; or
+            `Weights`, the best for rate / (disturbance^a mismatch^b noise^c).
+        margin: least margin of the certificate, between 0 and 1.
+        seed: of the search; the same seed gives the same gains.
+        progress: called with the number of rounds just done, `rounds(maximise)` in all.
+
+    Returns:
+        The gains, their proof, what they are worth, and what can be known.
+
+    Raises:
+        StructureError: no gains can be certified.
+        InputError: or a subclass, where there is nothing to plan on.
     """
     _, flow, _ = systems(scenario)
+    _require_task(scenario, flow)
+    reason = impossible(flow)
+    if reason:
+        raise StructureError(f"plant: no gains can be certified: {reason}")
+    neutral = Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
+    problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
+    task = make_task(problem, margin)
+    present = _present(scenario, problem)
+    before = None if present is None else candidate_of(task, *present)
+    linear = problem.model.linear
+    if maximise == "knee":
+        result = balanced(task, linear, before, seed, progress)
+    else:
+        weights = maximise if isinstance(maximise, Weights) else RATE
+        result = fastest(task, linear, weights, seed, progress)
+    never = rates(linear, result.best.L, result.best.gamma, task.whole).never
+    return Design(
+        title=scenario.title,
+        chosen=_in_words(maximise),
+        seed=seed,
+        Ts=problem.model.Ts,
+        **_proof(problem, result),
+        never=list(never),
+        states=determined(problem, task.whole),
+        remarks=list(result.remarks),
+        best=_point(result.best),
+        present=None if before is None else _point(before),
+        identifiable=knowledge(problem, task.whole, None),
+        front=[_point(candidate) for candidate in result.front],
+    )
+
+
+def rounds(maximise: Aim) -> int:
+    """How many rounds `design` reports to its progress callback."""
+    return STARTS + (ROUNDS if maximise == "knee" else 0)
+
+
+def impossible(flow: System) -> str:
+    """Why no gains can be certified for a linear model; an empty string where some can.
+
+    Args:
+        flow: the model in continuous time.
+    """
+    if flow.nonlinear:
+        return ""
+    return certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
+
+
+def with_gains(scenario: Scenario, design: Design) -> Scenario:
+    """The scenario with the gains of a design."""
+    kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
+    observer = msgspec.structs.replace(kept, L=design.L, gamma=design.gamma, design=None)
+    return msgspec.structs.replace(scenario, observer=observer)
+
+
+def _require_task(scenario: Scenario, flow: System) -> None:
+    """Raise InputError for a scenario that `design` cannot plan on."""
     if flow.nonlinear or scenario.sensor.kind == "jump":
         what = "plant: a nonlinear plant" if flow.nonlinear else "sensor.kind: a jump sensor"
         raise InputError(
@@ -52,69 +123,44 @@ def design(
         )
     if not isinstance(scenario.controller, StateFeedback):
         raise InputError("controller.method: a design plans on z = r; use state_feedback")
-    if reason := certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason:
-        raise StructureError(f"plant: no gains can be certified: {reason}")
-    problem = resolve_scenario(
-        msgspec.structs.replace(
-            scenario, observer=Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
-        )
-    )
-    task = make_task(problem, margin)
-    present = _present(scenario, problem)
-    before = None if present is None else candidate_of(task, *present)
-    linear = problem.model.linear
-    if maximise == "knee":
-        found = balanced(task, linear, before, seed, progress)
-    else:
-        found = fastest(
-            task, linear, maximise if isinstance(maximise, Weights) else RATE, seed, progress
-        )
-    proof = found.certificate
-    schedule = task.whole
-    return Design(
-        title=scenario.title,
-        chosen=maximise
-        if isinstance(maximise, str)
-        else "rate / ("
-        + " ".join(f"{name}^{power:g}" for name, power in maximise._asdict().items())
-        + ")",
-        seed=seed,
-        Ts=problem.model.Ts,
-        A=linear.A.tolist(),
-        B=linear.B.tolist(),
-        C=linear.C.tolist(),
-        K=problem.controller.params.K.tolist(),
-        P=proof.P.tolist(),
-        W=proof.W.tolist(),
-        margin=proof.margin,
-        frequency=proof.frequency,
-        never=list(rates(linear, found.best.L, found.best.gamma, schedule).never),
-        states=determined(problem, schedule),
-        remarks=list(found.remarks),
-        best=_point(found.best),
-        present=None if before is None else _point(before),
-        identifiable=knowledge(problem, schedule, None),
-        front=[_point(candidate) for candidate in found.front],
-    )
-
-
-def rounds(maximise: Literal["knee", "rate"] | Weights) -> int:
-    """How many rounds `design` reports to its progress callback."""
-    return STARTS + (ROUNDS if maximise == "knee" else 0)
 
 
 def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
     """The scenario's own gains, if they are certified."""
     if not isinstance(scenario.observer, Certified):
         return None
-    gains = constant_gains(scenario.observer.build(problem.model, problem.sensor), problem.model)
-    return (
-        gains
-        if gains is not None and certify(problem.model.linear, *gains, problem.model.Ts).certified
-        else None
-    )
+    model = problem.model
+    gains = constant_gains(scenario.observer.build(model, problem.sensor), model)
+    if gains is None or not certify(model.linear, *gains, model.Ts).certified:
+        return None
+    return gains
+
+
+def _proof(problem: Problem, result: Synthesis) -> dict[str, Any]:
+    """The model of a design and the proof of its gains, as its file holds them."""
+    A, B, C = problem.model.linear
+    certificate = result.certificate
+    return {
+        "A": A.tolist(),
+        "B": B.tolist(),
+        "C": C.tolist(),
+        "K": problem.controller.params.K.tolist(),
+        "P": certificate.P.tolist(),
+        "W": certificate.W.tolist(),
+        "margin": certificate.margin,
+        "frequency": certificate.frequency,
+    }
+
+
+def _in_words(maximise: Aim) -> str:
+    """What was maximised."""
+    if isinstance(maximise, str):
+        return maximise
+    powers = [f"{name}^{power:g}" for name, power in maximise._asdict().items()]
+    return f"rate / ({' '.join(powers)})"
 
 
 def _point(candidate: Candidate) -> Point:
+    """A candidate as a design's file holds it."""
     numbers = candidate._asdict()
     return Point(**numbers | {"L": candidate.L.tolist(), "gamma": candidate.gamma.tolist()})

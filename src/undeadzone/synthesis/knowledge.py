@@ -1,4 +1,7 @@
-"""What the readings of a scenario can tell: the sides along its course, verdicts, expected deviations, cures."""
+"""What the readings of a scenario can tell.
+
+That is the sides along its reference or its run, verdicts, expected deviations, and cures.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,18 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.side_schedule import Schedule, planned, recorded
 from undeadzone.controllers import StateFeedback
+from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random
 from undeadzone.simulation.run import Run
+from undeadzone.support.arrays import Floats
 
 
 def trial_run(problem: Problem) -> Run | None:
-    """A run of the scenario where its course must be simulated: a nonlinear plant, or a controller that does not make z follow r."""
+    """A run of the scenario, where its sides cannot be told without one; else None.
+
+    They cannot for a nonlinear plant, nor for a controller that does not make z follow r.
+    """
     if not problem.model.nonlinear and isinstance(problem.scenario.controller, StateFeedback):
         return None
     from undeadzone.simulation.simulate import simulate
@@ -31,75 +39,84 @@ def trial_run(problem: Problem) -> Run | None:
 
 def plan(problem: Problem, run: Run | None) -> Schedule:
     """The sides along a run, or along the reference where there is none."""
-    if run is None:
-        return planned(
-            problem.model,
-            problem.reference,
-            problem.tracked,
-            problem.sensor,
-            problem.scenario.simulation.duration,
-        )
-    return recorded(run.z, problem.sensor, run.info.step, problem.model.Ts)
+    model, sensor = problem.model, problem.sensor
+    if run is not None:
+        return recorded(run.z, sensor, run.info.step, model.Ts)
+    horizon = problem.scenario.simulation.duration
+    return planned(model, problem.reference, problem.tracked, sensor, horizon)
 
 
 def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
-    """What can be known of each output, and how well after the scenario's duration with its sensor noise.
+    """What can be known of each output, and how well after the scenario's duration.
 
-    A step, or the offset of sines, as disturbance counts as an unknown bias; a random one as white process noise of its
-    low-frequency density, 2 rms^2 times its correlation time. Of a nonlinear plant what its run tells, random disturbances left out.
+    A step, or the offset of sines, as disturbance counts as an unknown bias; a random one as white
+    process noise of its low-frequency density, 2 rms^2 times its correlation time. Of a nonlinear
+    plant this is what its run tells, random disturbances left out.
+
+    Args:
+        problem: the scenario's parts.
+        schedule: of its sides.
+        run: of it, where one was needed.
     """
-    model, sensor, scenario = problem.model, problem.sensor, problem.scenario
-    if model.nonlinear and run is not None:
-        unsaid = dict.fromkeys(DIRECTIONS, np.inf)
-        return [
-            Knowledge(**{**verdict, "std": verdict["std"] or unsaid}, cures=[])
-            for verdict in run.info.identifiable
-        ]
-    linear, jump = model.linear, sensor.kind == "jump"
-    bias, process = unknown_bias(scenario.disturbance, linear.B), None
-    if isinstance(scenario.disturbance, Random):
-        density = (
-            2
-            * np.asarray(scenario.disturbance.rms, float) ** 2
-            * scenario.disturbance.correlation_time
-        )
-        process = (
-            linear.B
-            * np.broadcast_to(density, model.m)
-            @ linear.B.T
-            / (1.0 if model.Ts is None else model.Ts)
-        )
-    found = verdicts(linear, schedule, bias, jump)
-    help_ = cures(linear, schedule, bias, jump)
-    std = (
-        [{} for _ in found]
-        if jump
-        else deviations(
-            linear,
-            schedule,
-            sensor.rms,
-            scenario.simulation.step,
-            scenario.simulation.duration,
-            bias,
-            process,
-        ).widths
-    )
-    return [
-        Knowledge(
-            **verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]},
-            cures=[cure.text for cure in help_ if cure.output == i],
-        )
-        for i, verdict in enumerate(found)
-    ]
+    if problem.model.nonlinear and run is not None:
+        return _known_from_run(run)
+    linear, jump = problem.model.linear, problem.sensor.kind == "jump"
+    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    judged = verdicts(linear, schedule, bias, jump)
+    remedies = cures(linear, schedule, bias, jump)
+    if jump:
+        std: list[dict[str, float]] = [{} for _ in judged]
+    else:
+        std = _deviations(problem, schedule, bias)
+    known = []
+    for i, verdict in enumerate(judged):
+        fields = verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]}
+        texts = [remedy.text for remedy in remedies if remedy.output == i]
+        known.append(Knowledge(**fields, cures=texts))
+    return known
+
+
+def _known_from_run(run: Run) -> list[Knowledge]:
+    """What the run of a nonlinear plant tells of each output."""
+    unknown = dict.fromkeys(DIRECTIONS, np.inf)
+    known = []
+    for verdict in run.info.identifiable:
+        fields = {**verdict, "std": verdict["std"] or unknown}
+        known.append(Knowledge(**fields, cures=[]))
+    return known
+
+
+def _deviations(
+    problem: Problem, schedule: Schedule, bias: Floats | None
+) -> list[dict[str, float]]:
+    """The standard deviations of each output's widths that no unbiased estimate can beat [z]."""
+    simulation = problem.scenario.simulation
+    process = _process_noise(problem.model, problem.scenario.disturbance)
+    return deviations(
+        problem.model.linear,
+        schedule,
+        problem.sensor.rms,
+        simulation.step,
+        simulation.duration,
+        bias,
+        process,
+    ).widths
+
+
+def _process_noise(model: System, disturbance: object) -> Floats | None:
+    """The density (n x n) of the white noise that a random disturbance counts as; else None."""
+    if not isinstance(disturbance, Random):
+        return None
+    B, Ts = model.linear.B, 1.0 if model.Ts is None else model.Ts
+    density = 2 * np.asarray(disturbance.rms, float) ** 2 * disturbance.correlation_time
+    return np.asarray(B * np.broadcast_to(density, model.m) @ B.T / Ts)
 
 
 def determined(problem: Problem, schedule: Schedule) -> list[bool]:
-    """Which states the readings along a schedule determine; of a nonlinear model none are listed."""
-    if problem.model.nonlinear:
+    """Which states the readings along a schedule determine (n); none are listed if nonlinear."""
+    model, jump = problem.model, problem.sensor.kind == "jump"
+    if model.nonlinear:
         return []
-    linear = problem.model.linear
-    bias = unknown_bias(problem.scenario.disturbance, linear.B)
-    hidden = invisible(
-        linear, schedule.visited(problem.model.n), schedule.Ts, bias, problem.sensor.kind == "jump"
-    )
-    return [hidden.state(i) for i in range(problem.model.n)]
+    bias = unknown_bias(problem.scenario.disturbance, model.linear.B)
+    hidden = invisible(model.linear, schedule.visited(model.n), schedule.Ts, bias, jump)
+    return [hidden.state(i) for i in range(model.n)]

@@ -1,0 +1,76 @@
+"""The signals of a run as the columns of a table, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from undeadzone.scenario.schema import Units
+from undeadzone.support.arrays import Floats
+
+# Signals whose columns are right and left in turn, and what these are called.
+EDGES: Final = {"d_hat": ("d_right", "d_left"), "d_std": ("d_right_std", "d_left_std")}
+# Units of the signals for which a scenario names none.
+UNITS: Final = {
+    "t": "s",
+    "side": "1",
+    "V": "1",
+    "theta_hat": "1",
+    "theta_std": "1",
+    "tip": "m",
+    "tip_hat": "m",
+    "tip_r": "m",
+}
+
+
+def to_columns(signals: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The columns of signals that have one row per sample; poses, which have not, are left out."""
+    columns: dict[str, Floats] = {}
+    for name, value in signals.items():
+        if value.ndim == 1:
+            columns[name] = value
+        elif value.ndim == 2:
+            for i in range(value.shape[1]):
+                columns[_column_name(name, i)] = value[:, i]
+    return columns
+
+
+def from_columns(
+    columns: Mapping[str, Floats], signals: Iterable[str], required: Iterable[str]
+) -> dict[str, Any]:
+    """The signals whose columns these are.
+
+    Args:
+        columns: as `to_columns` names them.
+        signals: names of all signals that there may be.
+        required: of those without which there is no run. Raises ValueError where one lacks.
+    """
+    needed = set(required)
+    arrays: dict[str, Any] = {"V": columns.get("V"), "t": columns["t"]}
+    for name in set(signals) - {"t", "V"}:
+        heads = EDGES.get(name, (name,))
+        parts = [column for key, column in columns.items() if key.partition("[")[0] in heads]
+        if parts or name in needed:
+            arrays[name] = np.stack(parts, axis=1)
+    return arrays
+
+
+def unit_of(name: str, units: Units) -> str:
+    """The unit of a signal, `x`, or of one of its columns, `x[0]`."""
+    signal, _, index = name.partition("[")
+    if signal in ("x", "x_hat", "x_std", "w_hat"):
+        state = units.state
+        unit = state if isinstance(state, str) else state[int(index.rstrip("]") or 0)]
+        return f"{unit}/s" if signal == "w_hat" else unit
+    if signal == "u":
+        return units.input
+    return UNITS.get(signal, units.output)
+
+
+def _column_name(signal: str, i: int) -> str:
+    """The name of column i of a signal: x[0]; of widths d_right[0], d_left[0], d_right[1], ..."""
+    if signal in EDGES:
+        return f"{EDGES[signal][i % 2]}[{i // 2}]"
+    return f"{signal}[{i}]"

@@ -1,0 +1,115 @@
+"""The parts of a loop wired together: what one of them gives, the next one takes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Observer, Reading
+from undeadzone.plants.system import System
+from undeadzone.sensor import branch, edges, quantised, side, zone
+from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
+from undeadzone.support import tree
+
+
+class Mode(NamedTuple):
+    """A branch of the sensor, held fixed within a step.
+
+    Attributes:
+        zone: where z is (p): +1 beyond d_r, -1 below -d_l, 0 inside.
+        side: which side is read (p).
+    """
+
+    zone: Any
+    side: Any
+
+
+class Wiring(NamedTuple):
+    """The loop's parts with symbolic params, ready to be evaluated at a state.
+
+    Attributes:
+        plant, observer, controller: the parts.
+        kind: of the sensor.
+        p: the params, as symbols.
+    """
+
+    plant: System
+    kind: str
+    observer: Observer
+    controller: Controller
+    p: Params
+
+    def mode(self, s: State, w: Exogenous) -> Mode:
+        """The branch at a state."""
+        right, left = self.widths(w)
+        z = self.plant.output(self.p.plant, s.plant) + w.before
+        above, below = self.levels(w)
+        return Mode(zone(z, right, left), 1.0 * (z > above) - 1.0 * (z < below))
+
+    def levels(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
+        """Two levels of z, noise ahead of the zone included (p each).
+
+        The side is right where z lies above the first, left where z lies below the second.
+        """
+        sensor = self.p.sensor
+        above, below = edges(*self.widths(w), sensor.slope, self.kind, sensor.threshold, w.after)
+        return above, -below
+
+    def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
+        """d_r, d_l at an instant (p each)."""
+        return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
+
+    def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
+        """The exogenous inputs of one instant, scaled.
+
+        A missing reading is noise that is not a number; its side is silent.
+
+        Args:
+            instant: the shapes of the exogenous inputs.
+            column: their numbers, unscaled, one below the other.
+        """
+        w: Exogenous = tree.unpack(instant, column)
+        scale = self.p.scale
+        scaled = Target(*(part * scale.reference for part in w.target[:3]))
+        return w._replace(
+            target=scaled._replace(plan=w.target.plan),
+            w=w.w * scale.disturbance,
+            before=w.before * scale.before,
+            after=w.after * scale.after + w.lost,
+        )
+
+    def move(self, s: State, w: Exogenous, mode: Mode) -> tuple[State, Outputs]:
+        """The state's derivative (or next value) and the outputs, on a given branch."""
+        z = self.plant.output(self.p.plant, s.plant)
+        reading = self._read(z, s, w, mode)
+        unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
+        _, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
+        controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
+        if self.plant.limit is not None:
+            u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
+        observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
+        plant = self.plant.move(self.p.plant, s.plant, u + w.w)
+        outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
+        return State(plant, observer, controller), outputs
+
+    def _read(self, z: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
+        """What the sensor gives of an output z (p) on a given branch."""
+        sensor = self.p.sensor
+        exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
+        y = exact + w.after
+        if not sensor.quantum.numel():
+            return Reading(y, mode.side, s.plant)
+        y = quantised(y, sensor.quantum)
+        return Reading(y, side(y, sensor.threshold), s.plant)
+
+    def admissible(self, like: State, column: ca.SX) -> ca.SX:
+        """The admissible state nearest to a column, as a column.
+
+        Args:
+            like: a state of the right shapes.
+            column: the numbers of a state.
+        """
+        s: State = tree.unpack(like, column)
+        return tree.stack(s._replace(observer=self.observer.project(self.p.observer, s.observer)))

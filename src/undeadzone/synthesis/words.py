@@ -1,0 +1,143 @@
+"""What `check` found, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.scenario.schema import Scenario
+
+REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
+
+
+def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """What was found of a scenario's gains, in words by what they are about.
+
+    Args:
+        summary: what `check` says, with the `nearest` certified gains if there are any.
+        scenario: that was checked.
+    """
+    reasons = [reason for reason in summary["reasons"] if not reason.startswith(REFUSED)]
+    shown = {
+        "scenario": summary["title"],
+        "observer": (f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time"),
+        **_proof(summary, scenario),
+        **_nearest(summary),
+        **_speed(summary),
+        **_knowledge(summary, scenario),
+    }
+    if reasons:
+        shown["why"] = reasons
+    if summary["cures"]:
+        shown["cure"] = summary["cures"]
+    return shown
+
+
+def yes_no(verdict: Mapping[str, bool]) -> str:
+    """What can be known of one output: right yes, left NO, ..."""
+    words = {True: "yes", False: "NO"}
+    return ", ".join(f"{name} {words[bool(verdict[name])]}" for name in DIRECTIONS)
+
+
+def plain(gains: list[Any]) -> str:
+    """Gains as one would write them in a scenario, to six digits.
+
+    One column is written as a plain list, one number as itself.
+    """
+    words = []
+    for row in gains:
+        if not isinstance(row, list):
+            words.append(f"{row:.6g}")
+        elif len(row) == 1 and not isinstance(row[0], list):
+            words.append(f"{row[0]:.6g}")
+        else:
+            words.append(plain(row))
+    single = len(words) == 1 and not isinstance(gains[0], list)
+    return words[0] if single else f"[{', '.join(words)}]"
+
+
+def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
+    """Whether the gains are certified, and whether a run stays where they are."""
+    shown = {}
+    certified = summary["certified"]
+    if certified and scenario.region is not None:
+        shown["certified"] = (
+            f"yes on the region, margin {summary['margin']:.4g}: V never rises while x, x^ and u "
+            "stay in it, whatever the sides do"
+        )
+    elif certified:
+        where = "for large frequencies"
+        if summary["frequency"] is not None:
+            where = f"at {summary['frequency']:.4g} rad/s"
+        shown["certified"] = (
+            f"yes, margin {summary['margin']:.4g} {where}: V never rises, whatever the sides do"
+        )
+    elif certified is False:
+        refused = [reason for reason in summary["reasons"] if reason.startswith(REFUSED)]
+        why = "; ".join(reason.removeprefix(REFUSED) for reason in refused)
+        shown["certified"] = f"NO: {why}"
+    if scenario.region is not None and certified is not None:
+        left = summary["left_region"]
+        if left is None:
+            shown["region"] = "a run of the scenario stays in it"
+        else:
+            shown["region"] = f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
+    return shown
+
+
+def _nearest(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Certified gains near to those that are not, and bounds of those that are."""
+    shown = {}
+    near = summary.get("nearest")
+    if near:
+        gains = f"L = {plain(near['L'])}, gamma = {plain(near['gamma'])}"
+        shown["nearest certified"] = (
+            f"{gains}: margin {near['margin']:.3g}, rate {near['rate']:.4g} 1/s"
+        )
+        shown["faster ones"] = (
+            "undeadzone design finds certified gains by their rate and what they trade for it"
+        )
+    bounds = summary.get("l2_gain")
+    if bounds:
+        shown["bounded"] = (
+            f"L2 gain to z - z^ {bounds['disturbance']:.4g} from the input's disturbance, "
+            f"{bounds['noise']:.4g} from noise on y"
+        )
+    return shown
+
+
+def _speed(summary: Mapping[str, Any]) -> dict[str, str]:
+    """How fast the error dies, and which errors stay."""
+    shown = {}
+    if summary["rate"] is not None:
+        after = "the error does not die"
+        if summary["time_constant"] is not None:
+            after = f"time constant {summary['time_constant']:.4g} s"
+        shown["rate"] = f"{summary['rate']:.4g} 1/s along the reference, {after}"
+    if summary["never"]:
+        shown["stays"] = (
+            f"{', '.join(summary['never'])}: these errors stay along this reference, whatever the "
+            "gains"
+        )
+    return shown
+
+
+def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
+    """What the readings tell of each output, and how well at best."""
+    shown = {}
+    verdicts, deviations = _as_list(summary["identifiable"]), _as_list(summary["std"])
+    unit = "" if scenario.units.output == "1" else f" {scenario.units.output}"
+    for i, (verdict, std) in enumerate(zip(verdicts, deviations, strict=True)):
+        where = f" {i}" if len(verdicts) > 1 else ""
+        shown[f"identifiable{where}"] = yes_no(verdict)
+        known = [f"{name} {value:.2g}" for name, value in std.items() if value is not None]
+        if known:
+            duration = scenario.simulation.duration
+            shown[f"expected std{where}"] = f"{', '.join(known)}{unit} after {duration:g} s at best"
+    return shown
+
+
+def _as_list(value: Any) -> list[Any]:
+    """What `check` says of each output, which is no list where there is one."""
+    return value if isinstance(value, list) else [value]
