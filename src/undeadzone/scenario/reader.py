@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +17,33 @@ from undeadzone.scenario import tune_table as tuning
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
-from undeadzone.support.files import reason
+from undeadzone.support.files import read_text, reason
 
 
-def read(path: str | os.PathLike[str]) -> Scenario:
+def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
     """The scenario in a TOML file.
 
     Args:
         path: the file; the files that it names are relative to its folder.
+        confine: a folder outside of which it may name no file, for a stranger's scenario; None:
+            any.
 
     Returns:
         The scenario, its keys and types checked.
 
     Raises:
         FileError: the file cannot be read.
-        InputError: with the key, what was found and what to do.
+        InputError: with the key, what was found and what to do; also for a file outside of
+            `confine`.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_text(path)
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
-    return parse(text, Path(path).parent)
+    scenario = parse(text, Path(path).parent)
+    return scenario if confine is None else confined(scenario, Path(confine))
 
 
 def parse(text: str, folder: Path = Path()) -> Scenario:
@@ -86,20 +91,50 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
 
 def anchored(scenario: Scenario, folder: Path) -> Scenario:
     """The scenario with the files that it names taken from `folder`."""
-    plant = msgspec.structs.replace(scenario.plant, arm=_anchor(scenario.plant.arm, folder))
-    parts = {
-        part: _anchor(getattr(scenario, part), folder)
-        for part in ("reference", "disturbance", "observer", "compare")
-    }
-    return msgspec.structs.replace(scenario, plant=plant, **parts)
+    return _with_files(scenario, lambda key, path: str(folder / path))
 
 
-def _anchor(part: Any, folder: Path) -> Any:
-    """The part with the file that it names, if any, taken from `folder`."""
+def confined(scenario: Scenario, folder: Path) -> Scenario:
+    """The scenario with the real paths of the files that it names, links followed.
+
+    Args:
+        scenario: with its files' paths.
+        folder: that must hold them.
+
+    Raises:
+        InputError: for a file outside of `folder`; whether there is one is not said.
+    """
+    root = Path(os.path.realpath(folder))
+
+    def inside(key: str, path: str) -> str:
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(root):
+            raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
+        return str(real)
+
+    return _with_files(scenario, inside)
+
+
+def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenario:
+    """The scenario with other paths of the files that it names.
+
+    Args:
+        scenario: the scenario.
+        change: takes a key and the path there, returns another path.
+    """
+    arm = _with_file(scenario.plant.arm, "plant.arm", change)
+    parts: dict[str, Any] = {"plant": msgspec.structs.replace(scenario.plant, arm=arm)}
+    for name in ("reference", "disturbance", "observer", "compare"):
+        parts[name] = _with_file(getattr(scenario, name), name, change)
+    return msgspec.structs.replace(scenario, **parts)
+
+
+def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
+    """The part under a key with another path of the file that it names, if any."""
     for name in ("path", "design"):
         path = getattr(part, name, None)
         if path is not None:
-            part = msgspec.structs.replace(part, **{name: str(folder / path)})
+            part = msgspec.structs.replace(part, **{name: change(f"{key}.{name}", path)})
     return part
 
 
