@@ -8,7 +8,7 @@ from pathlib import Path
 
 from undeadzone.ensemble.blocks import journal
 from undeadzone.ensemble.blocks.job import Job
-from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.errors import InputError, Terminated, UndeadzoneError
 from undeadzone.support.arrays import Floats
 
 
@@ -23,8 +23,8 @@ def run(
 ) -> journal.Store:
     """Compute a job and keep its rows in a store on disk.
 
-    Whatever stops it (Ctrl-C, an error) says what is kept. The bits are the same wherever they are
-    computed.
+    Whatever stops it (Ctrl-C, SIGTERM, an error) says what is kept. The bits are the same wherever
+    they are computed.
 
     Args:
         prepare: gives the job; picklable where workers or a cluster compute
@@ -63,16 +63,17 @@ def keeping(store: journal.Store) -> Iterator[None]:
     """
     try:
         yield
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(_leave(store)) from None
+    except (KeyboardInterrupt, Terminated) as stop:
+        raise type(stop)(_leave(store)) from None
     except UndeadzoneError as error:
         sentences = (str(error), _leave(store))
         raise type(error)("; ".join(filter(None, sentences))) from None
     except BaseException as error:
         kept = _leave(store)
         # Ctrl-C within a lock of the thread pool ends as a RuntimeError.
-        if isinstance(error.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt(kept) from None
+        before = error.__context__
+        if isinstance(before, KeyboardInterrupt | Terminated):
+            raise type(before)(kept) from None
         raise
 
 
