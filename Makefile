@@ -16,7 +16,7 @@ bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmark
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv *-results *-check *-design *-ensemble *-tune .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

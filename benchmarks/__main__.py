@@ -24,6 +24,7 @@ NAMES = (
     "arm_operations",
     "certificates",
     "arms",
+    "identify",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

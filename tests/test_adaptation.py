@@ -1,4 +1,7 @@
-"""Adaptation laws: twins, what each keeps of the certificate, convergence on the paper's example, the price of a leak."""
+"""Adaptation laws: twins, and what each keeps of the certificate.
+
+Convergence on the paper's example, and the price of a leak.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ SMALL = np.array([0.2, 0.1])  # |G| < 1: C (sI - A)^-1 L is 0.5 at s = 0 and fal
 
 
 def random_state(rng: np.random.Generator, gained: bool) -> tuple[Any, Floats, float]:
-    """(observer state (x^, d_r^, d_l^, gains), x, side) at random, x where that side is read; widths inside the projection."""
+    """(observer state (x^, d_r^, d_l^, gains), x, side) at random, x where that side is read.
+
+    Widths inside the projection.
+    """
     side = float(rng.integers(-1, 2))
     z = {
         1.0: TRUTH[0] + rng.exponential(),
@@ -87,7 +93,10 @@ def test_laws_without_their_number_are_the_gradient(seed: int) -> None:
 
 @given(seeds, st.floats(0.0, 3.0))
 def test_least_squares_is_weighted_least_squares(seed: int, forgetting: float) -> None:
-    """With x^ = x, d^ after N readings minimises sum w^(N-k) |d - d_k|^2 + w^N |d - d^(0)|^2 / (gamma Ts), w = e^(-forgetting Ts)."""
+    """With x^ = x, d^ after N readings minimises a weighted sum of squares.
+
+    It is sum w^(N-k) |d - d_k|^2 + w^N |d - d^(0)|^2 / (gamma Ts), w = e^(-forgetting Ts).
+    """
     rng = np.random.default_rng(seed)
     law = LeastSquares(forgetting=forgetting)
     observer = Certified(
@@ -149,7 +158,10 @@ def test_normalising_keeps_the_certificate(seed: int, weight: float) -> None:
 
 
 def bounded_real(model: System, gain: Floats, bound: float) -> Floats:
-    """P with [[A'P A - P + C'C, -A'P L], [., L'P L - bound]] < 0, by iterating the Riccati equation with a little added to C'C."""
+    """P with [[A'P A - P + C'C, -A'P L], [., L'P L - bound]] < 0.
+
+    It comes from iterating the Riccati equation with a little added to C'C.
+    """
     A, C = model.linear.A, model.linear.C
     P = constant = C.T @ C + 1e-4 * np.eye(2)
     for _ in range(20_000):
@@ -175,7 +187,10 @@ P_LEAST_SQUARES = bounded_real(SAMPLED, SMALL[:, None] * TS, 1 - GAMMA * TS)
 def test_least_squares_with_a_small_gain_has_a_certificate_of_its_own(
     seed: int, forgetting: float, reset: float, silence: bool
 ) -> None:
-    """V = x~'P x~ + sum d~^2 / g does not rise in a sample, whatever the state, the side, what is forgotten and reset."""
+    """V = x~'P x~ + sum d~^2 / g does not rise in a sample.
+
+    That holds whatever the state, the side, what is forgotten and reset.
+    """
     rng = np.random.default_rng(seed)
     law = LeastSquares(forgetting=forgetting, reset=reset)
     observer = Certified(
@@ -266,10 +281,10 @@ def run(adaptation: dict[str, Any], **observer: Any) -> Any:
     ],
 )
 def test_widths_of_the_papers_example_are_found(adaptation: dict[str, Any]) -> None:
-    found = run(adaptation)
-    assert found.d_hat[-1] == pytest.approx([1.0, 1.0], abs=0.02)
-    assert found.rms_estimation < 0.02
-    assert found.info.certified is (True if adaptation["method"] == "gradient" else None)
+    outcome = run(adaptation)
+    assert outcome.d_hat[-1] == pytest.approx([1.0, 1.0], abs=0.02)
+    assert outcome.rms_estimation < 0.02
+    assert outcome.info.certified is (True if adaptation["method"] == "gradient" else None)
 
 
 def test_least_squares_alone_grows_deaf() -> None:
@@ -282,9 +297,12 @@ def test_least_squares_alone_grows_deaf() -> None:
 
 
 def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
-    """With x^ = x: d~ rests near leak / (a + leak) of d - d^(0), a the share of time that an edge is active."""
+    """With x^ = x: d~ rests near leak / (a + leak) of d - d^(0).
+
+    a is the share of time that an edge is active.
+    """
     leak, gamma = 0.2, 0.5
-    found = simulate(
+    outcome = simulate(
         scene(
             plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
             observer={
@@ -298,9 +316,9 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
         ),
         check_step=False,
     )
-    last = found.t > 50.0
-    share = (found.side[last, 0] > 0).mean()
-    assert (1.0 - found.d_hat[last, 0]).mean() == pytest.approx(
+    last = outcome.t > 50.0
+    share = (outcome.side[last, 0] > 0).mean()
+    assert (1.0 - outcome.d_hat[last, 0]).mean() == pytest.approx(
         leak / (share + leak) * 0.8, rel=0.02
     )
 

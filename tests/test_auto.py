@@ -1,4 +1,7 @@
-"""The observer that is chosen from what is claimed: which one, that it is that one, that it never sees the truth, that it leads."""
+"""The observer that is chosen from what is claimed.
+
+Which one, that it is that one, that it never sees the truth, that it leads.
+"""
 
 from __future__ import annotations
 
@@ -80,17 +83,17 @@ def test_every_claim_is_passed_on() -> None:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_it_runs_as_the_one_that_it_chooses(time: str) -> None:
-    found = scene(
+    scenario = scene(
         observer={"method": "auto", "right": RANGE},
         sensor={"noise": 0.01},
         simulation={"time": time, "step": 0.005, "duration": 3.0},
     )
     model = PAPER_PLANT if time == "continuous" else sampled(PAPER_PLANT, 0.005)
-    assert isinstance(found.observer, Auto)
-    chosen = found.observer.chosen(model, zone())
+    assert isinstance(scenario.observer, Auto)
+    chosen = scenario.observer.chosen(model, zone())
     runs = [
-        simulate(msgspec.structs.replace(found, observer=observer), check_step=False)
-        for observer in (found.observer, chosen)
+        simulate(msgspec.structs.replace(scenario, observer=observer), check_step=False)
+        for observer in (scenario.observer, chosen)
     ]
     assert runs[0].info.method == "auto"
     np.testing.assert_array_equal(runs[0].d_hat, runs[1].d_hat)
@@ -125,6 +128,6 @@ def test_told_the_ranges_alone_it_is_ahead_of_tuned_rivals() -> None:
     results = score(["kalman", "adaptive_inverse"], grounds, (0,), processes=1) + score(
         {"roughly": Method(Auto, fixed=unsaid)}, grounds, (0,)
     )
-    found = regrets(results)
+    regret = regrets(results)
     for name in ("kalman", "adaptive_inverse"):
-        assert (found["roughly"] < np.nan_to_num(found[name], nan=1.0)).all()
+        assert (regret["roughly"] < np.nan_to_num(regret[name], nan=1.0)).all()

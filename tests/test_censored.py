@@ -1,4 +1,7 @@
-"""The filter that hears silence: where it must be `kalman`, what its models of disturbance, bias and tolerance are, true claims."""
+"""The filter that hears silence.
+
+Where it must be `kalman`, what its models of disturbance, bias and tolerance are, true claims.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,15 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Estimate, Kalman
-from undeadzone.observers.parts.unknown_inputs import coloured, tolerances
+from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean
+from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances
+from undeadzone.observers.parts.unknown_inputs import (
+    SMALL,
+    coloured,
+    rest_under_bias,
+    unknowns,
+)
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -61,7 +72,10 @@ def watch(
     bias: float = 0.0,
     noise: Floats | None = None,
 ) -> Estimate:
-    """The last estimate of a filter that watches the model's own motion under u (N x m) + bias, from x(0) = x."""
+    """The last estimate of a filter that watches the model's own motion.
+
+    The motion starts from x(0) = x and is under u (N x m) + bias.
+    """
     observer = options.build(model, where)
     step, state = on_numbers(observer, model), observer.init(observer.params)
     A, B, C = model.linear
@@ -78,9 +92,9 @@ def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
     return (offset + amplitude * np.sin(1.3 * t) + 0.3 * amplitude * np.sin(3.1 * t))[:, None]
 
 
-def centre_std(found: Estimate) -> float:
+def centre_std(estimate: Estimate) -> float:
     return float(
-        np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[0] / 2
+        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2)[0] / 2
     )
 
 
@@ -103,13 +117,13 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
     )
     for _ in range(30):
         y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
-        found = [
+        both = [
             step(state, u, y, sensor.side(y, where.threshold))
             for step, state in zip(steps, states, strict=True)
         ]
-        states = [after for after, _ in found]
-        assert all(np.array_equal(a, b) for a, b in zip(found[0][1], found[1][1], strict=True))
-    assert (found[0][1].x_std < 2.0).any()
+        states = [after for after, _ in both]
+        assert all(np.array_equal(a, b) for a, b in zip(both[0][1], both[1][1], strict=True))
+    assert (both[0][1].x_std < 2.0).any()
 
 
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
@@ -130,8 +144,8 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 def test_the_disturbance_is_first_order_noise_of_unit_rms(
     correlation: float, relative_step: float
 ) -> None:
-    found = coloured(correlation, None, relative_step * correlation)
-    assert np.concatenate([*found.F, *found.Q, *found.cov, found.C]) == pytest.approx(
+    colour = coloured(correlation, None, relative_step * correlation)
+    assert np.concatenate([*colour.F, *colour.Q, *colour.cov, colour.C]) == pytest.approx(
         [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
     )
 
@@ -140,7 +154,10 @@ def test_the_disturbance_is_first_order_noise_of_unit_rms(
 def test_with_a_washout_it_has_no_constant_part(
     correlation: float, ratio: float, relative_step: float
 ) -> None:
-    """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0, with integral 0; a = 1 / correlation, b = 1 / washout."""
+    """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0.
+
+    Its integral is 0; a = 1 / correlation, b = 1 / washout.
+    """
     Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
     F, Q, cov, w = coloured(correlation, washout, Ts)
     assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
@@ -158,10 +175,10 @@ def test_with_a_washout_it_has_no_constant_part(
 def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     flow = random_plant(rng, n, m)
-    found = tolerances(sampled(flow, TS), 0.1)
+    tolerance = tolerances(sampled(flow, TS), 0.1)
     A, B, C = flow.linear
-    assert found.std == pytest.approx(np.full(n * (n + m), 0.1))
-    slopes, h = found.slopes.reshape(-1, n, n + m), 1e-6
+    assert tolerance.std == pytest.approx(np.full(n * (n + m), 0.1))
+    slopes, h = tolerance.slopes.reshape(-1, n, n + m), 1e-6
     for (i, j), slope in zip(np.ndindex(n, n), slopes, strict=False):
         moved = A.copy()
         moved[i, j] *= 1 + h
@@ -194,7 +211,10 @@ def test_the_time_scale_is_a_quarter_period() -> None:
 
 
 def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
-    """Twin worlds: centre 0.35 and no bias, or symmetric and a bias: the same readings, whatever is believed; the prior decides."""
+    """Twin worlds: centre 0.35 and no bias, or symmetric and a bias.
+
+    The same readings, whatever is believed; the prior decides.
+    """
     options = Censored(**EXACT | {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1})
     u = tones(30.0, 8.0)
     shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
@@ -204,13 +224,17 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
     assert np.concatenate(shifted) == pytest.approx(np.concatenate(biased), abs=1e-9)
     assert shifted.width_std < 0.01
     assert shifted.right + shifted.left == pytest.approx(1.9, abs=4 * shifted.width_std[0])
-    # The readings only show the sum of centre and what a bias adds to z (gain 1 of (39)): two Gaussian priors, one sum.
+    # The readings only show the sum of centre and what a bias adds to z (gain 1 of (39)):
+    # two Gaussian priors, one sum.
     prior = PRIOR / np.sqrt(2)
     assert centre_std(shifted) == pytest.approx(prior * 0.35 / np.hypot(prior, 0.35), rel=1e-3)
 
 
 def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
-    """Shown: the odds of two Gaussian beliefs about the centre c, by Bayes, for readings that show only s = c + bias; kept: as without."""
+    """Shown are the odds of two Gaussian beliefs about the centre c, by Bayes.
+
+    The readings show only s = c + bias. What is kept is as without.
+    """
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
         watch(Censored(**EXACT | options), MODEL, where, u, x)
@@ -220,7 +244,7 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
             {"bias": 0.8, "calibrated": 0.7},
         )
     )
-    centres = [float(found.right[0] - found.left[0]) / 2 for found in (wide, small, mixed)]
+    centres = [float(estimate.right[0] - estimate.left[0]) / 2 for estimate in (wide, small, mixed)]
     prior = PRIOR / np.sqrt(2)
     shown = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
     chances = [
@@ -242,19 +266,22 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 def test_an_input_that_is_known_shows_the_centre(tolerance: float) -> None:
-    found = watch(
+    estimate = watch(
         Censored(**EXACT | {"tolerance": tolerance}),
         MODEL,
         zone(right=1.3, left=0.6),
         tones(30.0, 8.0),
         np.array([0.5, 0.0]),
     )
-    assert centre_std(found) < 0.01
-    assert abs((found.right - found.left) / 2 - 0.35) < 4 * centre_std(found)
+    assert centre_std(estimate) < 0.01
+    assert abs((estimate.right - estimate.left) / 2 - 0.35) < 4 * centre_std(estimate)
 
 
 def test_a_wrong_model_is_found_out() -> None:
-    """The plant's A[1,0] is 10 % stiffer than the model's: with that tolerance the widths are right, without it confidently wrong."""
+    """The plant's A[1,0] is 10 % stiffer than the model's.
+
+    With that tolerance the widths are right, without it confidently wrong.
+    """
     plant, where = (
         sampled(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS),
         zone(right=1.3, left=0.6, noise=0.01),
@@ -268,9 +295,9 @@ def test_a_wrong_model_is_found_out() -> None:
             y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(
                 size=1
             )
-            state, found = step(state, drive, y, sensor.side(y, where.threshold))
+            state, estimate = step(state, drive, y, sensor.side(y, where.threshold))
             z = plant.linear.A @ z + plant.linear.B @ drive
-        errors.append(np.abs(found.right - 1.3)[0] / found.right_std[0])
+        errors.append(np.abs(estimate.right - 1.3)[0] / estimate.right_std[0])
     assert errors[0] > 10
     assert errors[1] < 3
 
@@ -279,7 +306,10 @@ def test_a_wrong_model_is_found_out() -> None:
 
 
 def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
-    """z swings to +-1.2 inside edges at 1.5: d_r, d_l are somewhere between there and the end of their range."""
+    """z swings to +-1.2 inside edges at 1.5.
+
+    Then d_r, d_l are somewhere between there and the end of their range.
+    """
     u = tones(20.0, 2.5)
     t_end = watch(
         Censored(**EXACT, x_std=0.01), MODEL, zone(right=1.5, left=1.5, noise=0.01), u, np.zeros(2)
@@ -310,7 +340,7 @@ def test_a_missing_sample_is_not_a_silent_one() -> None:
 
 
 def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
-    found = watch(
+    estimate = watch(
         Censored(**EXACT),
         MODEL,
         zone(right=1.3, left=0.6, kind="jump"),
@@ -318,8 +348,8 @@ def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
         np.array([0.5, 0.0]),
     )
     for width, std, truth in (
-        (found.right, found.right_std, 1.3),
-        (found.left, found.left_std, 0.6),
+        (estimate.right, estimate.right_std, 1.3),
+        (estimate.left, estimate.left_std, 0.6),
     ):
         assert std < 0.5 * PRIOR
         assert abs(width - truth) < 3 * std
@@ -330,21 +360,24 @@ def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
 
 @pytest.mark.parametrize("reach", coverage.REACHES)
 def test_claims_are_true_over_random_problems(reach: str) -> None:
-    """120 problems with disturbance, bias and model error: coverage within three standard errors of 95 %, or more; NEES near 1."""
-    found = coverage.observe(
+    """120 problems with disturbance, bias and model error.
+
+    Coverage within three standard errors of 95 %, or more; NEES near 1.
+    """
+    outcome = coverage.observe(
         coverage.censored, coverage.problems(reach, coverage.WORLDS["disturbed"], 2, 120, 8)
     )
-    assert found.covered().min() > 0.89
-    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
-    assert reach == "no edge" or found.nis == pytest.approx(1.0, abs=0.05)
+    assert outcome.covered().min() > 0.89
+    assert outcome.nees() == pytest.approx(1.0, abs=4 / np.sqrt(120))
+    assert reach == "no edge" or outcome.nis == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_coloured_disturbance_taken_for_white_is_not_covered() -> None:
     """What the disturbance model is for: the same problems with `kalman`."""
-    found = coverage.observe(
+    outcome = coverage.observe(
         coverage.kalman, coverage.problems("both edges", coverage.WORLDS["disturbed"], 2, 120, 8)
     )
-    assert found.covered().max() < 0.7
+    assert outcome.covered().max() < 0.7
 
 
 def test_two_outputs_and_two_inputs_in_the_loop() -> None:
@@ -381,7 +414,10 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
 def drawn(
     model: System, where: Zone, rms: float, seconds: float, seed: int
 ) -> tuple[Floats, Floats]:
-    """(u, y) of the model's own motion under tones and a first-order disturbance of that rms and 0.2 s."""
+    """(u, y) of the model's own motion under tones and a first-order disturbance.
+
+    The disturbance has that rms and a correlation time of 0.2 s.
+    """
     rng, F = np.random.default_rng(seed), np.exp(-TS / 0.2)
     u = tones(seconds, 8.0)
     x, w, readings = np.array([0.5, 0.0]), 0.0, []
@@ -397,12 +433,12 @@ def drawn(
 def fed(options: Any, where: Zone, u: Floats, y: Floats) -> tuple[list[Any], list[Estimate]]:
     """(states, estimates) of a filter along inputs and readings."""
     observer = options.build(MODEL, where)
-    step, states, found = on_numbers(observer, MODEL), [observer.init(observer.params)], []
+    step, states, estimates = on_numbers(observer, MODEL), [observer.init(observer.params)], []
     for drive, reading in zip(u, y, strict=True):
         after, estimate = step(states[-1], drive, reading, sensor.side(reading, where.threshold))
         states.append(after)
-        found.append(estimate)
-    return states, found
+        estimates.append(estimate)
+    return states, estimates
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -414,7 +450,10 @@ def test_the_readings_tell_how_strong_the_disturbance_is(level: int) -> None:
 
 
 def test_what_is_shown_is_the_mixture_by_bayes() -> None:
-    """Shares, means and variances from the members' own innovations, each run by itself (but for its disturbance at the start)."""
+    """Shares, means and variances from the members' own innovations.
+
+    Each member is run by itself, but for its disturbance at the start.
+    """
     where = zone(noise=0.01)
     u, y = drawn(MODEL, where, 1.0, 2.0, 3)
     common = EXACT | {"correlation_time": 0.2}
@@ -424,9 +463,9 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     ]
     _, mixed = fed(Censored(**common | {"disturbance": 2.0}, levels=2), where, u, y)
     log = np.zeros((len(u), 2))
-    for k, found in enumerate(members):
+    for k, estimates in enumerate(members):
         e, std = (
-            np.array([getattr(one, name)[0] for one in found])
+            np.array([getattr(one, name)[0] for one in estimates])
             for name in ("innovation", "innovation_std")
         )
         log[:, k] = np.cumsum(np.where(e != 0, norm.logpdf(e, scale=std), 0.0))
@@ -435,7 +474,8 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
     assert ((share > 0.2).all(axis=1)).any()
     for at in (0, 20, 60, len(u) - 1):
         x, std = (
-            np.array([getattr(found[at], name)[0] for found in members]) for name in ("x", "x_std")
+            np.array([getattr(estimates[at], name)[0] for estimates in members])
+            for name in ("x", "x_std")
         )
         mean = share[at] @ x
         assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
@@ -449,10 +489,10 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found, chance = gaussian.truncate_to(
+    belief, chance = gaussian.truncate_to(
         gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
     )
-    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*found, chance))
+    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*belief, chance))
     a, b = (-0.5 - mean) / std, (1.0 - mean) / std
     if norm.cdf(b) - norm.cdf(a) < 2e-6:
         assert log <= np.log(2e-6)
@@ -465,8 +505,11 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
 
 
 def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
-    """Widths 2.6 and 2.4 where at most 2 is declared: the estimates leave the range, and do not stay on its edge."""
-    found = watch(
+    """Widths 2.6 and 2.4 where at most 2 is declared.
+
+    The estimates leave the range, and do not stay on its edge.
+    """
+    estimate = watch(
         Censored(**EXACT),
         MODEL,
         zone(right=2.6, left=2.4, noise=0.01),
@@ -474,8 +517,8 @@ def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
         np.zeros(2),
         noise=np.zeros((1500, 1)),
     )
-    assert found.right == pytest.approx(2.6, abs=0.05)
-    assert found.left == pytest.approx(2.4, abs=0.05)
+    assert estimate.right == pytest.approx(2.6, abs=0.05)
+    assert estimate.left == pytest.approx(2.4, abs=0.05)
 
 
 # --- In the loop
@@ -496,10 +539,10 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
     rng = np.random.default_rng(n)
     flow = random_plant(rng, n)
     for model in (flow, sampled(flow, TS)):
-        found = rest(model)
+        at_rest = rest(model)
         A, B, C = flow.linear
-        assert A @ found[:n] + B @ found[n:] == pytest.approx(-np.eye(n), abs=1e-9)
-        assert C @ found[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
+        assert A @ at_rest[:n] + B @ at_rest[n:] == pytest.approx(-np.eye(n), abs=1e-9)
+        assert C @ at_rest[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
 
 
 def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
@@ -522,7 +565,10 @@ def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
 
 
 def test_ranges_alone_do_with_a_wrong_model() -> None:
-    """Nothing but the ranges is declared; stiffness and damping are a fifth larger than the model's."""
+    """Nothing but the ranges is declared.
+
+    Stiffness and damping are a fifth larger than the model's.
+    """
     changes = {
         "plant": {
             "A": [[0.0, 1.0], [-1.2, -2.4]],
@@ -546,7 +592,10 @@ UNSTABLE = {"A": [[0.0, 1.0], [1.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0
 
 @pytest.mark.parametrize("plant", [{"integrators": 2}, UNSTABLE], ids=["integrators", "unstable"])
 def test_plants_that_are_not_stable_do_not_drift(plant: dict[str, Any]) -> None:
-    """A chain of integrators hides the centre: its estimate stays within its claim for a minute; the width is found."""
+    """A chain of integrators hides the centre: its estimate stays within its claim for a minute.
+
+    The width is found.
+    """
     run = closed(
         {},
         plant=plant | {"x0": [0.3, 0.0]},
@@ -563,7 +612,10 @@ def test_plants_that_are_not_stable_do_not_drift(plant: dict[str, Any]) -> None:
 
 
 def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
-    """Little noise, long prior: the worst for rounding; and one absurd reading neither overflows nor is for ever."""
+    """Little noise, long prior: the worst for rounding.
+
+    And one absurd reading neither overflows nor is for ever.
+    """
     problem = resolve_scenario(
         scene(
             sensor={"right": 1.3, "left": 0.9, "noise": 1e-4},
@@ -641,3 +693,46 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
         Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sampled(pendulum, TS), zone())
     observer = Censored(**EXACT | {"tolerance": 0.1}).build(sampled(pendulum, TS), zone())
     assert len(observer.init(observer.params).mean) == 2 + 2 + 1
+
+
+# --- Its parts
+
+
+def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
+    """Where nothing has been read yet: its variance is (SMALL b)^2, and the odds stay."""
+    rms = 0.7
+    colour, none = coloured(0.5, None, TS), np.zeros(1)
+    augmentation = unknowns(MODEL, colour, none, np.array([rms]), 0.8, tolerances(MODEL, 0.0))
+    assert augmentation.alternative is not None
+    params = Params(*[None] * 10)._replace(augmentation=augmentation.params)
+    cov = ca.diag(ca.SX([1.0, 2.0, 0.1, 0.1, rms**2]))
+    belief, odds = augmentation.alternative(params, gaussian.Gaussian(ca.SX.zeros(5), cov))
+    assert float(ca.DM(belief.cov[4, 4])) == pytest.approx((SMALL * rms) ** 2)
+    assert float(ca.DM(odds)) == pytest.approx(np.log(0.8 / 0.2))
+
+
+def test_a_bias_leads_to_the_rest_that_it_says() -> None:
+    at_rest = rest_under_bias(MODEL, np.eye(1))
+    assert MODEL.linear.A @ at_rest + MODEL.linear.B == pytest.approx(at_rest)
+
+
+def test_slopes_of_a_sampled_model_are_its_derivatives() -> None:
+    """Against differences of the exact zero-order hold, for an entry of A and one of B."""
+    A, B, C = PAPER_PLANT.linear
+    entries, Ts, h = [(1, 0), (1, 2)], 0.1, 1e-6
+    slopes = sampled_slopes(np.hstack([A, B]), entries, Ts).reshape(2, 2, 3)
+    for slope, at in zip(slopes, entries, strict=True):
+        ends = []
+        for change in (1 + h, 1 - h):
+            AB = np.hstack([A, B])
+            AB[at] *= change
+            ends.append(np.hstack(zoh(Matrices(AB[:, :2], AB[:, 2:], C), Ts)[:2]))
+        assert slope == pytest.approx((ends[0] - ends[1]) / (2 * h), abs=1e-8)
+
+
+def test_a_mixture_spreads_by_its_parts_and_by_what_lies_between() -> None:
+    share, means, stds = np.array([0.25, 0.75]), [1.0, 3.0], [0.5, 0.2]
+    mean = 0.25 * 1.0 + 0.75 * 3.0
+    square = 0.25 * (0.5**2 + 1.0**2) + 0.75 * (0.2**2 + 3.0**2)
+    assert weighted_mean(share, means) == pytest.approx(mean)
+    assert float(mixture_std(share, means, stds)) == pytest.approx(np.sqrt(square - mean**2))

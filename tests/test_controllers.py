@@ -1,4 +1,4 @@
-"""Controllers on numbers: which gain each choice gives, the laws written out, and what is refused."""
+"""Controllers on numbers: which gain each choice gives, the laws written out, what is refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ TWO_INPUTS = random_plant(np.random.default_rng(3), 3, 2, 2)
 
 
 def law(controller: Controller, model: System) -> Callable[..., tuple[Floats, Floats]]:
-    """A controller's step on numbers: (state, x^, innovation, r, x_ref, u_ff) -> (next state or derivative, u)."""
+    """A controller's step on numbers.
+
+    It is (state, x^, innovation, r, x_ref, u_ff) -> (next state or derivative, u).
+    """
     p, params = tree.symbols(controller.params, "p")
     s, state = tree.symbols(controller.init(controller.params), "s")
     x, e, r, x_ref, u_ff = (

@@ -1,4 +1,7 @@
-"""The extended filter against the filters that it must be and an independent twin; what it finds out about arms, and whether its claims hold."""
+"""The extended filter against the filters that it must be and an independent twin.
+
+What it finds out about arms, and whether its claims hold.
+"""
 
 from __future__ import annotations
 
@@ -41,22 +44,28 @@ def arm(kind: Any = TwoLink, Ts: float = TS, **numbers: float) -> System:
 
 
 class Watched(NamedTuple):
-    """An arm's states and what was estimated, a row per sample; extra: the last unknowns beside [x; d]."""
+    """An arm's states and what was estimated, a row per sample.
+
+    extra: the last unknowns beside [x; d].
+    """
 
     x: Floats
-    found: Estimate
+    estimate: Estimate
     extra: Floats
 
     def right(self, widths: Floats) -> Floats:
         """Errors of the last d_r^, d_l^ in their standard deviations."""
-        error = np.concatenate([self.found.right[-1], self.found.left[-1]]) - widths.ravel()
+        error = np.concatenate([self.estimate.right[-1], self.estimate.left[-1]]) - widths.ravel()
         return np.asarray(
-            error / np.concatenate([self.found.right_std[-1], self.found.left_std[-1]])
+            error / np.concatenate([self.estimate.right_std[-1], self.estimate.left_std[-1]])
         )
 
 
 def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watched]:
-    """How the filter watches an arm that follows a path by its true state: (path, seed, widths, x0, disturbance, params) -> `Watched`."""
+    """How the filter watches an arm that follows a path by its true state.
+
+    It is (path, seed, widths, x0, disturbance, params) -> `Watched`.
+    """
     N, seen = arm.p, watch(options, arm, where)
 
     def run(
@@ -87,9 +96,10 @@ def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watche
     return run
 
 
-def centre_std(found: Estimate) -> Floats:
+def centre_std(estimate: Estimate) -> Floats:
     return np.asarray(
-        np.sqrt(2 * found.right_std**2 + 2 * found.left_std**2 - found.width_std**2)[-1] / 2
+        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2)[-1]
+        / 2
     )
 
 
@@ -124,14 +134,14 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
     )
     for _ in range(40):
         y, u = rng.normal(size=p) * rng.choice([0.0, 0.02, 3.0], p), rng.normal(size=1)
-        found = [
+        both = [
             step(state, u, y, sensor.side(y, where.threshold))
             for step, state in zip(steps, states, strict=True)
         ]
-        states = [after for after, _ in found]
-        agree(found[0][1], found[1][1]._replace(w=found[0][1].w))
+        states = [after for after, _ in both]
+        agree(both[0][1], both[1][1]._replace(w=both[0][1].w))
         if shaken:
-            assert found[0][1].w == pytest.approx(found[1][1].w, abs=1e-9)
+            assert both[0][1].w == pytest.approx(both[1][1].w, abs=1e-9)
 
 
 PENDULUMS = Plant(
@@ -148,7 +158,10 @@ PENDULUMS = Plant(
 
 
 def pendulums(X: Any, u: float, Ts: float) -> Any:
-    """One step of `PENDULUMS` for [x; d; p; g, k], by RK4 of the literal formulas; the disturbance and what is constant, too."""
+    """One step of `PENDULUMS` for [x; d; p; g, k], by RK4 of the literal formulas.
+
+    The disturbance and what is constant, too.
+    """
     a, b = X[:2], X[2:4]
     g, k, force = 9.0 + X[9], 2.0 + X[10], u + X[8]
 
@@ -185,13 +198,23 @@ def slope(f: Callable[[Any], Any], X: Floats) -> Floats:
 
 @pytest.mark.parametrize(("blind", "seed"), [(False, 1), (False, 2), (True, 3)])
 def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
-    """A dense twin in NumPy: readings one after the other, each on its branch; blind takes every reading for z."""
+    """A dense twin in NumPy: readings one after the other, each on its branch.
+
+    `blind` takes every reading for z.
+    """
     Ts = 0.02
     model, where, rng = sampled(system(PENDULUMS), Ts, 1), zone(2, Ts), np.random.default_rng(seed)
     options = Extended(
-        right=RANGE, left=[0.0, 0.1], start=[0.1, -0.2, 0.5, 0.0], x_std=[0.1, 0.1, 0.3, 0.2], drift=0.01, silence=False, blind=blind,
-        uncertain={"g": 0.5, "k": 0.2}, **SHAKEN,
-    )  # fmt: skip
+        right=RANGE,
+        left=[0.0, 0.1],
+        start=[0.1, -0.2, 0.5, 0.0],
+        x_std=[0.1, 0.1, 0.3, 0.2],
+        drift=0.01,
+        silence=False,
+        blind=blind,
+        uncertain={"g": 0.5, "k": 0.2},
+        **SHAKEN,
+    )
     observer = options.build(model, where)
     step, state = on_numbers(observer, model), observer.init(observer.params)
     widths = np.zeros(4) if blind else np.array([0.085, 0.085, 0.05, 0.05])
@@ -212,20 +235,23 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
                 K = P @ h / (h @ P @ h + 1e-6)
                 X, P = X + K * (y[i] - reading(X, take)[i]), P - np.outer(K, h @ P)
                 P = (P + P.T) / 2
-        state, found = step(state, u, y, side)
-        assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+        state, estimate = step(state, u, y, side)
+        assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(
             X[:8], rel=1e-9, abs=1e-9
         )
-        assert np.concatenate([found.x_std, found.right_std, found.left_std]) ** 2 == pytest.approx(
-            np.diag(P)[:8], rel=1e-9, abs=1e-12
-        )
+        assert np.concatenate(
+            [estimate.x_std, estimate.right_std, estimate.left_std]
+        ) ** 2 == pytest.approx(np.diag(P)[:8], rel=1e-9, abs=1e-12)
         F = slope(lambda X, u=u: pendulums(X, u, Ts), X)
         X, P = pendulums(X, u, Ts), F @ P @ F.T + Q
         assert state.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
 
 
 def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
-    """Two carts: one filter of 10 unknowns, or two of 5, to rounding; a torque on one is an acceleration of it."""
+    """Two carts: one filter of 10 unknowns, or two of 5, to rounding.
+
+    A torque on one is an acceleration of it.
+    """
     carts = Plant(
         states=["a", "b", "v", "w"],
         inputs=["s", "t"],
@@ -254,13 +280,13 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
             + 1e-3 * rng.normal(size=2),
             rng.normal(size=2),
         )
-        found = [
+        both = [
             step(state, u, y, sensor.side(y, where.threshold))
             for step, state in zip(steps, states, strict=True)
         ]
-        states = [after for after, _ in found]
-        agree(found[0][1], found[1][1])
-    assert (found[0][1].width_std < 0.5 * PRIOR).all()
+        states = [after for after, _ in both]
+        agree(both[0][1], both[1][1])
+    assert (both[0][1].width_std < 0.5 * PRIOR).all()
     assert [len(state.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
 
 
@@ -269,32 +295,36 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
 
 @pytest.mark.parametrize("joints", ["coupled", "separate"])
 def test_the_widths_of_two_links_in_a_vertical_plane(joints: Any) -> None:
-    """20 s of sines through 0, an exact model: widths to 5 %; the centres by weight alone where the covariance knows of it."""
+    """20 s of sines through 0, an exact model: widths to 5 %.
+
+    The centres by weight alone where the covariance knows of it.
+    """
     model, widths = arm(Ts=1e-3), np.array([[0.05, 0.08], [0.08, 0.05]])
-    options = (
-        {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1}
-        if joints == "separate"
-        else EXACT
-    )
+    options = EXACT
+    if joints == "separate":
+        options = {"joints": joints, "disturbance": 0.1, "correlation_time": 0.1}
     path = sines(20.0, 0.5, [2.0, 4.0], 1e-3)
-    found = watcher(
+    watched = watcher(
         Extended(right=RANGE, start=path[0, :4], x_std=[0.02, 0.02, 0.1, 0.1], **options),
         model,
         zone(2, 1e-3),
     )(path, 0, widths)
-    width = found.found.right[-1] + found.found.left[-1]
+    width = watched.estimate.right[-1] + watched.estimate.left[-1]
     assert width == pytest.approx(widths.sum(axis=0), rel=0.05)
-    assert (np.abs(found.right(widths)) < 3).all()
-    assert (np.abs(width - widths.sum(axis=0)) < 3 * found.found.width_std[-1]).all()
+    assert (np.abs(watched.right(widths)) < 3).all()
+    assert (np.abs(width - widths.sum(axis=0)) < 3 * watched.estimate.width_std[-1]).all()
     if joints == "coupled":
-        assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(
-            widths.ravel(), abs=2e-4
-        )
-        assert found.found.z[5000:] == pytest.approx(found.x[5000:, :2], abs=1e-3)
+        assert np.concatenate(
+            [watched.estimate.right[-1], watched.estimate.left[-1]]
+        ) == pytest.approx(widths.ravel(), abs=2e-4)
+        assert watched.estimate.z[5000:] == pytest.approx(watched.x[5000:, :2], abs=1e-3)
 
 
 def test_homing_tells_the_centre_that_nothing_else_does() -> None:
-    """One link on a table: no force tells where it points, so that only a known start tells d_r from d_l."""
+    """One link on a table: no force tells where it points.
+
+    Only a known start tells d_r from d_l.
+    """
     model, widths = arm(OneLink, g=0.0), np.array([0.05, 0.08])
     path = sines(8.0, 0.5, [3.0], TS)
     homed, lost = (
@@ -303,14 +333,16 @@ def test_homing_tells_the_centre_that_nothing_else_does() -> None:
         )
         for std in (1e-4, 1.0)
     )
-    for found in (homed, lost):
-        assert found.found.right[-1] + found.found.left[-1] == pytest.approx([0.13], rel=0.01)
-        assert found.found.width_std[-1] < 1e-3
-    assert centre_std(homed.found) < 1e-3
-    assert np.array([homed.found.right[-1], homed.found.left[-1]]).ravel() == pytest.approx(
+    for watched in (homed, lost):
+        assert watched.estimate.right[-1] + watched.estimate.left[-1] == pytest.approx(
+            [0.13], rel=0.01
+        )
+        assert watched.estimate.width_std[-1] < 1e-3
+    assert centre_std(homed.estimate) < 1e-3
+    assert np.array([homed.estimate.right[-1], homed.estimate.left[-1]]).ravel() == pytest.approx(
         widths, abs=1e-3
     )
-    assert centre_std(lost.found) == pytest.approx([PRIOR / np.sqrt(2)], rel=0.02)
+    assert centre_std(lost.estimate) == pytest.approx([PRIOR / np.sqrt(2)], rel=0.02)
 
 
 def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
@@ -339,7 +371,10 @@ def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
 
 
 def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
-    """An arm at rest beyond its edges reads z - d_r, z + d_l: so it is believed, where nothing knows of a dead zone."""
+    """An arm at rest beyond its edges reads z - d_r, z + d_l.
+
+    So it is believed, where nothing knows of a dead zone.
+    """
     model, widths = arm(), np.array([[0.05, 0.08], [0.08, 0.05]])
     rest = np.tile([0.4, -0.5, 0.0, 0.0, 0.0, 0.0], (1500, 1))
     options: dict[str, Any] = {
@@ -353,13 +388,16 @@ def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
         watcher(Extended(**options, blind=blind), model, zone(2))(rest, 3, widths)
         for blind in (True, False)
     )
-    assert (blind.x - blind.found.x)[-1, :2] == pytest.approx([0.05, -0.05], rel=0.05)
-    assert np.abs((seeing.x - seeing.found.x)[-1, :2]).max() < 0.02
-    assert not np.any([blind.found.right, blind.found.left, blind.found.width_std])
+    assert (blind.x - blind.estimate.x)[-1, :2] == pytest.approx([0.05, -0.05], rel=0.05)
+    assert np.abs((seeing.x - seeing.estimate.x)[-1, :2]).max() < 0.02
+    assert not np.any([blind.estimate.right, blind.estimate.left, blind.estimate.width_std])
 
 
 def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
-    """Readings show z itself; that they are 0, or not, bounds each width: from both sides in the end."""
+    """Readings show z itself; that they are 0, or not, bounds each width.
+
+    From both sides in the end.
+    """
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
     model, widths, path = (
         sampled(flow, TS, 1),
@@ -369,12 +407,12 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     options = Extended(
         right=[0.0, 1.0], start=path[0, :4], x_std=0.02, correlation_time=0.02, **EXACT
     )
-    found = watcher(options, model, zone(2, kind="jump", noise=0.01))(path, 4, widths)
-    assert np.concatenate([found.found.right[-1], found.found.left[-1]]) == pytest.approx(
+    watched = watcher(options, model, zone(2, kind="jump", noise=0.01))(path, 4, widths)
+    assert np.concatenate([watched.estimate.right[-1], watched.estimate.left[-1]]) == pytest.approx(
         widths.ravel(), abs=0.05
     )
-    assert (found.found.right_std[-1] < 0.3 / np.sqrt(12)).all()
-    assert (np.abs(found.right(widths)) < 3).all()
+    assert (watched.estimate.right_std[-1] < 0.3 / np.sqrt(12)).all()
+    assert (np.abs(watched.right(widths)) < 3).all()
 
 
 # --- Whether its claims hold
@@ -393,7 +431,10 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
 def test_claims_are_true_over_random_arms(
     options: dict[str, Any], rms: float, payload: float
 ) -> None:
-    """2 standard deviations hold the truth in 95 %: at least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed."""
+    """2 standard deviations hold the truth in 95 %.
+
+    At least in 90 % of 25 arms' 4 edges and 4 states, whose squared errors are as large as claimed.
+    """
     Ts, runs = 4e-3, 25
     model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, 0.5, PULSES, Ts), START
     run = watcher(
@@ -409,12 +450,15 @@ def test_claims_are_true_over_random_arms(
         params = model.params + payload * rng.normal() * np.array(
             [name == "payload" for name in model.names]
         )
-        found = run(
+        watched = run(
             path, seed, widths, path[0, :4] + x_std * rng.normal(size=4), np.array(w), params
         )
         errors.append(
             np.concatenate(
-                [found.right(widths), ((found.found.x - found.x) / found.found.x_std)[-1]]
+                [
+                    watched.right(widths),
+                    ((watched.estimate.x - watched.x) / watched.estimate.x_std)[-1],
+                ]
             )
         )
     assert (np.abs(errors) < 2).mean() > 0.9
@@ -428,7 +472,7 @@ def test_lanes_and_the_virtual_machine_agree(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
-    given = scene(
+    scenario = scene(
         plant={
             "states": ["a", "b", "v", "w"],
             "inputs": ["s", "t"],
@@ -450,7 +494,7 @@ def test_lanes_and_the_virtual_machine_agree(
         controller={"method": "state_feedback", "poles": [-5, -6, -7, -8]},
         simulation={"time": "sampled", "step": 5e-3, "duration": 4.0, "substeps": 1},
     )
-    usual, compiled = (simulate(given, engine=engine) for engine in ("interpret", "lanes"))
+    usual, compiled = (simulate(scenario, engine=engine) for engine in ("interpret", "lanes"))
     assert usual.d_hat == pytest.approx(compiled.d_hat, rel=1e-12)
     assert usual.x_hat == pytest.approx(compiled.x_hat, rel=1e-9, abs=1e-12)
     assert usual.d_hat[-1] == pytest.approx([0.08, 0.05] * 2, abs=0.03)

@@ -22,7 +22,7 @@ def zone(model: System) -> Zone:
 
 
 def slopes(observer: Observer, model: System) -> tuple[np.ndarray, np.ndarray]:
-    """Change of x^' (or x^+) and of d_r^' by a reading on the right, at some state, by differentiation."""
+    """Change of x^' (or x^+) and of d_r^' by a reading on the right, by differentiation."""
     state = observer.init(observer.params)
     column, symbols = tree.symbols(state, "s")
     y = ca.SX.sym("y", model.p)

@@ -1,4 +1,7 @@
-"""The measured-side Kalman filter against textbook twins, and its claims against the truth; the Gaussian maths beneath it."""
+"""The measured-side Kalman filter against textbook twins, and its claims against the truth.
+
+So is the Gaussian maths beneath it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from benchmarks import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.stats import norm
+from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
 from undeadzone import sensor
@@ -23,6 +26,7 @@ from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
 from undeadzone.observers.parts import measured_kalman as filtering
 from undeadzone.observers.parts.measured_kalman import State
+from undeadzone.observers.parts.prior import build_prior, width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -53,16 +57,10 @@ def covariance(state: State) -> Floats:
 
 def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
     """f of CasADi symbols, at numbers."""
-    symbols = [
-        ca.SX.sym("a", *np.reshape(value, (len(np.atleast_1d(value)), -1)).shape)
-        for value in values
-    ]
-    return [
-        found.full()
-        for found in ca.Function("f", symbols, list(f(*symbols))).call(
-            [ca.DM(value) for value in values]
-        )
-    ]
+    numbers = [ca.DM(value) for value in values]
+    symbols = [ca.SX.sym("a", *number.shape) for number in numbers]
+    function = ca.Function("f", symbols, list(f(*symbols)))
+    return [result.full() for result in function.call(numbers)]
 
 
 # --- Gaussian maths
@@ -71,15 +69,15 @@ def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
 @given(seeds)
 def test_covariance_and_triangle_are_inverse(seed: int) -> None:
     square = np.random.default_rng(seed).normal(size=(4, 4))
-    (found,) = evaluate(
+    (whole,) = evaluate(
         lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T
     )
-    assert (found == square + square.T).all()
+    assert (whole == square + square.T).all()
 
 
 @given(seeds)
 def test_prediction_is_exact_for_second_degree(seed: int) -> None:
-    """Mean and covariance of random quadratic maps by Gauss-Hermite quadrature, which is exact for them."""
+    """Random quadratic maps, for which Gauss-Hermite quadrature of mean and covariance is exact."""
     rng = np.random.default_rng(seed)
     H, F, mean, root, Q = (
         rng.normal(size=(2, 3, 3)),
@@ -92,7 +90,7 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     def f(X: Any) -> Any:
         return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
 
-    found = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
+    moments = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
     nodes, weights = np.polynomial.hermite_e.hermegauss(4)
     points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
     weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)
@@ -104,27 +102,27 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
         axis=1,
     )
     expected = weight @ values
-    assert found[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert found[1] == pytest.approx(
+    assert moments[0][:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert moments[1] == pytest.approx(
         (values - expected).T @ np.diag(weight) @ (values - expected) + Q, rel=1e-8, abs=1e-8
     )
 
 
 def test_hazard_agrees_with_scipy() -> None:
     alpha = np.linspace(-30, 30, 1201)
-    (found,) = evaluate(lambda a: [gaussian.hazard(a)], alpha)
+    (ratio,) = evaluate(lambda a: [gaussian.hazard(a)], alpha)
     expected = np.exp(norm.logpdf(alpha) - norm.logcdf(alpha))
-    assert found[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
-    assert found[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
+    assert ratio[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
+    assert ratio[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
 
 
 @given(seeds, st.just(0.0) | st.floats(0.01, 2.0))
 def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) -> None:
-    """Against quadrature of the belief in q = h x times the probability Phi(-q / sqrt R) that q + v <= 0."""
+    """Against quadrature of the belief in q = h x times P(q + v <= 0) = Phi(-q / sqrt R)."""
     rng = np.random.default_rng(seed)
     root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
     P, mean = root @ root.T, rng.normal(size=3)
-    found = evaluate(
+    moments = evaluate(
         lambda m, P: gaussian.truncate(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0],
         mean,
         P,
@@ -153,8 +151,8 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
         return
     shift = moment(1) / total
     gain = P @ h / variance
-    assert found[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
-    assert found[1] == pytest.approx(
+    assert moments[0][:, 0] == pytest.approx(mean + gain * shift, abs=1e-5)
+    assert moments[1] == pytest.approx(
         P + np.outer(gain, gain) * (moment(2) / total - shift**2 - variance), abs=1e-5
     )
 
@@ -185,34 +183,37 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
 
 
 def textbook(
-    model: System, given: Kalman, noise: float, ys: Floats, us: Floats
+    model: System, options: Kalman, noise: float, ys: Floats, us: Floats
 ) -> list[tuple[Floats, Floats]]:
-    """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook: all outputs at once, K = P H' S^-1."""
+    """[x; d_r; d_l] and covariance after each reading, by the formulas of any textbook.
+
+    All outputs at once, K = P H' S^-1.
+    """
     A, B, C = model.linear
     n, p = model.n, model.p
-    (lo, hi), (low, high) = given.right, given.left or given.right  # type: ignore[misc]
+    (lo, hi), (low, high) = options.right, options.left or options.right  # type: ignore[misc]
     mean = np.concatenate([np.zeros(n), np.full(p, (lo + hi) / 2), np.full(p, (low + high) / 2)])
     P = np.diag(
         np.concatenate(
             [
-                np.full(n, given.x_std),
+                np.full(n, options.x_std),
                 np.full(p, (hi - lo) / np.sqrt(12)),
                 np.full(p, (high - low) / np.sqrt(12)),
             ]
         )
         ** 2
     )
-    F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * given.drift**2 * TS
-    F[:n, :n], Q[:n, :n] = A, B @ B.T * float(given.disturbance) ** 2  # type: ignore[arg-type]
-    found = []
+    F, Q = np.eye(n + 2 * p), np.eye(n + 2 * p) * options.drift**2 * TS
+    F[:n, :n], Q[:n, :n] = A, B @ B.T * float(options.disturbance) ** 2  # type: ignore[arg-type]
+    beliefs = []
     for y, u in zip(ys, us, strict=True):
         H = np.hstack([C, -np.diag(1.0 * (y > 0)), np.diag(1.0 * (y < 0))])
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise**2 * np.eye(p))
         mean, P = mean + K @ (y - H @ mean), (np.eye(n + 2 * p) - K @ H) @ P
-        found.append((mean, P))
+        beliefs.append((mean, P))
         mean, P = F @ mean, F @ P @ F.T + Q
         mean[:n] += B @ u
-    return found
+    return beliefs
 
 
 @given(seeds, st.integers(1, 4), st.integers(1, 2), st.integers(1, 2))
@@ -245,7 +246,10 @@ def test_where_every_reading_is_active_it_is_the_textbook_filter(
 
 @given(seeds, st.integers(1, 3))
 def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> None:
-    """The estimate of the last state and of d minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2 over theta = [x(0); d]."""
+    """The estimate of the last state and of d is that of the best theta = [x(0); d].
+
+    It minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2.
+    """
     rng = np.random.default_rng(seed)
     model = sampled(random_plant(rng, n), TS)
     A, B, C = model.linear
@@ -314,14 +318,14 @@ def test_the_estimate_does_not_depend_on_the_input() -> None:
 def test_a_reading_is_used_if_far_or_announced(
     y: float, last: float, previous: float, expected: int
 ) -> None:
-    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
-    assert found == expected
+    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
+    assert sure == expected
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
 def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previous: float) -> None:
-    (found,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
-    assert found == sensor.side(y)
+    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
+    assert sure == sensor.side(y)
 
 
 def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
@@ -343,28 +347,36 @@ def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
 
 @pytest.mark.parametrize("reach", ["both edges", "right edge only"])
 def test_claims_are_true_over_random_problems(reach: str) -> None:
-    """300 problems: coverage within three standard errors of 95 % or more, NEES and NIS near 1 (chi-square, 4 sigma)."""
-    found = coverage.observe(coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5))
-    assert found.covered().min() > 0.91
-    assert found.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
-    assert found.nis == pytest.approx(1.0, abs=0.02)
+    """300 problems: coverage within three standard errors of 95 % or more.
+
+    NEES and NIS are near 1 (chi-square, 4 sigma).
+    """
+    outcome = coverage.observe(
+        coverage.kalman, coverage.problems(reach, coverage.World(), 2, 300, 5)
+    )
+    assert outcome.covered().min() > 0.91
+    assert outcome.nees() == pytest.approx(1.0, abs=4 / np.sqrt(300))
+    assert outcome.nis == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_edge_that_is_never_reached_keeps_its_prior() -> None:
-    found = coverage.observe(
+    outcome = coverage.observe(
         coverage.kalman, coverage.problems("no edge", coverage.World(), 2, 50, 6)
     )
     prior = np.ptp(coverage.RANGE) / np.sqrt(12)
-    assert found.stds[:, :4] == pytest.approx(
+    assert outcome.stds[:, :4] == pytest.approx(
         np.tile([prior, prior, np.sqrt(2) * prior, prior / np.sqrt(2)], (50, 1))
     )
-    assert found.covered().min() > 0.9
+    assert outcome.covered().min() > 0.9
 
 
 @pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])
 @pytest.mark.parametrize("reach", ["grazing", "right edge only"])
 def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, reach: str) -> None:
-    """filterpy's EKF and UKF where an edge is hardly or never reached, on problems that ours gets right."""
+    """filterpy's EKF and UKF where an edge is hardly or never reached.
+
+    Ours gets these problems right.
+    """
     pytest.importorskip("filterpy")
     problems = coverage.problems(reach, coverage.World(), 2, 12, 7)
     ours, theirs = (
@@ -490,3 +502,38 @@ def test_wrong_options_are_named(
 def test_continuous_time_is_refused_with_what_to_do() -> None:
     with pytest.raises(InputError, match=r"set simulation\.time"):
         simulate(scene(observer=OPTIONS))
+
+
+# --- Its parts
+
+
+def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
+    """Independent widths: each has the mean of a truncated normal; the covariance stays."""
+    ranges = np.array([[0.5, 1.2], [0.0, 0.4]])
+    mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.2])
+    params = filtering.Params(*[None] * 10)._replace(ranges=ranges)
+
+    def shown(mean: Any, cov: Any) -> list[Any]:
+        belief, log_chance = filtering.within_ranges(params, 1, Gaussian(mean, cov))
+        return [*belief, log_chance]
+
+    cut_mean, cov, log_chance = evaluate(shown, mean, np.diag(std**2))
+    a, b = (ranges.T - mean[1:]) / std[1:]
+    expected = truncnorm.mean(a, b, loc=mean[1:], scale=std[1:])
+    assert cut_mean[:, 0] == pytest.approx([3.0, *expected])
+    assert (cov == np.diag(std**2)).all()
+    chances = norm.cdf(b) - norm.cdf(a)
+    assert log_chance[0, 0] == pytest.approx(np.log(chances).sum())
+
+
+def test_a_prior_is_uniform_over_its_ranges() -> None:
+    where = zone(noise=0.1)
+    prior = build_prior(MODEL, where, [0.5, 2.0], [0.0, 1.0], None, None, None, wear=0.01)
+    assert prior.mean.tolist() == [0.0, 0.0, 1.25, 0.5]
+    assert prior.std == pytest.approx([10.0, 10.0, 1.5 / np.sqrt(12), 1.0 / np.sqrt(12)])
+    assert pytest.approx([0.01]) == prior.R
+    assert prior.drift == pytest.approx(np.full(2, 0.02**2 * TS))
+
+
+def test_the_left_widths_have_the_ranges_of_the_right_ones_by_default() -> None:
+    assert width_ranges([0.5, 2.0], None, 2).tolist() == [[0.5, 2.0]] * 4

@@ -1,4 +1,4 @@
-"""The rooms of the package: imports point down, no files stand in a circle, catalogues hold methods only."""
+"""Imports point down, no files stand in a circle, catalogues hold methods only."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLOORS = (
     ("controllers", "observers"),
     ("scenario",),
     ("simulation",),
-    ("arena", "ensemble", "synthesis"),
+    ("arena", "ensemble", "identification", "synthesis"),
     ("tuning",),
     ("report",),
     ("paper",),
@@ -47,7 +47,7 @@ MODULES = {module(path) for path in FILES}
 
 
 def imports(text: str) -> set[str]:
-    """The modules of the package that a text imports, inside functions and for types too: `ensemble.batch`."""
+    """The modules of the package that a text imports, inside functions and for types too."""
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -72,7 +72,7 @@ def upward(path: Path, text: str) -> list[str]:
 
 
 def circle(arrows: dict[str, set[str]]) -> set[str]:
-    """What is left once everything without arrows to what is left has been taken away: nothing if there is no circle."""
+    """What stands in a circle or points into one: nothing is left if there is none."""
     left = {name: set(targets) for name, targets in arrows.items()}
     while free := [name for name, targets in left.items() if not targets & left.keys()]:
         for name in free:

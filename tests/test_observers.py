@@ -1,4 +1,7 @@
-"""Observers on numbers: literal formulas, the error dynamics of docs/observer.md, where methods must coincide, missing samples."""
+"""Observers on numbers: literal formulas, the error dynamics of docs/observer.md.
+
+Where methods must coincide, and missing samples.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ def read(x: Floats, model: System, where: Zone, side: Floats) -> Floats:
 def test_errors_of_certified_are_exactly_linear_on_every_side(
     seed: int, n: int, p: int, in_samples: bool, slope: float
 ) -> None:
-    """x~' = A x~ - L e, d_r~' = gamma e on the right, d_l~' = -gamma e on the left, e = C x~ - S d~; sampled likewise with ^+."""
+    """x~' = A x~ - L e, d_r~' = gamma e on the right, d_l~' = -gamma e on the left.
+
+    e = C x~ - S d~; sampled likewise with ^+.
+    """
     rng = np.random.default_rng(seed)
     Ts = 0.05 if in_samples else 1.0
     flow = random_plant(rng, n, 1, p)
@@ -89,7 +95,10 @@ def where_offset(side: Floats, right_error: Floats, left_error: Floats) -> Float
 
 @given(seeds, st.integers(1, 4), st.booleans(), st.booleans())
 def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow: bool) -> None:
-    """On certified designs, for the side that the true state gives, whatever the state does; also while d^ is projected."""
+    """On certified designs, for the side that the true state gives, whatever the state does.
+
+    Also while d^ is projected.
+    """
     rng = np.random.default_rng(seed)
     Ts = float(rng.uniform(0.01, 0.5))
     model = sampled(random_plant(rng, n), Ts)
@@ -152,7 +161,10 @@ def test_without_a_dead_zone_certified_is_luenbergers_observer() -> None:
 
 
 def test_silence_innovation_says_which_edge_is_violated() -> None:
-    """e = -max(C x^ - d_r^, 0) - min(C x^ + d_l^, 0), wider by the threshold; the violated edge grows."""
+    """e = -max(C x^ - d_r^, 0) - min(C x^ + d_l^, 0), wider by the threshold.
+
+    The violated edge grows.
+    """
     where = zone(1, right=1.0, left=1.0, threshold=0.1)
     step = on_numbers(
         Certified(L=L, gamma=4.0, silence=True, widths0=[0.5, 0.4]).build(PAPER_PLANT, where),
@@ -197,7 +209,10 @@ def test_a_missing_sample_leaves_a_pure_prediction(
 
 
 def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
-    """e = y - z^ outside; the widths come down to the least reading seen, and the silence innovation raises them."""
+    """e = y - z^ outside, and the widths come down to the least reading seen.
+
+    The silence innovation raises them.
+    """
     where = zone(1, kind="jump", slope=2.0)
     step = on_numbers(Certified(L=L, gamma=4.0, widths0=3.0).build(PAPER_PLANT, where), PAPER_PLANT)
     after, estimate = step((np.array([0.5, 0.0]), 3.0, 3.0), 0.0, 5.0, 1.0)

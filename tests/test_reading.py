@@ -1,4 +1,4 @@
-"""The code reads one idea at a time: comprehensions stay plain, and public names say what each argument and field is."""
+"""Comprehensions stay plain, and public names say what each argument and field is."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import undeadzone
 ROOT = Path(undeadzone.__file__).parent
 FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
 COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+STRUCTS = {"msgspec.Struct", "Claims", "JointClaims", "LearnedOptions", "FeedbackOptions"}
 ITEM = re.compile(r"^    ?(?:    )?([A-Za-z_][\w, ]*): ")
 
 
@@ -40,11 +41,16 @@ def nested(text: str) -> list[int]:
 
 
 def explained(docstring: str, section: str) -> set[str]:
-    """The names to which a section of a docstring gives a line: `L: gains (n x p)`, or `x, x_hat: ...`."""
+    """The names to which a section of a docstring gives a line: `x, x_hat: ...` gives two."""
     names: set[str] = set()
     inside = False
     for line in docstring.expandtabs().splitlines():
-        if line.strip().endswith(":") and line.strip()[:-1] in ("Args", "Attributes", "Returns", "Raises"):
+        if line.strip().endswith(":") and line.strip()[:-1] in (
+            "Args",
+            "Attributes",
+            "Returns",
+            "Raises",
+        ):
             inside = line.strip() == f"{section}:"
             continue
         found = ITEM.match(line.replace("*", "")) if inside else None
@@ -54,8 +60,8 @@ def explained(docstring: str, section: str) -> set[str]:
 
 
 def is_struct(node: ast.ClassDef) -> bool:
-    """Whether a class is a msgspec struct, by its name or its bases."""
-    return any(ast.unparse(base) in ("msgspec.Struct", "Claims") for base in node.bases)
+    """Whether a class is a msgspec struct: one itself, or made of another one's fields."""
+    return any(ast.unparse(base) in STRUCTS for base in node.bases)
 
 
 def fields(node: ast.ClassDef) -> list[str]:

@@ -1,4 +1,7 @@
-"""Rivals that learn the dead zone: adaptive inverse, gradient, networks as observers and as output feedback (docs/methods)."""
+"""Rivals that learn the dead zone.
+
+Adaptive inverse, gradient, networks as observers and as output feedback (docs/methods).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from hypothesis import strategies as st
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone import sensor
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, TaylorFeedback
-from undeadzone.controllers.parts.learned_feedback import relative_degree
+from undeadzone.controllers.parts.learned_feedback import error_weights, relative_degree
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -88,8 +91,8 @@ class Numbers:
     def part(self, name: str) -> Floats:
         """A field of the state as an array."""
         start = 0
-        for found, leaf in tree.leaves(self.like):
-            if found == name:
+        for path, leaf in tree.leaves(self.like):
+            if path == name:
                 return self.state[start : start + leaf.size].reshape(leaf.shape, order="F")
             start += leaf.size
         raise KeyError(name)
@@ -106,21 +109,25 @@ def values(basis: Basis, v: Floats) -> Floats:
 def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool) -> None:
     rng = np.random.default_rng(seed)
     reach, v = rng.uniform(0.5, 5, k), rng.normal(size=k) * 2
-    found = values(gaussians("key", reach, 4, 0.7, normalised), v)
+    functions = values(gaussians("key", reach, 4, 0.7, normalised), v)
     at = np.clip(v / reach, -1, 1) if normalised else v / reach
-    centres = np.stack(np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij"), axis=-1).reshape(
-        -1, k
-    )
+    axes = np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij")
+    centres = np.stack(axes, axis=-1).reshape(-1, k)
     expected = np.exp(-(((at - centres) / (2 / 3 * 0.7)) ** 2).sum(axis=1) / 2)
-    assert found == pytest.approx(expected / expected.sum() if normalised else expected)
+    if normalised:
+        expected /= expected.sum()
+    assert functions == pytest.approx(expected)
 
 
 def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
     basis = monomials("key", np.array([2.0, 4.0]), 3)
     assert basis.size == math.comb(5, 3)
-    assert sorted(values(basis, np.array([1.0, 1.0]))) == pytest.approx(
-        sorted(0.5**i * 0.25**j for i in range(4) for j in range(4 - i))
-    )
+    expected = []
+    for i in range(4):
+        for j in range(4 - i):
+            expected.append(0.5**i * 0.25**j)
+    at_one = values(basis, np.array([1.0, 1.0]))
+    assert sorted(at_one) == pytest.approx(sorted(expected))
     assert values(basis, np.array([3.0, -9.0])) == pytest.approx(
         values(basis, np.array([2.0, -4.0]))
     )
@@ -207,16 +214,16 @@ def literal_filters(
     A, B, C = model.linear
     n, p = model.n, model.p
     xi, Phi = np.zeros(n), np.zeros((n, 2 * p))
-    found = []
+    rows = []
     for u, y, side in readings:
         gate = np.diag((side != 0) * 1.0) if gated else np.eye(p)
         phi = np.zeros((p, 2 * p))
         for i in range(p):
             phi[i, 2 * i : 2 * i + 2] = [side[i] > 0, -1.0 * (side[i] < 0)]
-        found.append((xi, gate @ (y - C @ xi), gate @ (C @ Phi - phi)))
+        rows.append((xi, gate @ (y - C @ xi), gate @ (C @ Phi - phi)))
         xi = A @ xi + B @ u + L @ gate @ (y - C @ xi)
         Phi = A @ Phi - L @ gate @ (C @ Phi - phi)
-    return tuple(np.array(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
+    return tuple(np.array(part) for part in zip(*rows, strict=True))  # type: ignore[return-value]
 
 
 def recorded(
@@ -238,7 +245,10 @@ def recorded(
 def test_adaptive_inverse_is_the_augmented_error_gradient(
     seed: int, n: int, p: int, gated: bool
 ) -> None:
-    """Filtered signals without d^, then d+ = d + g zeta'eps / (1 + (1 + g) zeta'zeta), eps = eta - zeta d, x^ = xi + Phi d."""
+    """Filtered signals without d^, then d+ = d + g zeta'eps / (1 + (1 + g) zeta'zeta).
+
+    eps = eta - zeta d, x^ = xi + Phi d.
+    """
     rng = np.random.default_rng(seed)
     Ts, gain = 0.1, 7.0
     model = sampled(random_plant(rng, n, 1, p), Ts)
@@ -451,13 +461,13 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
         ],
         check=True,
     )
-    given = (state, exogenous, tree.pack(loop.params))
-    found, expected = (
-        interpret.run(ca.external("step", str(tmp_path / "step.so")), *given)[0],
-        interpret.run(loop.step, *given)[0],
+    arguments = (state, exogenous, tree.pack(loop.params))
+    computed, expected = (
+        interpret.run(ca.external("step", str(tmp_path / "step.so")), *arguments)[0],
+        interpret.run(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-9)
 
 
 # --- What they do on the paper's example (design/arena.md): sampled at 200 Hz, 20 s, d = 1
@@ -503,7 +513,10 @@ def test_what_takes_the_reading_for_the_output_settles_a_width_away() -> None:
 
 @pytest.mark.parametrize("name", FEEDBACK)
 def test_output_feedback_follows_with_the_wrong_output(name: str) -> None:
-    """Blind, y follows r and z is d away; on a compensated reading, z follows. What it learns cannot help."""
+    """Blind, y follows r and z is d away.
+
+    On a compensated reading, z follows. What it learns cannot help.
+    """
     blind = arena(BLIND, {"method": name, "reach": [6.0, 40.0]})
     last, r = blind.last, blind.r[:, 0]
     outside = blind.side[last, 0] != 0
@@ -524,7 +537,10 @@ def test_the_gated_inverse_is_right_where_the_literal_one_is_not() -> None:
 
 @pytest.mark.parametrize("name", RESIDUALS)
 def test_fast_poles_hide_the_residual(name: str) -> None:
-    """As published (the error itself drives the weights) it learns at slow poles and goes wrong at fast ones; filtered, it does not."""
+    """As published it learns at slow poles and goes wrong at fast ones; filtered, it does not.
+
+    As published, the error itself drives the weights.
+    """
     published = RESIDUALS[name] | {"filtered": False, "gain": 12.0}
     slow, fast = (
         arena(published | {"poles": [-6.0, -6.0]}),
@@ -611,7 +627,7 @@ def test_a_nonlinear_plant_and_a_step_too_coarse_for_its_gain() -> None:
     assert run.widths == pytest.approx(np.full((1, 2), 0.3), abs=0.03)
     with pytest.raises(
         StepError,
-        match=r"simulation.step: 0.005 s is too coarse: the observer's adaptation has a mode at 939",
+        match="is too coarse: the observer's adaptation has a mode at 939",
     ):
         arena({"method": "adaptive_inverse"}, **pendulum | {"simulation": {"time": "continuous"}})
 
@@ -659,7 +675,7 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
         Estimate(x, none, none, none, ca.SX(z), none),
         Target(np.array([r]), ca.SX(x_ref), ca.SX(u_ff)),
     )
-    found, force = (
+    motion, force = (
         v.full().ravel()
         for v in ca.Function("law", [p, s], [tree.stack(after), u])(
             tree.pack(controller.params), np.concatenate([x, W])
@@ -670,13 +686,13 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     assert force == pytest.approx([(wanted - W @ phi) / 2])
     learnt = gain * phi * (c * E[0] + E[1]) - leak * W
     if Ts is None:
-        assert found == pytest.approx(
+        assert motion == pytest.approx(
             np.concatenate([[x[1] + 2 * speed * e, wanted + speed**2 * e], learnt])
         )
     else:
         pole = np.exp(-speed * Ts)
         injected = np.array([2 * (1 - pole), (1 - pole) ** 2 / Ts]) * e
-        assert found == pytest.approx(
+        assert motion == pytest.approx(
             np.concatenate(
                 [
                     x[:1] + Ts * x[1] + Ts**2 / 2 * wanted + injected[:1],
@@ -706,7 +722,8 @@ def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) 
         (
             TWO,
             InputError,
-            "controller.method: this method is for a linear model of one input and one output, found 2 and 2",
+            "controller.method: this method is for a linear model of one input and one output, "
+            "found 2 and 2",
         ),
         (
             linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[-1.0, 1.0]]),
@@ -765,3 +782,24 @@ def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:
     ):
         RobustGradient().build(blocked, zone())
     RobustGradient(rho=0.0).build(blocked, zone())
+
+
+# --- Their parts
+
+
+@pytest.mark.parametrize("order", [0, 1, 3])
+def test_weights_of_the_error_put_all_poles_at_one_place(order: int) -> None:
+    weights = error_weights(order, 4.0)
+    assert weights.size == order
+    s = np.array([1.0, 2.0])
+    assert np.polynomial.Polynomial([*weights, 1.0])(s) == pytest.approx((s + 4.0) ** order)
+
+
+def test_weights_of_the_adaptive_inverse_are_the_widths() -> None:
+    observer = AdaptiveInverse(widths0=[[1.0, 0.4], [0.7, 0.2]]).build(TWO, zone(2))
+    state = observer.init(observer.params)
+    missing = Reading(ca.SX([np.nan, np.nan]), ca.SX.zeros(2))
+    symbols = state._replace(x=ca.SX(state.x), W=ca.SX(state.W))
+    _, estimate = observer.step(observer.params, symbols, ca.SX.zeros(TWO.m), missing)
+    assert ca.DM(estimate.right).full()[:, 0].tolist() == [1.0, 0.7]
+    assert ca.DM(estimate.left).full()[:, 0].tolist() == [0.4, 0.2]

@@ -1,4 +1,7 @@
-"""Rivals that are robust by construction: what each promises, where it coincides with another, and what a dead zone makes of it."""
+"""Rivals that are robust by construction.
+
+What each promises, where it coincides with another, and what a dead zone makes of it.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,12 @@ from undeadzone.observers import (
     WalcottZak,
 )
 from undeadzone.observers.full_state import FullState
+from undeadzone.observers.parts import interval_step
+from undeadzone.observers.parts.boxes import Bounds, Boxes, cut
+from undeadzone.observers.parts.interval_step import coupling
 from undeadzone.observers.parts.modal_form import modes, turned
+from undeadzone.observers.super_twisting import differentiator_gains
+from undeadzone.observers.walcott_zak import Law, sliding
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -57,7 +65,10 @@ def zone(p: int = 1, **options: Any) -> Zone:
 def stepper(
     observer: Observer, model: System
 ) -> tuple[Floats, Callable[..., tuple[Floats, Estimate]]]:
-    """(the packed state at first, step on numbers: (state, u, y, side) -> (next state or derivative, estimate))."""
+    """(the packed state at first, step on numbers).
+
+    The step is (state, u, y, side) -> (next state or derivative, estimate).
+    """
     like = observer.init(observer.params)
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(like, "s")
@@ -77,7 +88,10 @@ def stepper(
 
 
 def outside(estimate: Estimate, x: Floats, right: Floats, left: Floats) -> float:
-    """How far the truth lies beyond the nearest end of its interval (negative: inside), the worst of all."""
+    """How far the truth lies beyond the nearest end of its interval, the worst of all.
+
+    A negative number lies inside.
+    """
     truth, middle = (
         np.concatenate(parts)
         for parts in ((x, right, left), (estimate.x, estimate.right, estimate.left))
@@ -99,7 +113,10 @@ def outside(estimate: Estimate, x: Floats, right: Floats, left: Floats) -> float
 def test_interval_holds_the_truth_of_any_plant(
     seed: int, n: int, p: int, stable: bool, jump: bool, noise: float, disturbance: float
 ) -> None:
-    """Unknown widths, bounded noise before and after the zone, the worst disturbance, missing samples; unstable plants in closed loop."""
+    """Unknown widths, bounded noise before and after the zone, the worst disturbance.
+
+    Samples are missing, and unstable plants run in closed loop.
+    """
     rng = np.random.default_rng(seed)
     p, Ts, m = min(n, p), 0.02, 1.7
     flow = random_plant(rng, n, 1, p, stable)
@@ -131,7 +148,10 @@ def test_interval_holds_the_truth_of_any_plant(
 
 
 def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
-    """(outputs, scenario) of the paper's loop with a sinusoidal disturbance, and noise that is uniform within six rms."""
+    """(outputs, scenario) of the paper's loop with a sinusoidal disturbance.
+
+    Its noise is uniform within six rms.
+    """
     tables: dict[str, Any] = {
         "sensor": {"right": 1.4, "left": 0.6, "noise": 0.005},
         "disturbance": {"kind": "sine", "amplitude": 0.2, "frequency": 0.4},
@@ -150,11 +170,11 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
-    found, _ = bounded(time)
-    shown = found.estimate
+    outputs, _ = bounded(time)
+    shown = outputs.estimate
     halves = [np.sqrt(3) * std for std in (shown.x_std, shown.right_std, shown.left_std)]
     for truth, middle, half in zip(
-        (found.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
+        (outputs.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
     ):
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)
@@ -215,11 +235,10 @@ def test_interval_of_an_oscillator_decays_as_it_does(Ts: float | None) -> None:
     h = 0.01 if Ts is None else Ts
     first = step(state, 0.0, np.nan, 0.0)[1].x_std
     for _ in range(round(10 / h)):
-        state = (
-            step(state, 0.0, np.nan, 0.0)[0]
-            if Ts is not None
-            else rk4(lambda s, c: step(s, 0.0, np.nan, 0.0)[0], state, h)
-        )
+        if Ts is None:
+            state = rk4(lambda s, c: step(s, 0.0, np.nan, 0.0)[0], state, h)
+        else:
+            state, _ = step(state, 0.0, np.nan, 0.0)
     last = step(state, 0.0, np.nan, 0.0)[1].x_std
     assert (np.abs(np.log(last / first) + 0.2 * 10) < 0.8).all()
 
@@ -228,40 +247,41 @@ def test_interval_of_an_oscillator_decays_as_it_does(Ts: float | None) -> None:
 def test_boxes_shrink_as_fast_as_the_poles_allow(
     seed: int, n: int, in_samples: bool, defective: bool
 ) -> None:
-    """|Phi' S Phi| has the spectral radius (abscissa) of F: the bounds decay as the error does, oscillating and multiple poles included."""
+    """|Phi' S Phi| has the spectral radius (abscissa) of F.
+
+    The bounds decay as the error does, oscillating and multiple poles included.
+    """
     rng = np.random.default_rng(seed)
     F = rng.normal(size=(n, n))
     if defective:
         change = rng.normal(size=(n, n)) + 3 * np.eye(n)
         F = np.linalg.solve(change, (np.eye(n) * rng.choice([-0.5, 0.5]) + np.eye(n, k=1)) @ change)
-    found = modes(F, 10.0 ** rng.uniform(-1, 1, n), 0.1 if in_samples else None)
-    assert np.linalg.norm(found.T @ found.S @ found.inverse - F) < 1e-8 * max(
-        1.0, float(np.linalg.norm(F))
-    ) * np.linalg.cond(found.T)
-    angle = rng.uniform(0, 6, len(found.pairs))
-    now, ahead = (
-        ca.DM(turned(found.pairs, n, ca.SX(a))).full()
-        for a in (angle, angle + (found.turn if in_samples else 0.0))
-    )
-    seen = ahead.T @ found.S @ now
-    poles = np.linalg.eigvals(
-        np.abs(seen)
-        if in_samples
-        else np.diag(np.diag(found.S)) + np.abs(np.triu(seen, 1)) * _beside(found.pairs, n)
-    )
+    form = modes(F, 10.0 ** rng.uniform(-1, 1, n), 0.1 if in_samples else None)
+    rounding = 1e-8 * max(1.0, float(np.linalg.norm(F))) * np.linalg.cond(form.T)
+    assert np.linalg.norm(form.T @ form.S @ form.inverse - F) < rounding
+    angle = rng.uniform(0, 6, len(form.pairs))
+    turn = form.turn if in_samples else 0.0
+    now = ca.DM(turned(form.pairs, n, ca.SX(angle))).full()
+    ahead = ca.DM(turned(form.pairs, n, ca.SX(angle + turn))).full()
+    seen = ahead.T @ form.S @ now
     expected = np.linalg.eigvals(F)
     tolerance = 0.05 if defective else 1e-6  # multiple poles are known to the n-th root of rounding
-    assert (np.abs(poles).max() if in_samples else poles.real.max()) == pytest.approx(
-        np.abs(expected).max() if in_samples else expected.real.max(), abs=tolerance
-    )
+    if in_samples:
+        radius = np.abs(np.linalg.eigvals(np.abs(seen))).max()
+        assert radius == pytest.approx(np.abs(expected).max(), abs=tolerance)
+    else:
+        shrinking = np.diag(np.diag(form.S))
+        between = np.abs(np.triu(seen, 1)) * _beside(form.pairs, n)
+        abscissa = np.linalg.eigvals(shrinking + between).real.max()
+        assert abscissa == pytest.approx(expected.real.max(), abs=tolerance)
 
 
 def _beside(pairs: list[int], n: int) -> Floats:
     """1 but within oscillating modes, which turn by themselves."""
-    found: Floats = np.ones((n, n))
+    mask: Floats = np.ones((n, n))
     for i in pairs:
-        found[i, i + 1] = 0.0
-    return found
+        mask[i, i + 1] = 0.0
+    return mask
 
 
 def test_interval_on_generated_C(tmp_path: Path) -> None:
@@ -291,11 +311,11 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
         check=True,
     )
     params = tree.pack(loop.params)
-    found, expected = (
+    computed, expected = (
         interpret.run(f, state, exogenous, params)[0]
         for f in (ca.external("step", str(tmp_path / "step.so")), loop.step)
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)
 
 
 # --- Sliding modes
@@ -306,7 +326,10 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
 def test_super_twisting_converges_in_finite_time_with_the_order_of_its_theory(
     a: list[float], disturbance: float
 ) -> None:
-    """Without a dead zone the k-th derivative is known to Ts^(r-k) after a finite time, whatever the input does (Levant 2003)."""
+    """Without a dead zone the k-th derivative is known to Ts^(r-k) after a finite time.
+
+    That holds whatever the input does (Levant 2003).
+    """
     flow, n = system(Plant(companion=a)), len(a)
     errors = []
     steps = [4e-3, 2e-3, 1e-3]
@@ -405,7 +428,10 @@ def test_where_rivals_coincide_with_luenberger(time: str) -> None:
 def test_high_gain_puts_all_poles_at_one_place_in_any_units(
     seed: int, n: int, p: int, unit_of_time: float
 ) -> None:
-    """In coordinates epsilon^k z_i^(k), epsilon (A - L C) tends to chains whose first columns are binomials: poles at -1."""
+    """In coordinates epsilon^k z_i^(k), epsilon (A - L C) tends to chains with poles at -1.
+
+    Their first columns are binomials.
+    """
     rng = np.random.default_rng(seed)
     p = min(n, p)
     A, B, C = random_plant(rng, n, 1, p).linear
@@ -525,7 +551,10 @@ def law(options: SlidingMode, model: System, x: Any, x_ref: Any, u_ff: Any) -> F
 
 
 def test_sliding_mode_is_slotine_and_lis_law() -> None:
-    """u = [r'' + a1 v + a0 z - l (v - r') - k S - ks sat(S / ph)] / b with S = v - r' + l (z - r), second order."""
+    """u = [r'' + a1 v + a0 z - l (v - r') - k S - ks sat(S / ph)] / b for second order.
+
+    S = v - r' + l (z - r).
+    """
     a0, a1, b, l, k, ks, ph = 3.0, 0.7, 2.0, 6.0, 4.0, 5.0, 0.5
     plant = linear([[0, 1], [-a0, -a1]], [[0], [b]], [[1, 0]])
     r, dr, ddr = 0.25, 0.1, -0.4
@@ -547,14 +576,17 @@ def test_on_the_plane_errors_have_the_poles(n: int, m: int, Ts: float | None) ->
     G = SlidingMode(gain=1.0, poles=poles).build(model).params.G
     A, B, _ = model.linear
     assert pytest.approx(np.eye(m), abs=1e-9) == G @ B
-    found = np.linalg.eigvals((np.eye(n) - B @ G) @ A)
-    found = np.sort(found[np.argsort(-np.abs(found))][: n - m].real)
-    assert found == pytest.approx(np.sort(poles if Ts is None else np.exp(poles * Ts)), rel=1e-5)
+    placed = np.linalg.eigvals((np.eye(n) - B @ G) @ A)
+    placed = np.sort(placed[np.argsort(-np.abs(placed))][: n - m].real)
+    assert placed == pytest.approx(np.sort(poles if Ts is None else np.exp(poles * Ts)), rel=1e-5)
 
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
-    """s reaches its layer and rests at d / (rate + gain / boundary) under a constant d; above the gain it leaves the layer."""
+    """s reaches its layer and rests at d / (rate + gain / boundary) under a constant d.
+
+    Above the gain it leaves the layer.
+    """
     model, d, rate = (
         sampled(random_plant(np.random.default_rng(n), n, stable=False), 1e-3),
         2.0,
@@ -579,8 +611,12 @@ def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
 
 def test_sliding_mode_drives_a_nonlinear_plant() -> None:
     pendulum = {
-        "states": ["angle", "rate"], "inputs": ["torque"], "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"], "h": ["angle"], "x0": [0.3, 0.0],
-    }  # fmt: skip
+        "states": ["angle", "rate"],
+        "inputs": ["torque"],
+        "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"],
+        "h": ["angle"],
+        "x0": [0.3, 0.0],
+    }
     run = simulate(
         scene(
             plant=pendulum,
@@ -762,3 +798,64 @@ def test_canonical_coordinates_of_a_chain_are_its_states() -> None:
     chains = output_chains(*companion([0.0, 0.0, 0.0])[::2])
     assert chains.O.tolist() == np.eye(3).tolist()
     assert chains.rows == [[0, 1, 2]]
+
+
+# --- Their parts
+
+
+def test_modes_drive_others_but_not_themselves() -> None:
+    assert (coupling([1], 4) == np.triu(_beside([1], 4), 1)).all()
+
+
+def test_a_box_is_cut_to_what_its_output_allows() -> None:
+    """Against the ends of many points of the box; an output that it cannot have leaves it empty."""
+    rng = np.random.default_rng(6)
+    x, radius, frame = rng.normal(size=2), np.array([1.0, 0.5]), np.array([[1.0, 1.0], [0.0, 1.0]])
+    c = np.array([[1.0, 0.5]])
+    low = float(c[0] @ x) + 0.6
+    points = rng.uniform(-1, 1, (200_000, 2)) * radius
+    z = (x + points @ frame.T) @ c[0]
+    kept = points[z >= low]
+
+    def cut_to(low: float, high: float) -> tuple[Floats, Floats]:
+        middle, size = cut(ca.SX(x), ca.SX(radius), ca.SX(frame), ca.SX(c), low, high)
+        return ca.DM(middle).full()[:, 0], ca.DM(size).full()[:, 0]
+
+    middle, size = cut_to(low, low + 5.0)
+    shift = np.linalg.solve(frame, middle - x)
+    assert shift - size == pytest.approx(kept.min(axis=0), abs=0.02)
+    assert shift + size == pytest.approx(kept.max(axis=0), abs=0.02)
+    assert cut_to(low + 9.0, low + 9.5)[1].min() < 0
+
+
+@pytest.mark.parametrize("kind", ["deadzone", "jump"])
+def test_a_reading_bounds_widths_and_output(kind: str) -> None:
+    """z in [1, 4], d_r in [0.5, 2], noise 0.1, y on the right: z - d_r, or z itself."""
+    shared = interval_step.Setup(PAPER_PLANT, [], kind)
+    numbers = interval_step.Params(*[None] * 13)._replace(noise=ca.SX(0.1), slack=ca.SX(0.1))
+    on = interval_step.Sides(ca.SX(1), ca.SX(0), ca.SX(1), ca.SX(0))
+    before = Bounds(ca.SX(0.5), ca.SX(2.0))
+    boxes, z, y = Boxes(None, None, before, before), Bounds(ca.SX(1.0), ca.SX(4.0)), ca.SX(2.6)
+    right, left = interval_step.width_bounds(shared, numbers, boxes, z, y, on)
+    bounds = interval_step.reading_bounds(shared, numbers, right, left, y, on)
+    high = 2.0 if kind == "jump" else 4.0 - 2.6 + 0.1
+    widths = [float(ca.DM(value)) for value in (*right, *left)]
+    assert widths == pytest.approx([0.5, high, 0.5, 2.0])
+    taken = np.zeros(2) if kind == "jump" else np.array([0.5, high])
+    output = [float(ca.DM(value)) for value in bounds]
+    assert output == pytest.approx(2.6 + taken + [-0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("r", "expected"), [(1, [1.1]), (2, [1.5, 1.1]), (3, [2.0, 1.5 * 2.0**0.5, 1.1])]
+)
+def test_gains_of_the_differentiator_are_levants(r: int, expected: list[float]) -> None:
+    """The non-recursive form of 1.1, 1.5, 2: lambda_k = L_k lambda_(k-1)^((r-k)/(r-k+1))."""
+    assert differentiator_gains(r) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("e", "expected"), [(0.25, 1.5), (5.0, 3.0), (-5.0, -3.0)])
+def test_the_sliding_term_saturates(e: float, expected: float) -> None:
+    numbers = Law(np.array([[1.0], [2.0]]), np.array([3.0]), np.array([0.5]))
+    term = ca.DM(sliding(numbers, ca.SX(e))).full()[:, 0]
+    assert term == pytest.approx([expected, 2 * expected])

@@ -1,4 +1,7 @@
-"""EKF, UKF, particle filter, moving horizon: where they must coincide with Kalman, filterpy or least squares, and where they fail."""
+"""EKF, UKF, particle filter, moving horizon.
+
+Where they must coincide with Kalman, filterpy or least squares, and where they fail.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
+import msgspec
 import numpy as np
 import pytest
 from benchmarks import coverage
@@ -16,6 +20,7 @@ from scipy.optimize import minimize
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
 from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import COLUMNS
 from undeadzone.numerics import unscented
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import (
@@ -26,9 +31,13 @@ from undeadzone.observers import (
     NumericObserver,
     ParticleFilter,
     Reading,
+    moving_horizon,
+    particle,
 )
-from undeadzone.observers.particle import systematic
+from undeadzone.observers.particle import reweighted, systematic
+from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.observers.parts.window import Affine, Weights, Window
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -67,12 +76,12 @@ def follow(
     observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0
 ) -> list[Any]:
     """The estimates along readings and inputs."""
-    state, found = observer.start(seed), []
+    state, estimates = observer.start(seed), []
     for y, u, side in zip(ys, us, sides, strict=True):
         state, estimate = observer.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
         state = observer.predict(state, np.atleast_1d(u))
-        found.append(estimate)
-    return found
+        estimates.append(estimate)
+    return estimates
 
 
 # --- Kalman's filter where the side is known and the model linear
@@ -83,7 +92,7 @@ def follow(
 def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int, p: int) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, slope=2.0)
-    told: dict[str, Any] = {
+    claims: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
         "x_std": 2.0,
@@ -91,15 +100,15 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         "drift": 0.1,
     }
     ours, theirs = (
-        EKF(**told, mode="measured").build(model, where),
-        Kalman(**told).build(model, where),
+        EKF(**claims, mode="measured").build(model, where),
+        Kalman(**claims).build(model, where),
     )
     one, other = on_numbers(ours, model), on_numbers(theirs, model)
     s, t = ours.init(ours.params), theirs.init(theirs.params)
     for _ in range(10):
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
-        (s, found), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
-        for a, b in zip([*found, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
+        (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
+        for a, b in zip([*estimate, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
             assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
 
 
@@ -114,17 +123,15 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
 ) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, 2, 1, 2), 0.01), zone(2)
-    told: dict[str, Any] = {
+    claims: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
         "x_std": 0.3,
         "disturbance": 0.7,
         "drift": 0.1,
     }
-    rival = type(options)(
-        **{name: getattr(options, name) for name in options.__struct_fields__} | told
-    ).build(model, where)
-    kalman = Kalman(**told).build(model, where)
+    rival = msgspec.structs.replace(options, **claims).build(model, where)
+    kalman = Kalman(**claims).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
     mean = np.concatenate([x, s.mean[2:]])
@@ -134,10 +141,10 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         z, u = model.linear.C @ x, rng.normal(size=1)
         y = sensor.deadzone(z, where.right, where.left) + 0.1 * rng.normal(size=2)
         assume((np.abs(z) > 15).all())
-        (s, found), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
+        (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
         x = model.linear.A @ x + model.linear.B @ u
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
-        for a, b in zip([*found, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
+        for a, b in zip([*estimate, s.mean, s.cov], [*expected, t.mean, t.cov], strict=True):
             assert a == pytest.approx(b, rel=1e-7, abs=1e-9)
 
 
@@ -158,10 +165,15 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
     move = ca.Function(
         "move", [x, u], [model.move(ca.SX(model.params) if model.nonlinear else model.params, x, u)]
     )
-    theirs = kalman.UnscentedKalmanFilter(
-        4, 1, TS, lambda v: np.array([sensor.deadzone(v[0], v[2], v[3])]), lambda v, dt, u: np.concatenate([move(v[:2], u).full()[:, 0], v[2:]]),
-        kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0),
-    )  # fmt: skip
+
+    def reading(v: Floats) -> Floats:
+        return np.array([sensor.deadzone(v[0], v[2], v[3])])
+
+    def motion(v: Floats, dt: float, u: Any) -> Floats:
+        return np.concatenate([move(v[:2], u).full()[:, 0], v[2:]])
+
+    points = kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0)
+    theirs = kalman.UnscentedKalmanFilter(4, 1, TS, reading, motion, points)
     theirs.x, theirs.P = state.mean.copy(), full(state.cov, 4)
     theirs.Q, theirs.R = np.diag([0.0, 0.0, 0.01 * TS, 0.01 * TS]), np.array([[0.01]])
     truth = np.array([0.3, 0.0])
@@ -186,18 +198,21 @@ def test_the_factor_stands_covariances_without_full_rank(seed: int, size: int, r
     column, upper = ca.SX.sym("P", size * (size + 1) // 2), ca.Sparsity.upper(size)
     factor = ca.Function("factor", [column], [unscented.factor(symmetric(column, upper))])
     cov = root @ root.T
-    found = factor(triangle(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
-    assert np.isfinite(found).all()
-    assert found @ found.T == pytest.approx(cov, abs=1e-6 * max(1.0, np.abs(cov).max()))
+    factored = factor(triangle(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
+    assert np.isfinite(factored).all()
+    assert factored @ factored.T == pytest.approx(cov, abs=1e-6 * max(1.0, np.abs(cov).max()))
 
 
 # --- Particle filter
 
 
 def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
-    """Widths known, always the same side: mean and standard deviations over 12 seeds against the exact ones."""
+    """Widths known, always the same side.
+
+    Mean and standard deviations over 12 seeds against the exact ones.
+    """
     rng = np.random.default_rng(0)
-    told: dict[str, Any] = {
+    claims: dict[str, Any] = {
         "right": [1.0, 1.0 + 1e-6],
         "noise": 0.5,
         "x_std": 6.0,
@@ -206,14 +221,14 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     }
     count, runs = 25, 12
     ys, us = 7.0 + 0.5 * rng.normal(size=count), 10.0 + rng.normal(size=count)
-    kalman = Kalman(**told).build(MODEL, zone())
+    kalman = Kalman(**claims).build(MODEL, zone())
     step, state = on_numbers(kalman, MODEL), kalman.init(kalman.params)
     for y, u in zip(ys, us, strict=True):
         state, exact = step(state, [u], [y], [1.0])
-    particle = ParticleFilter(**told, particles=3000).build(MODEL, zone())
+    particle = ParticleFilter(**claims, particles=3000).build(MODEL, zone())
     final = [follow(particle, ys, us, np.ones(count), seed)[-1] for seed in range(runs)]
     for name in ("x", "z", "x_std", "innovation", "innovation_std"):
-        values = np.stack([getattr(found, name) for found in final])
+        values = np.stack([getattr(one, name) for one in final])
         monte_carlo = values.std(axis=0, ddof=1) / np.sqrt(runs)
         assert (monte_carlo < 0.05 * exact.x_std.max()).all()
         assert (
@@ -250,11 +265,14 @@ def test_particles_survive_a_reading_that_none_of_them_expects() -> None:
     far = follow(
         observer, np.array([1e9, np.nan, 1e200, 1.0]), np.zeros(4), np.array([1.0, 0.0, 1.0, 1.0])
     )
-    assert all(np.isfinite(np.concatenate(found)).all() for found in far)
+    assert all(np.isfinite(np.concatenate(estimate)).all() for estimate in far)
 
 
 def test_particles_find_the_edges_of_a_jump_sensor() -> None:
-    """Its active readings bound the widths, its silent ones too: what a slope cannot show, samples of the belief can."""
+    """Its active readings bound the widths, its silent ones too.
+
+    What a slope cannot show, samples of the belief can.
+    """
     changes: dict[str, Any] = {
         "sensor": {"kind": "jump", "right": 1.2, "left": 0.7, "noise": 0.02},
         "simulation": SAMPLED,
@@ -277,7 +295,10 @@ def test_particles_find_the_edges_of_a_jump_sensor() -> None:
 
 
 class History:
-    """Nodes of a linear model as linear functions of v = [X_0; w_0; ...]: X_j = maps[j] v + rest[j], textbook style."""
+    """Nodes of a linear model as linear functions of v = [X_0; w_0; ...], textbook style.
+
+    X_j = maps[j] v + rest[j].
+    """
 
     def __init__(self, model: System, us: Floats, stride: int) -> None:
         A, B, _ = model.linear
@@ -315,7 +336,7 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
     )
     count = 9 * stride + 1
     ys, us = rng.choice([-1, 1]) * rng.uniform(1, 5, count), rng.normal(size=count)
-    found = follow(options.build(model, zone()), ys, us, np.sign(ys))[-1]
+    last = follow(options.build(model, zone()), ys, us, np.sign(ys))[-1]
     history = History(model, us[:-1], stride)
     std = np.concatenate(
         [
@@ -333,13 +354,13 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
     v = np.linalg.lstsq(np.vstack(rows), np.concatenate(rest), rcond=None)[0]
     expected = history.maps[-1] @ v + history.rest[-1]
     assume((expected[n:] > 20).all() and (expected[n:] < 40).all())
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+    assert np.concatenate([last.x, last.right, last.left]) == pytest.approx(
         expected, rel=1e-5, abs=1e-5
     )
     covariance = (
         history.maps[-1] @ np.linalg.inv(np.vstack(rows).T @ np.vstack(rows)) @ history.maps[-1].T
     )
-    assert np.concatenate([found.x_std, found.right_std, found.left_std]) == pytest.approx(
+    assert np.concatenate([last.x_std, last.right_std, last.left_std]) == pytest.approx(
         np.sqrt(np.diag(covariance)), rel=1e-6
     )
 
@@ -347,21 +368,24 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
 @pytest.mark.parametrize("solver", [name for name in ("daqp", "osqp") if ca.has_conic(name)])
 @pytest.mark.parametrize("seed", range(3))
 def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, solver: Any) -> None:
-    """Readings, silence that the prior contradicts, ranges: the same convex function by L-BFGS-B, violations as squares of max(0, .)."""
+    """Readings, silence that the prior contradicts, ranges.
+
+    The same convex function by L-BFGS-B, violations as squares of max(0, .).
+    """
     rng, count = np.random.default_rng(seed), 8
-    told: dict[str, Any] = {
+    claims: dict[str, Any] = {
         "right": [0.5, 1.2],
         "noise": 0.2,
         "x_std": 3.0,
         "disturbance": 5.0,
         "drift": 0.0,
     }
-    options = MovingHorizon(**told, horizon=count * TS, period=TS, slack=0.1, solver=solver)
+    options = MovingHorizon(**claims, horizon=count * TS, period=TS, slack=0.1, solver=solver)
     ys, us = (
         np.where(np.arange(count) % 3 == 0, 2.0 + rng.normal(size=count), 0.0),
         30 * rng.normal(size=count),
     )
-    found = follow(options.build(MODEL, zone()), ys, us, np.sign(ys))[-1]
+    last = follow(options.build(MODEL, zone()), ys, us, np.sign(ys))[-1]
     history, C = History(MODEL, us[:-1], 1), MODEL.linear.C[0]
     std = np.concatenate(
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
@@ -395,13 +419,16 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
     cost(best.x)
     assert max(bends) > 0.01  # silence matters here
     tolerance = 2e-3 if solver == "osqp" else 2e-4
-    assert np.concatenate([found.x, found.right, found.left]) == pytest.approx(
+    assert np.concatenate([last.x, last.right, last.left]) == pytest.approx(
         history.maps[-1] @ best.x + history.rest[-1], abs=tolerance
     )
 
 
 def _terms(C: Floats, y: float, gate: float) -> list[tuple[Floats, float, float]]:
-    """(h, value, rms) of what a node says: h X = y on its side; h X <= gate, both edges, if silent."""
+    """(h, value, rms) of what a node says.
+
+    It is h X = y on its side; h X <= gate, both edges, if silent.
+    """
     right, left = np.concatenate([C, [-1.0, 0.0]]), np.concatenate([C, [0.0, 1.0]])
     if y:
         return [(right if y > 0 else left, y, 0.2)]
@@ -410,8 +437,8 @@ def _terms(C: Floats, y: float, gate: float) -> list[tuple[Floats, float, float]
 
 def test_a_programme_that_cannot_be_solved_leaves_the_prediction() -> None:
     observer = MovingHorizon(right=[0.5, 2.0]).build(MODEL, zone())
-    found = follow(observer, np.array([1.0, 1e300, 1.0]), np.zeros(3), np.ones(3))
-    assert np.isfinite(found[0].x).all()
+    estimates = follow(observer, np.array([1.0, 1e300, 1.0]), np.zeros(3), np.ones(3))
+    assert np.isfinite(estimates[0].x).all()
 
 
 # --- What they do wrong
@@ -423,26 +450,32 @@ def test_a_programme_that_cannot_be_solved_leaves_the_prediction() -> None:
 def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read(
     method: Any, reach: str
 ) -> None:
-    """Told the truth about every problem: few 95 % intervals hold it; Kalman's on the measured side do."""
+    """With true claims about every problem, few 95 % intervals hold the truth.
 
-    def told(given: coverage.Problems, k: int) -> Any:
+    Kalman's on the measured side do.
+    """
+
+    def rival(problems: coverage.Problems, k: int) -> Any:
         return method(
             right=coverage.RANGE,
-            noise=given.noise[k],
-            x_std=given.x_std,
-            disturbance=given.disturbance[k],
+            noise=problems.noise[k],
+            x_std=problems.x_std,
+            disturbance=problems.disturbance[k],
             drift=0.0,
         )
 
     problems = coverage.problems(reach, coverage.World(), 2, 60, 7)
-    theirs, ours = coverage.observe(told, problems), coverage.observe(coverage.kalman, problems)
+    theirs, ours = coverage.observe(rival, problems), coverage.observe(coverage.kalman, problems)
     assert ours.covered()[:4].min() > 0.85
     assert theirs.covered()[:4].min() < 0.8
     assert theirs.nees() > 10 > ours.nees()
 
 
 def test_an_estimate_inside_its_own_zone_is_deaf() -> None:
-    """The Jacobian of the dead zone is 0 there: whatever is read, the predicted-mode EKF corrects nothing; the measured mode does."""
+    """The Jacobian of the dead zone is 0 there.
+
+    Whatever is read, the predicted-mode EKF corrects nothing; the measured mode does.
+    """
     for mode, moves in (("predicted", False), ("measured", True)):
         observer = EKF(right=[0.5, 2.0], mode=mode).build(MODEL, zone())
         step, state = on_numbers(observer, MODEL), observer.init(observer.params)
@@ -510,12 +543,15 @@ def test_the_live_loop_is_the_loop() -> None:
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
     ticks: list[int] = []
-    found = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
+    outcome = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
-    for name in ("x", "z", "y", "u", "x_hat", "z_hat", "innovation", "x_std", "width_std"):
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9), (
-            name
-        )
+    for name in ("x", "z", "y", "u"):
+        signal, same = getattr(outcome, name), getattr(expected, name)
+        assert signal == pytest.approx(same, rel=1e-9, abs=1e-9), name
+    for name in ("x", "z", "innovation", "x_std", "width_std"):
+        signal = getattr(outcome.estimate, name)
+        same = getattr(expected, getattr(COLUMNS, name))
+        assert signal == pytest.approx(same, rel=1e-9, abs=1e-9), name
 
 
 CHAIN = {
@@ -647,3 +683,97 @@ def test_wrong_options_are_named(
 ) -> None:
     with pytest.raises(error, match=words):
         options().build(MODEL, where)
+
+
+# --- Their parts
+
+
+def test_particles_are_weighed_by_their_likelihood() -> None:
+    weights, e = np.array([0.2, 0.3, 0.5]), np.array([[0.5, 1.0, -2.0], [0.0, 1.5, 0.3]])
+    expected = weights * np.exp(-(e**2).sum(axis=0) / 2)
+    assert reweighted(weights, e) == pytest.approx(expected / expected.sum())
+    assert (reweighted(weights, np.full((2, 3), np.nan)) == weights).all()
+
+
+def test_particles_of_which_too_few_count_are_drawn_anew() -> None:
+    x, widths = np.arange(4.0)[None], np.ones((2, 4))
+    many = particle.State(x, widths, np.array([0.3, 0.3, 0.3, 0.1]), 1, 0)
+    assert particle.resampled(many) is many
+    few = particle.resampled(many._replace(weights=np.array([0.0, 0.98, 0.01, 0.01])))
+    assert (few.weights == 0.25).all()
+    assert (few.x == 1.0).sum() >= 3
+
+
+def test_the_covariance_after_a_reading_adds_information() -> None:
+    rng = np.random.default_rng(4)
+    root, h, R = rng.normal(size=(4, 4)), rng.normal(size=4), 0.3
+    cov = root @ root.T
+    expected = np.linalg.inv(np.linalg.inv(cov) + np.outer(h, h) / R)
+    assert moving_horizon.read_covariance(cov, h, R) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("side", "expected"), [(1.0, 1.5), (-1.0, 2.7), (0.0, 2.0)])
+def test_a_row_reads_the_edge_of_its_side(side: float, expected: float) -> None:
+    C, X = np.array([[1.0, 0.0]]), np.array([2.0, 9.0, 0.5, 0.7])
+    assert moving_horizon.reading_row(C, 0, side) @ X == pytest.approx(expected)
+
+
+def random_window() -> Window:
+    """Three nodes of two states, one input and one output, of which the middle one is silent."""
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(3, 4, 4))
+    return Window(
+        y=rng.normal(size=(3, 1)),
+        side=np.array([[1.0], [0.0], [-1.0]]),
+        seen=np.ones((3, 1)),
+        mean=rng.normal(size=(3, 4)),
+        cov=root @ root.swapaxes(1, 2),
+        C=rng.normal(size=(3, 1, 2)),
+        offset=rng.normal(size=(3, 1)),
+        F=rng.normal(size=(3, 2, 2)),
+        f=rng.normal(size=(3, 2)),
+        G=rng.normal(size=(3, 2, 1)),
+    )
+
+
+def test_a_window_moves_as_its_motions_say() -> None:
+    """x of each node from that of the oldest and the disturbances, and z beyond the edges."""
+    window = random_window()
+    v = np.random.default_rng(6).normal(size=horizon.size(window)[0])
+    oldest = horizon.oldest_node(window)
+    assert pytest.approx(window.cov[0]) == oldest.M @ oldest.M.T
+    X = oldest.M @ v + oldest.b
+    x = X[:2]
+    expected = [x]
+    for j in range(2):
+        x = window.F[j] @ x + window.f[j] + window.G[j, :, 0] * v[4 + j]
+        expected.append(x)
+    xs, newest = horizon.trajectory(window, Affine(oldest.M[:2], oldest.b[:2]))
+    assert xs.M @ v + xs.b == pytest.approx(np.array(expected))
+    assert newest.M @ v + newest.b == pytest.approx(x)
+    right, left = horizon.beyond_edges(window, xs, Affine(oldest.M[2:], oldest.b[2:]))
+    z = np.einsum("ki,ki->k", window.C[:, 0], expected) + window.offset[:, 0]
+    assert right.M @ v + right.b == pytest.approx(z - X[2])
+    assert left.M @ v + left.b == pytest.approx(z + X[3])
+
+
+def test_readings_are_errors_and_silence_is_a_constraint() -> None:
+    window, rng = random_window(), np.random.default_rng(7)
+    ranges = np.array([[0.5, 2.0], [0.4, 1.0]])
+    weights = Weights(np.array([0.1]), np.array([0.2]), np.array([0.05]), ranges)
+    unknowns, rows = horizon.size(window)
+    v = rng.normal(size=unknowns)
+    right, left, d = (
+        Affine(rng.normal(size=(size, unknowns)), rng.normal(size=size)) for size in (3, 3, 2)
+    )
+    M, b = horizon.reading_errors(window, weights, right, left)
+    beyond = (right.M @ v + right.b)[0], (left.M @ v + left.b)[2]
+    assert M @ v - b == pytest.approx((beyond - window.y[[0, 2], 0]) / 0.1)
+    A, low, high = horizon.constraints(window, weights, right, left, d)
+    assert A.shape == (rows, unknowns)
+    outside = 0.2 * v[-3:]  # z of a silent sensor, beyond its zone
+    assert (A @ v)[:3] == pytest.approx(right.M @ v - outside)
+    assert (A @ v)[3:6] == pytest.approx(left.M @ v + outside)
+    assert high[:6] == pytest.approx([np.inf, 0.05 - right.b[1], *[np.inf] * 4])
+    assert low[:6] == pytest.approx([*[-np.inf] * 4, -0.05 - left.b[1], -np.inf])
+    assert np.stack([low[6:] + d.b, high[6:] + d.b], axis=1) == pytest.approx(ranges)

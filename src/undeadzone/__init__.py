@@ -1,4 +1,7 @@
-"""undeadzone: sees through a sensor's dead zone. The names here are listed in __init__.pyi and imported when used."""
+"""Adaptive observers that see through a sensor's dead zone.
+
+The public names stand in `__init__.pyi`; each is imported when it is first used.
+"""
 
 import lazy_loader
 

@@ -87,7 +87,8 @@ class Traits(NamedTuple):
     """What an observer says of itself to checks, certificates and figures.
 
     Attributes:
-        L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it varies.
+        L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it
+            varies.
         gamma: gain of the innovation in the widths (p), per step when the model is sampled; None:
             it varies, or no width is adapted.
         constant: whether x^' = f(x^, u) + L e, d_r^' = -gamma e on the right, d_l^' = gamma e on
@@ -96,8 +97,8 @@ class Traits(NamedTuple):
         width_max: upper bound d_M of the widths (p), onto which they are projected.
         adapts: whether it estimates the widths.
         uncertain: names of the model's parameters that it estimates, as theta.
-        start_std: standard deviation of x(0) about the declared start (n); None: no start is
-            declared.
+        start_std: standard deviation of x(0) about the claimed start (n); None: no start is
+            claimed.
     """
 
     L: Floats | None = None
@@ -194,7 +195,17 @@ class Controller(NamedTuple):
 def estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
-    """An `Estimate` with its dead-zone inverse; a missing sample is inverted to z^."""
+    """An `Estimate` with its dead-zone inverse; a missing sample is inverted to z^.
+
+    Args:
+        x: state x^ (n).
+        z: output z^ (p).
+        right, left: widths d_r^, d_l^ (p).
+        reading: what was read.
+        slope: slope m of the sensor (p).
+        kind: kind of the sensor.
+        innovation: what the reading adds to the prediction (p).
+    """
     inverted = inverse(reading.y, reading.side, right, left, slope, kind)
     return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
 

@@ -17,7 +17,7 @@ from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.observers.parts.gain import fast_gain
-from undeadzone.observers.parts.measured_kalman import declared as ranges
+from undeadzone.observers.parts.prior import width_ranges as ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole, time_scale
 from undeadzone.scenario.problem import Problem, resolve_scenario

@@ -14,6 +14,7 @@ from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import ended
 from undeadzone.cli.ensemble import ensemble
+from undeadzone.cli.identify import identify
 from undeadzone.cli.init import init
 from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
@@ -35,6 +36,7 @@ def group() -> None:
     undeadzone ensemble mine.toml     run it thousands of times with what may vary
     undeadzone tune mine.toml         find the gains that do best over such runs
     undeadzone arena mine.toml        compare all methods on it
+    undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone watch mine.toml < log  estimate from samples as they come
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
@@ -42,7 +44,7 @@ def group() -> None:
     """
 
 
-for command in (paper, run, ensemble, tune, arena, check, design, init, watch):
+for command in (identify, paper, run, ensemble, tune, arena, check, design, init, watch):
     group.add_command(command)
 
 

@@ -1,4 +1,7 @@
-"""The catalogue of controllers: one file each. To add one, write its file and name its options class here."""
+"""The catalogue of controllers: one file each.
+
+To add one, write its file and name its options class here.
+"""
 
 from undeadzone.controllers.computed_torque import ComputedTorque
 from undeadzone.controllers.fuzzy_feedback import FuzzyFeedback
@@ -24,6 +27,17 @@ ControllerOptions = (
 )
 
 __all__ = [
-    "LQR", "PD", "ComputedTorque", "Controller", "ControllerOptions", "FuzzyFeedback", "GravityPD", "Plan", "RBFFeedback", "Robust", "SlidingMode",
-    "StateFeedback", "TaylorFeedback",
-]  # fmt: skip
+    "LQR",
+    "PD",
+    "ComputedTorque",
+    "Controller",
+    "ControllerOptions",
+    "FuzzyFeedback",
+    "GravityPD",
+    "Plan",
+    "RBFFeedback",
+    "Robust",
+    "SlidingMode",
+    "StateFeedback",
+    "TaylorFeedback",
+]

@@ -1,4 +1,4 @@
-"""PD with gravity compensation: the simplest law that brings an arm to rest where it should."""
+"""PD with gravity compensation is the simplest law that brings an arm to rest where it should."""
 
 from __future__ import annotations
 
@@ -23,10 +23,15 @@ class GravityPD(
     tag_field="method",
     tag="gravity_pd",
 ):
-    """u = K_p (q_ref - q^) + K_d (v_ref - v^) + g(q), g the torque that holds the arm against gravity: Takegaki and Arimoto (1981).
+    """u = K_p (q_ref - q^) + K_d (v_ref - v^) + g(q): Takegaki and Arimoto (1981).
 
-    k_p [N m/rad], k_d [N m s/rad], one or one per joint. at: take g at q_ref, or at the estimate q^. An elastic joint is fed back
-    from its motor, and g is that of the link: Tomei (1991).
+    g is the torque that holds the arm against gravity. An elastic joint is fed back from its motor,
+    and g is that of the link: Tomei (1991).
+
+    Attributes:
+        k_p: K_p, one or one per joint [N m/rad].
+        k_d: K_d, one or one per joint [N m s/rad].
+        at: take g at q_ref ("reference"), or at the estimate q^ ("estimate").
     """
 
     k_p: Array
@@ -34,19 +39,24 @@ class GravityPD(
     at: Literal["reference", "estimate"] = "reference"
 
     def build(self, model: System) -> Controller:
-        """The controller for the model of an arm, continuous or sampled. Raises InputError, ShapeError, StepError."""
-        if (flat := model.flat) is None:
+        """The controller for the model of an arm, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StepError: for a step that is too coarse for it.
+        """
+        flat = model.flat
+        if flat is None:
             raise InputError(
-                "controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use 'state_feedback' or 'lqr'"
+                "controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use "
+                "'state_feedback' or 'lqr'"
             )
-        n, m, half = model.n, model.m, model.n // 2
-        K = np.zeros(
-            (m, n)
-        )  # of x = [motors; links; their speeds], motors and links being one in a rigid arm
-        for gain, first in ((self.k_p, 0), (self.k_d, half)):
-            K[:, first : first + m] = np.diag(
-                positive(f"controller.{'k_d' if first else 'k_p'}", gain, m, "one per joint")
-            )
+        m, half = model.m, model.n // 2
+        K = self._gain(model)
         if model.Ts is not None:
             _require_fine_step(model, K)
         at_rest = ca.SX.zeros(m, flat.order)
@@ -58,6 +68,19 @@ class GravityPD(
 
         return Controller(Params(model.params, K), lambda p: None, step, K=K)
 
+    def _gain(self, model: System) -> Floats:
+        """K (m x n) of x = [motors; links; their speeds]. Raises InputError, ShapeError.
+
+        Motors and links are one in a rigid arm.
+        """
+        m, half = model.m, model.n // 2
+        K = np.zeros((m, model.n))
+        k_p = positive("controller.k_p", self.k_p, m, "one per joint")
+        k_d = positive("controller.k_d", self.k_d, m, "one per joint")
+        K[:, :m] = np.diag(k_p)
+        K[:, half : half + m] = np.diag(k_d)
+        return K
+
 
 class Params(NamedTuple):
     """The arm's parameters, K (m x n)."""
@@ -67,9 +90,13 @@ class Params(NamedTuple):
 
 
 def _require_fine_step(model: System, K: Floats) -> None:
-    """Raise StepError where the sampled loop grows with alternating sign, which no loop does that is sampled finely."""
+    """Raise StepError where the sampled loop grows with alternating sign.
+
+    No loop does that is sampled finely.
+    """
     poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)
     if ((np.abs(poles) > 1) & (poles.real < 0)).any():
         raise StepError(
-            f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample to sample the arm swings ever more; lower them"
+            f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample "
+            "to sample the arm swings ever more; lower them"
         )

@@ -1,4 +1,4 @@
-"""Linear-quadratic regulation about a trajectory: the gains of the Riccati equation along the reference."""
+"""Linear-quadratic regulation about a trajectory takes gains from the Riccati equation along it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,17 @@ class LQR(
     tag_field="method",
     tag="lqr",
 ):
-    """u = u_ff - K(t) (x^ - x_ref), K(t) such that the sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff.
+    """u = u_ff - K(t) (x^ - x_ref), K(t) the linear-quadratic gain; sampled time only.
 
-    e follows the linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore (1990).
-    Q, R: weights of the states and of the inputs, a number, one per entry, or a matrix. Any plant that has a feedforward; of a
-    linear one K is constant. Sampled time only. stride: linearise every so many samples, straight lines between: faster for long
-    runs of large arms.
+    The sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff. e follows the
+    linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore
+    (1990). For any plant that has a feedforward; of a linear one K is constant.
+
+    Attributes:
+        Q: weight of the states, a number, one per state, or a matrix.
+        R: weight of the inputs, a number, one per input, or a matrix.
+        stride: linearise every so many samples, straight lines between: faster for long runs of
+            large arms.
     """
 
     Q: Array = 1.0
@@ -38,29 +43,38 @@ class LQR(
     stride: int = 1
 
     def build(self, model: System) -> Controller:
-        """The controller for a sampled model. Raises InputError, ShapeError; its plan raises StructureError."""
+        """The controller for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: by its plan, where the end of the path has no gain.
+        """
         if model.Ts is None:
             raise InputError(
-                "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" (simulation.step is the sample time)"
+                "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" "
+                "(simulation.step is the sample time)"
             )
         if self.stride < 1:
             raise InputError(
                 f"controller.stride: expected a number of samples, at least 1, found {self.stride}"
             )
         n, m = model.n, model.m
-        params = Params(
-            weight("controller.Q", self.Q, n),
-            weight("controller.R", self.R, m, "inputs x inputs"),
-            self.stride,
-        )
+        Q = weight("controller.Q", self.Q, n)
+        R = weight("controller.R", self.R, m, "inputs x inputs")
 
         def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
-            return s, target.u_ff - ca.reshape(target.plan, m, n) @ (estimate.x - target.x_ref)
+            K = ca.reshape(target.plan, m, n)
+            return s, target.u_ff - K @ (estimate.x - target.x_ref)
 
         def along(params: Params, target: Target) -> Floats:
             return gains(model, params, target).reshape(-1, m * n, order="F")
 
-        return Controller((), lambda p: None, step, Plan(m * n, params, along))
+        plan = Plan(m * n, Params(Q, R, self.stride), along)
+        return Controller((), lambda p: None, step, plan)
 
 
 class Params(NamedTuple):
@@ -72,29 +86,45 @@ class Params(NamedTuple):
 
 
 def gains(model: System, params: Params, target: Target) -> Floats:
-    """K (instants x m x n) along a trajectory, whose end is taken for a steady state. Raises StructureError where that has no gain."""
+    """K (instants x m x n) along a trajectory, whose end is taken for a steady state.
+
+    Args:
+        model: the sampled model.
+        params: weights and stride.
+        target: the trajectory, a row per instant.
+
+    Raises:
+        StructureError: where the end has no gain.
+    """
     Q, R, stride = params
     if not model.nonlinear:
-        return np.broadcast_to(
-            riccati(model.linear, Q, R, model.Ts).K, (len(target.u_ff), model.m, model.n)
-        )
+        K = riccati(model.linear, Q, R, model.Ts).K
+        return np.broadcast_to(K, (len(target.u_ff), model.m, model.n))
     A, B = linearised(model, target, stride)
     last = riccati(Matrices(A[-1], B[-1], model.linear.C), Q, R, model.Ts)
     return riccati_along(A, B, Q, R, last.P)
 
 
 def linearised(model: System, target: Target, stride: int) -> tuple[Floats, Floats]:
-    """A (instants x n x n), B (instants x n x m) of a model along a trajectory, in straight lines between every `stride`-th instant."""
+    """A (instants x n x n), B (instants x n x m) of a model along a trajectory.
+
+    Between every `stride`-th instant they are straight lines.
+
+    Args:
+        model: the sampled model.
+        target: the trajectory, a row per instant.
+        stride: instants from one linearisation to the next.
+    """
     from scipy.interpolate import interp1d
 
+    n = model.n
     instants = np.arange(len(target.u_ff))
     chosen = np.unique(np.append(instants[::stride], instants[-1]))
-    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
-    jacobian = ca.Function(
-        "jacobian", [x, u], [ca.jacobian(model.move(ca.SX(model.params), x, u), ca.vertcat(x, u))]
-    )
-    found = jacobian.map(chosen.size)(target.x_ref[chosen].T, target.u_ff[chosen].T).full()
-    both = found.reshape(model.n, chosen.size, -1).swapaxes(0, 1)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", model.m)
+    after = model.move(ca.SX(model.params), x, u)
+    jacobian = ca.Function("jacobian", [x, u], [ca.jacobian(after, ca.vertcat(x, u))])
+    along = jacobian.map(chosen.size)(target.x_ref[chosen].T, target.u_ff[chosen].T).full()
+    AB = along.reshape(n, chosen.size, -1).swapaxes(0, 1)
     if stride > 1:
-        both = interp1d(chosen, both, axis=0)(instants)
-    return both[:, :, : model.n], both[:, :, model.n :]
+        AB = interp1d(chosen, AB, axis=0)(instants)
+    return AB[:, :, :n], AB[:, :, n:]

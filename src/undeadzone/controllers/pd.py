@@ -1,4 +1,7 @@
-"""The paper's PD law (42): u = -k_p (y - y^) - k_d (y' - y^') + r(t), the reference entering as a force."""
+"""The paper's PD law (42) is u = -k_p (y - y^) - k_d (y' - y^') + r(t).
+
+The reference enters as a force.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,15 @@ class PD(
     tag_field="method",
     tag="pd",
 ):
-    """(42) as printed: k_p, k_d given, or for a second-order plant alpha B'P of (34) with A - L C (needs L here).
+    """(42) as printed, with k_p and k_d, or for a second-order plant alpha B'P of (34).
 
-    filter_time: time constant [s] of the filter that gives y' - y^'. It tracks nothing by itself: r is a force here.
+    (34) is taken with A - L C. The law tracks nothing by itself: r is a force here.
+
+    Attributes:
+        k_p, k_d: gains of the innovation and of its derivative, one or one per output.
+        alpha, Q: of (34), where k_p and k_d are not given.
+        L: observer gain in (34) (2) [1/s]; default 0.
+        filter_time: time constant of the filter that gives y' - y^' [s].
     """
 
     k_p: Array | None = None
@@ -36,54 +45,66 @@ class PD(
     filter_time: float = 0.01
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs. Raises InputError, StructureError."""
+        """The controller for a model with as many inputs as outputs.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            StructureError: for a model on which it does not exist.
+        """
         if model.m != model.p:
             raise InputError(
-                f"controller.method: 'pd' needs as many inputs as outputs, the plant has {model.m} and {model.p}"
+                "controller.method: 'pd' needs as many inputs as outputs, the plant has "
+                f"{model.m} and {model.p}"
             )
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
-        if self.k_p is None or self.k_d is None:
-            K = self._riccati_gains(model)
-        else:
-            K = np.stack(
-                [
-                    vector(f"controller.{name}", getattr(self, name), model.p, "one per output")
-                    for name in ("k_p", "k_d")
-                ]
-            )
+        k_p, k_d = self._gains(model)
         rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)
         keep = 0.0 if model.Ts is None else 1.0
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
             lag = estimate.innovation - s.filtered
             u = -p.k_p * estimate.innovation - p.k_d * lag / p.tau + target.r
             return State(keep * s.filtered + p.rate * lag), u
 
-        return Controller(
-            Params(K[0], K[1], np.float64(tau), np.float64(rate)),
-            lambda p: State(np.zeros(model.p)),
-            step,
-            rate=1.0 / tau,
-        )
+        params = Params(k_p, k_d, np.float64(tau), np.float64(rate))
+        return Controller(params, init, step, rate=1.0 / tau)
+
+    def _gains(self, model: System) -> tuple[Floats, Floats]:
+        """(k_p, k_d) (p each) as given, or by (34). Raises InputError, StructureError."""
+        if self.k_p is None or self.k_d is None:
+            K = self._riccati_gains(model)
+            return K[0], K[1]
+        k_p = vector("controller.k_p", self.k_p, model.p, "one per output")
+        k_d = vector("controller.k_d", self.k_d, model.p, "one per output")
+        return k_p, k_d
 
     def _riccati_gains(self, model: System) -> Floats:
+        """[k_p; k_d] (2 x 1), alpha B'P of (34). Raises InputError, StructureError."""
         A, B, C = model.linear
         if (model.n, model.m) != (2, 1) or model.Ts is not None:
             raise InputError(
-                "controller: pd needs k_p and k_d, except for a continuous second-order plant, where (34) gives them"
+                "controller: pd needs k_p and k_d, except for a continuous second-order plant, "
+                "where (34) gives them"
             )
         L = np.zeros((2, 1)) if self.L is None else vector("controller.L", self.L, 2)[:, None]
-        solution = paper_riccati(
-            A - L @ C,
-            B,
-            scalar("controller.alpha", self.alpha, above=0.0),
-            weight("controller.Q", self.Q, 2),
-        )
-        return solution.K.T
+        alpha = scalar("controller.alpha", self.alpha, above=0.0)
+        return paper_riccati(A - L @ C, B, alpha, weight("controller.Q", self.Q, 2)).K.T
 
 
 class Params(NamedTuple):
-    """k_p, k_d (p), the filter's time constant [s] and its rate (per step when sampled)."""
+    """Numbers of the controller.
+
+    Attributes:
+        k_p, k_d: gains (p).
+        tau: time constant of the filter [s].
+        rate: rate of the filter [1/s], per step when sampled.
+    """
 
     k_p: Floats
     k_d: Floats

@@ -1,4 +1,4 @@
-"""State feedback on the estimate plus feedforward, the working form of (29)."""
+"""State feedback on the estimate plus feedforward is the working form of (29)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The robust term of the paper's references [16], [17]: -gain * tanh(B'P (x^ - x_ref) / width), against matched disturbances up to gain."""
+    """The robust term of the paper's references [16], [17]: -gain * tanh(B'P (x^ - x_ref) / width).
+
+    It acts against matched disturbances up to gain.
+
+    Attributes:
+        gain: largest size of the term [u].
+        width: B'P (x^ - x_ref) at which it saturates.
+    """
 
     gain: float
     width: float = 0.1
@@ -32,12 +39,20 @@ class StateFeedback(
     tag_field="method",
     tag="state_feedback",
 ):
-    """u = u_ff - K (x^ - x_ref) with exactly one of: K (m x n); poles of A - B K [1/s]; alpha and Q of (34).
+    """u = u_ff - K (x^ - x_ref) with exactly one of: K; poles of A - B K; alpha and Q of (34).
 
-    With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of A - L C. Sampled models
-    get the sampled counterpart of the same choice. robust: an optional tanh term. reject: where the observer
-    estimates what its model leaves out, x' = f(x, u) + w^, move x_ref and u_ff so that z would follow r if w^ stayed as it is (the first m
-    outputs where there are more; Muske and Badgwell 2002).
+    With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of
+    A - L C. Sampled models get the sampled counterpart of the same choice.
+
+    Attributes:
+        K: gains (m x n).
+        poles: poles of A - B K (n) [1/s].
+        alpha: of (34).
+        Q: of (34), a number, one per state, or a matrix.
+        robust: an optional tanh term; default none.
+        reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, move
+            x_ref and u_ff so that z would follow r if w^ stayed as it is (the first m outputs where
+            there are more; Muske and Badgwell 2002).
     """
 
     K: Array | None = None
@@ -48,58 +63,82 @@ class StateFeedback(
     reject: bool = True
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled. Raises InputError, StructureError."""
-        given = [name for name in ("K", "poles", "alpha") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise InputError(
-                f"controller: state_feedback needs exactly one of K, poles, alpha; found {' and '.join(given) or 'none'}"
-            )
-        Q = weight("controller.Q", self.Q, model.n)
-        if self.K is not None:
-            K = np.atleast_2d(array("controller.K", self.K))
-            K = matrix("controller.K", K, model.m, model.n, "inputs x states")
-        elif self.poles is not None:
-            K = state_gain(model.linear, self.poles, model.Ts)
-        else:
-            K = feedback(
-                model.linear, scalar("controller.alpha", self.alpha, above=0.0), Q, model.Ts
-            )
-        counter = np.hstack([K, np.eye(model.m)]) @ rest(model)
-        params = Params(K, np.zeros((model.m, model.n)), np.float64(0.0), np.float64(1.0), counter)
-        if self.robust is not None:
-            P = lyapunov(model.linear, K, Q, model.Ts)
-            rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
-            params = Params(
-                K,
-                model.linear.B.T @ P,
-                np.float64(rho),
-                np.float64(scalar("controller.robust.width", self.robust.width, above=0.0)),
-                counter,
-            )
-        robust = self.robust is not None
+        """The controller for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            StructureError: for a model on which it does not exist.
+        """
+        Q = self._weight(model)
+        K = self._gain(model, Q)
+        params = self._params(model, K, Q)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             u = (target.u_ff + p.K @ target.x_ref) - p.K @ estimate.x
             if self.reject and estimate.w.shape[0]:
                 u = u + p.counter @ estimate.w
-            return s, u - p.rho * ca.tanh(
-                p.BtP @ (estimate.x - target.x_ref) / p.width
-            ) if robust else u
+            if self.robust is not None:
+                error = estimate.x - target.x_ref
+                u = u - p.rho * ca.tanh(p.BtP @ error / p.width)
+            return s, u
 
         return Controller(params, lambda p: None, step, K=K)
 
+    def _weight(self, model: System) -> Floats:
+        """Q (n x n), once it is sure that one choice is made. Raises InputError, ShapeError."""
+        chosen = [name for name in ("K", "poles", "alpha") if getattr(self, name) is not None]
+        if len(chosen) != 1:
+            raise InputError(
+                "controller: state_feedback needs exactly one of K, poles, alpha; "
+                f"found {' and '.join(chosen) or 'none'}"
+            )
+        return weight("controller.Q", self.Q, model.n)
+
+    def _gain(self, model: System, Q: Floats) -> Floats:
+        """K (m x n) of the one choice that is made. Raises InputError, ShapeError."""
+        if self.K is not None:
+            K = np.atleast_2d(array("controller.K", self.K))
+            return matrix("controller.K", K, model.m, model.n, "inputs x states")
+        if self.poles is not None:
+            return state_gain(model.linear, self.poles, model.Ts)
+        alpha = scalar("controller.alpha", self.alpha, above=0.0)
+        return feedback(model.linear, alpha, Q, model.Ts)
+
+    def _params(self, model: System, K: Floats, Q: Floats) -> Params:
+        """The controller's numbers. Raises InputError, StructureError."""
+        counter = np.hstack([K, np.eye(model.m)]) @ rest(model)
+        if self.robust is None:
+            none = np.zeros((model.m, model.n))
+            return Params(K, none, np.float64(0.0), np.float64(1.0), counter)
+        P = lyapunov(model.linear, K, Q, model.Ts)
+        rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
+        width = scalar("controller.robust.width", self.robust.width, above=0.0)
+        return Params(K, model.linear.B.T @ P, np.float64(rho), np.float64(width), counter)
+
 
 def rest(model: System) -> Floats:
-    """[x; u] per unit of a constant w, for which x' = A x + B u + w and the first m outputs are at rest at 0 ((n + m) x n)."""
+    """[x; u] per unit of a constant w ((n + m) x n), at rest.
+
+    There x' = A x + B u + w is 0, and so are the first m outputs.
+    """
     A, B, C = model.linear if model.flow is None else model.flow
     C = C[: model.m]
-    return -np.linalg.pinv(np.block([[A, B], [C, np.zeros((len(C), model.m))]]), rcond=1e-10)[
-        :, : model.n
-    ]
+    steady = np.block([[A, B], [C, np.zeros((len(C), model.m))]])
+    return -np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
 
 
 class Params(NamedTuple):
-    """K (m x n); B'P (m x n), rho, width of the robust term; counter (m x n): what of u a w^ asks for."""
+    """Numbers of the controller.
+
+    Attributes:
+        K: gains (m x n).
+        BtP: B'P of the robust term (m x n).
+        rho, width: size and width of the robust term.
+        counter: what of u a w^ asks for (m x n).
+    """
 
     K: Floats
     BtP: Floats

@@ -1,4 +1,7 @@
-"""The catalogue of observers: one file each. To add one, write its file and name its options class here."""
+"""The catalogue of observers: one file each.
+
+To add one, write its file and name its options class here.
+"""
 
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, Reading
 from undeadzone.observers.adaptive_inverse import AdaptiveInverse
@@ -26,14 +29,58 @@ from undeadzone.observers.ukf import UKF
 from undeadzone.observers.walcott_zak import WalcottZak
 
 ObserverOptions = (
-    Auto | Certified | Kalman | Censored | Extended | Luenberger | Oracle | FullState | Printed | EKF | UKF | ParticleFilter | MovingHorizon
-    | WalcottZak | SuperTwisting | HighGain | Interval
-    | AdaptiveInverse | RobustGradient | FuzzyResidual | RBFResidual | TaylorResidual | InverseNetwork
-)  # fmt: skip
+    Auto
+    | Certified
+    | Kalman
+    | Censored
+    | Extended
+    | Luenberger
+    | Oracle
+    | FullState
+    | Printed
+    | EKF
+    | UKF
+    | ParticleFilter
+    | MovingHorizon
+    | WalcottZak
+    | SuperTwisting
+    | HighGain
+    | Interval
+    | AdaptiveInverse
+    | RobustGradient
+    | FuzzyResidual
+    | RBFResidual
+    | TaylorResidual
+    | InverseNetwork
+)
 
 __all__ = [
-    "EKF", "UKF", "AdaptiveInverse", "Auto", "Censored", "Certified", "Estimate", "Extended", "FullState", "FuzzyResidual", "HighGain",
-    "Interval", "InverseNetwork", "Kalman", "Luenberger", "MovingHorizon", "NumericObserver", "Observer", "ObserverOptions",
-    "Oracle", "ParticleFilter", "Printed", "RBFResidual", "Reading", "RobustGradient", "SuperTwisting",
-    "TaylorResidual", "WalcottZak",
-]  # fmt: skip
+    "EKF",
+    "UKF",
+    "AdaptiveInverse",
+    "Auto",
+    "Censored",
+    "Certified",
+    "Estimate",
+    "Extended",
+    "FullState",
+    "FuzzyResidual",
+    "HighGain",
+    "Interval",
+    "InverseNetwork",
+    "Kalman",
+    "Luenberger",
+    "MovingHorizon",
+    "NumericObserver",
+    "Observer",
+    "ObserverOptions",
+    "Oracle",
+    "ParticleFilter",
+    "Printed",
+    "RBFResidual",
+    "Reading",
+    "RobustGradient",
+    "SuperTwisting",
+    "TaylorResidual",
+    "WalcottZak",
+]

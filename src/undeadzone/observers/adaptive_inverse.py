@@ -1,4 +1,7 @@
-"""The adaptive deadzone inverse: an observer fed with y / m + chi_bar d^, whose widths learn from its error."""
+"""The adaptive deadzone inverse: an observer is fed with y / m + chi_bar d^.
+
+Its widths learn from its error.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +30,23 @@ class AdaptiveInverse(
     tag_field="method",
     tag="adaptive_inverse",
 ):
-    """Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996), here as an observer.
+    """Adaptive deadzone inverse of Tao and Kokotovic (1996), here as an observer.
 
-    L, poles [1/s] or speed [1/s]: of A - L C (default: a speed of 30 mean poles of the plant, fewer beyond second order). law: normalised
-    gradient or recursive least squares; gain: of the gradient [1/s], or the initial spread (default: 300 times the
-    fastest pole); forgetting [1/s]: of least squares. silent: "hold" corrects and learns on an active side only, "zero" is the literal inverse,
-    which takes silence for z = 0. widths0: d^(0) (p x 2) [z]; width_max: d_M per side, which projection keeps.
+    Adaptive Control of Systems with Actuator and Sensor Nonlinearities.
+
+    Attributes:
+        L: gain (n x p) [1/s], in place of poles and speed.
+        poles: poles of A - L C (n) [1/s], in place of L and speed.
+        speed: speed of A - L C [1/s], in place of L and poles; default 30 mean poles of the plant,
+            fewer beyond second order.
+        law: normalised gradient or recursive least squares.
+        gain: gain of the gradient, or the initial spread of least squares [1/s]; default 300 times
+            the fastest pole.
+        forgetting: rate at which least squares forget [1/s].
+        silent: "hold" corrects and learns on an active side only; "zero" is the literal inverse,
+            which takes silence for z = 0.
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z], which projection keeps; default none.
     """
 
     L: Array | None = None
@@ -46,21 +60,31 @@ class AdaptiveInverse(
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+        """
         p = model.p
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
         L = injection(model, self.L, self.poles, self.speed, hiding(model, 30.0))
         gain = in_poles(model, "observer.gain", self.gain, 300.0)
-
-        def psi(params: Any, y: Any, side: Any, z: Any) -> Any:
-            return ca.vertcat(side > 0, -(side < 0))
-
-        law = (
-            gradient(model, gain, 0.0, 2)
-            if self.law == "gradient"
-            else least_squares(model, gain, self.forgetting, 2)
-        )
-        compensator = Compensator(None, psi, 2, self.silent == "hold", np.ones(p))
+        if self.law == "gradient":
+            law = gradient(model, gain, 0.0, 2)
+        else:
+            law = least_squares(model, gain, self.forgetting, 2)
+        compensator = Compensator(None, indicators, 2, self.silent == "hold", np.ones(p))
         return learning(
             model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
         )
+
+
+def indicators(params: Any, y: Any, side: Any, z: Any) -> Any:
+    """chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l]."""
+    return ca.vertcat(side > 0, -(side < 0))

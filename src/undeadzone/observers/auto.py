@@ -1,4 +1,4 @@
-"""The observer chosen from what is claimed (docs/methods/auto.md)."""
+"""The observer is chosen from what is claimed (docs/methods/auto.md)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.high_gain import HighGain
 from undeadzone.observers.parts.claims import Claims
-from undeadzone.observers.parts.measured_kalman import declared
+from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
 
-EPSILON, GAMMA = (
-    0.25,
-    4.5,
-)  # of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them
+# Of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them.
+EPSILON = 0.25
+GAMMA = 4.5
 
 
 class Auto(
@@ -25,40 +24,42 @@ class Auto(
 ):
     """The observer that suits what is claimed; claims as for `Censored`.
 
-    Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed to be 0 and the model is
-    linear and stable, so that there is a proof; else `high_gain`.
+    Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
+    to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.
     """
 
     def chosen(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
         """The options of the chosen observer. Raises InputError, ShapeError."""
         if model.Ts is not None:
             return Censored(**self.claims())
-        ranges = declared(self.right, self.left, model.p)
-        guess, most = (
-            ranges.mean(axis=1).reshape(2, model.p).T,
-            ranges[:, 1].reshape(2, model.p).max(axis=0),
-        )
+        ranges = width_ranges(self.right, self.left, model.p)
+        guess = ranges.mean(axis=1).reshape(2, model.p).T
+        largest = ranges[:, 1].reshape(2, model.p).max(axis=0)
         stable = np.linalg.eigvals(model.linear.A).real.max() < 0
         if stable and not model.nonlinear and self.exact:
-            return Certified(widths0=guess, width_max=most)
+            return Certified(widths0=guess, width_max=largest)
         pole = fastest_pole(model)
-        return HighGain(
-            epsilon=EPSILON / pole,
-            gamma=0.0 if sensor.kind == "jump" else GAMMA * pole,
-            widths0=guess,
-            width_max=most,
-        )
+        gamma = 0.0 if sensor.kind == "jump" else GAMMA * pole
+        return HighGain(epsilon=EPSILON / pole, gamma=gamma, widths0=guess, width_max=largest)
 
     @property
     def exact(self) -> bool:
         """Whether disturbance, bias and error of the model are all claimed to be 0."""
-        tolerance = (
-            list(self.tolerance.values()) if isinstance(self.tolerance, dict) else [self.tolerance]
-        )
-        return not any(
-            value is None or np.any(value) for value in (self.disturbance, self.bias, *tolerance)
-        )
+        claims = [self.disturbance, self.bias]
+        if isinstance(self.tolerance, dict):
+            claims.extend(self.tolerance.values())
+        else:
+            claims.append(self.tolerance)
+        return not any(claim is None or np.any(claim) for claim in claims)
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The chosen observer for a model, continuous or sampled. Raises InputError and its kinds."""
+        """The chosen observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: or a subclass, those of the chosen observer.
+        """
         return self.chosen(model, sensor).build(model, sensor)

@@ -1,7 +1,11 @@
-"""Extended Kalman filter on [x; d_r; d_l]: the dead zone linearised where the estimate is (docs/methods/ekf.md)."""
+"""Extended Kalman filter on [x; d_r; d_l]: the dead zone is linearised where the estimate is.
+
+More in docs/methods/ekf.md.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import casadi as ca
@@ -10,65 +14,102 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics.gaussian import Gaussian, linearise, predict, update
 from undeadzone.observers.parts.augmented_state import (
-    Declared,
     Defaults,
+    JointClaims,
     Sight,
-    claims,
     joint_filter,
+    joint_prior,
 )
-from undeadzone.observers.parts.measured_kalman import Params
+from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, branch, zone
 
-HABITS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class EKF(
-    Declared, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="ekf"
+    JointClaims,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="ekf",
 ):
-    """Extended Kalman filter on [x; d_r; d_l] (Smith, Schmidt, McGee 1962; joint with parameters: Cox 1964); sampled time.
+    """Extended Kalman filter on [x; d_r; d_l] (Smith, Schmidt, McGee 1962); sampled time.
 
-    right, left, noise, x_std, disturbance, drift: as for `Kalman`, but by default noise is at least 1 % of the range, drift 0.5 % of the
-    largest width, and the disturbance what moves z by `swing` times the largest width in a quarter period of the plant (1 s if it only
-    integrates). mode: the branch of the dead zone is the predicted one, where the estimate is (the Jacobian of the dead zone itself), or
-    the measured one. pseudo: in measured mode, a silent sensor that the estimate contradicts is a reading on the violated edge.
+    Joint with parameters: Cox (1964). By default noise is at least 1 % of the range, x_std five
+    times and drift 0.5 % of the largest width.
+
+    Attributes:
+        mode: the branch of the dead zone is the predicted one, where the estimate is (the Jacobian
+            of the dead zone itself), or the measured one.
+        pseudo: in measured mode, a silent sensor that the estimate contradicts is a reading on the
+            violated edge.
     """
 
     mode: Literal["predicted", "measured"] = "predicted"
     pseudo: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: the slope of a jump sensor's reading says nothing of its widths, so that 'ekf' cannot find them; use 'censored'"
+                "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
+                "so that 'ekf' cannot find them; use 'censored'"
             )
-        n, p = model.n, model.p
+        correct = correct_predicted
+        if self.mode == "measured":
+            correct = partial(correct_measured, model, sensor.kind, self.pseudo)
+        prior = joint_prior(self, model, sensor, DEFAULTS)
+        return joint_filter(model, sensor, prior, correct, predict)
 
-        def correct(
-            q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any
-        ) -> tuple[Gaussian, Any, Any]:
-            if self.mode == "predicted":
-                expected, h = linearise(sight, belief.mean)
-                use = seen
-            else:
-                X = belief.mean
-                estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
-                taken = ca.if_else(side != 0, side, estimated if self.pseudo else 0.0)
-                expected, h = linearise(
-                    lambda X: branch(
-                        model.output(q.model, X[:n])[i],
-                        taken,
-                        X[n + i],
-                        X[n + p + i],
-                        1.0,
-                        sensor.kind,
-                    ),
-                    X,
-                )
-                use = ca.logic_and(seen, taken != 0)
-            e = ca.if_else(use, y - expected, 0.0)
-            belief, S = update(belief, h, e, q.R[i], use)
-            return belief, e, S
 
-        return joint_filter(model, sensor, claims(self, model, sensor, HABITS), correct, predict)
+def correct_predicted(
+    q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any
+) -> tuple[Gaussian, Any, Any]:
+    """The correction on the branch where the estimate is: (belief, innovation, its variance)."""
+    expected, h = linearise(sight, belief.mean)
+    e = ca.if_else(seen, y - expected, 0.0)
+    belief, S = update(belief, h, e, q.R[i], seen)
+    return belief, e, S
+
+
+def correct_measured(
+    model: System,
+    kind: str,
+    pseudo: bool,
+    q: Params,
+    belief: Gaussian,
+    i: int,
+    sight: Sight,
+    y: Any,
+    side: Any,
+    seen: Any,
+) -> tuple[Gaussian, Any, Any]:
+    """The correction on the measured branch: (belief, innovation, its variance).
+
+    With `pseudo`, a silent sensor is read on the branch where the estimate is.
+    """
+    n, p = model.n, model.p
+    X = belief.mean
+    estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
+    taken = ca.if_else(side != 0, side, estimated if pseudo else 0.0)
+
+    def reading_on_branch(X: Any) -> Any:
+        z = model.output(q.model, X[:n])[i]
+        return branch(z, taken, X[n + i], X[n + p + i], 1.0, kind)
+
+    expected, h = linearise(reading_on_branch, X)
+    use = ca.logic_and(seen, taken != 0)
+    e = ca.if_else(use, y - expected, 0.0)
+    belief, S = update(belief, h, e, q.R[i], use)
+    return belief, e, S

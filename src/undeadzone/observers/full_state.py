@@ -1,4 +1,4 @@
-"""The reference line of what knowing everything is worth: the true state as the estimate."""
+"""The reference line of what knowing everything is worth takes the true state for the estimate."""
 
 from __future__ import annotations
 
@@ -22,27 +22,38 @@ class FullState(
     tag_field="method",
     tag="full_state",
 ):
-    """State feedback on the true state, with the true widths; no observer: it exists in simulations only."""
+    """State feedback on the true state, with the true widths; no observer.
+
+    It exists in simulations only.
+    """
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The reference line for a model, continuous or sampled. Its step raises InputError where no true state is given."""
+        """The reference line for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: by its step, where no true state is given.
+        """
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
             if reading.x is None:
                 raise InputError(
-                    "observer.method: 'full_state' is told the true state, which exists in a simulation only; choose an observer"
+                    "observer.method: 'full_state' is told the true state, which exists in a "
+                    "simulation only; choose an observer"
                 )
-            z = model.output(p.model, reading.x)
-            return s, estimate(
-                reading.x, z, p.right, p.left, reading, p.slope, sensor.kind, ca.SX.zeros(model.p)
-            )
+            x, none = reading.x, ca.SX.zeros(model.p)
+            z = model.output(p.model, x)
+            return s, estimate(x, z, p.right, p.left, reading, p.slope, sensor.kind, none)
 
         params = Params(model.params, sensor.right, sensor.left, sensor.slope)
         return Observer(params, lambda p: None, step, traits=Traits(adapts=False))
 
 
 class Params(NamedTuple):
-    """Numbers of the line."""
+    """Numbers of the line: the model's, the true widths (p) [z], the slope (p)."""
 
     model: Any
     right: Floats

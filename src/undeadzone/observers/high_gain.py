@@ -1,4 +1,4 @@
-"""The high-gain observer: the outputs are differentiated as fast as noise allows."""
+"""The high-gain observer differentiates the outputs as fast as noise allows."""
 
 from __future__ import annotations
 
@@ -25,12 +25,20 @@ class HighGain(
     tag_field="method",
     tag="high_gain",
 ):
-    """Khalil and Praly (2014): in coordinates z_i, z_i', z_i'', ... the k-th derivative is corrected by binom(r, k) / epsilon^k e.
+    """High-gain observer of Khalil and Praly (2014) in coordinates z_i, z_i', z_i'', ...
 
-    epsilon [s]: all poles tend to -1 / epsilon (default: a tenth of the time of the plant's fastest pole, but at least four
-    samples). The r derivatives of an output are those that make the coordinates complete; for a nonlinear plant they are those of its linearisation,
-    which is exact if the states are outputs and their derivatives. gamma [1/s]: adapts the widths from widths0 (p x 2) [z]
-    within [0, width_max]; 0 with widths0 = 0 takes the reading for the output.
+    The k-th derivative is corrected by binom(r, k) / epsilon^k e. The r derivatives of an output
+    are those that make the coordinates complete; for a nonlinear plant they are those of its
+    linearisation, which is exact if the states are outputs and their derivatives.
+
+    Attributes:
+        epsilon: all poles tend to -1 / epsilon [s]; default a tenth of the time of the plant's
+            fastest pole, but at least four samples.
+        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 takes
+            the reading for the output.
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
+            default none.
     """
 
     epsilon: float | None = None
@@ -39,29 +47,46 @@ class HighGain(
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StepError, StructureError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+            StepError: for a step that is too coarse for it.
+        """
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
-        if self.epsilon is None:
-            epsilon = max(0.1 / fastest_pole(model), 0.0 if model.Ts is None else 4 * model.Ts)
-        else:
-            epsilon = scalar("observer.epsilon", self.epsilon, above=0.0)
+        epsilon = self._epsilon(model)
         L = high_gain(model, epsilon)
         if model.Ts is not None:
             L = L * model.Ts
             fastest = np.abs(np.linalg.eigvals(model.linear.A - L @ model.linear.C)).max()
             if fastest >= 1:
                 raise StepError(
-                    f"simulation.step: {model.Ts:g} s is too coarse for observer.epsilon = {epsilon:g} s (spectral radius {fastest:.4g}); "
+                    f"simulation.step: {model.Ts:g} s is too coarse for observer.epsilon = "
+                    f"{epsilon:g} s (spectral radius {fastest:.4g}); "
                     "use a larger epsilon or a shorter step"
                 )
         return output_error(model, sensor, L, widths)
 
+    def _epsilon(self, model: System) -> float:
+        """epsilon as given, or its default [s]. Raises InputError."""
+        if self.epsilon is not None:
+            return scalar("observer.epsilon", self.epsilon, above=0.0)
+        least = 0.0 if model.Ts is None else 4 * model.Ts
+        return max(0.1 / fastest_pole(model), least)
+
 
 def high_gain(model: System, epsilon: float) -> Floats:
-    """L (n x p) [1/s] in continuous time."""
+    """L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
     flow = model.linear if model.flow is None else model.flow
     chains = output_chains(flow.A, flow.C)
     gains = np.zeros((model.n, model.p))
     for i, rows in enumerate(chains.rows):
-        gains[rows, i] = [math.comb(len(rows), k) / epsilon**k for k in range(1, len(rows) + 1)]
+        r = len(rows)
+        gains[rows, i] = [math.comb(r, k) / epsilon**k for k in range(1, r + 1)]
     return np.linalg.solve(chains.O, gains)

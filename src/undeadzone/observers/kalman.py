@@ -1,4 +1,7 @@
-"""Measured-side Kalman filter on [x; d_r; d_l]: exact where the side of a reading is certain (docs/filters.md)."""
+"""Measured-side Kalman filter on [x; d_r; d_l]: exact where the side of a reading is certain.
+
+The mathematics is in docs/filters.md.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,9 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.measured_kalman import measured_filter, prior, white
+from undeadzone.observers.parts.gaussian_filter import white
+from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
@@ -20,12 +25,19 @@ class Kalman(
     tag_field="method",
     tag="kalman",
 ):
-    """Kalman filter on the measured side; sampled time. A nonlinear model is expanded to second order.
+    """Kalman filter on the measured side; sampled time.
 
-    right, left: declared ranges [lo, hi] of d_r and d_l [z], one or one per output (left: default that of right).
-    noise: rms of a reading on an active side [z] (default: the sensor's). x_std: std of x(0) about 0, one or one per
-    state (default: five times the largest width). disturbance: rms of an input disturbance that is new at every sample
-    [u], one or one per input. drift: random walk of the widths [z / sqrt(s)].
+    A nonlinear model is expanded to second order.
+
+    Attributes:
+        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
+            defaults to that of right.
+        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
+        x_std: standard deviation of x(0) about 0, one or one per state; default five times the
+            largest width.
+        disturbance: rms of an input disturbance that is new at every sample, one or one per input
+            [u]; default 0.
+        drift: random walk of the widths [z / sqrt(s)]; default 0.
     """
 
     right: Array
@@ -36,13 +48,23 @@ class Kalman(
     drift: float = 0.0
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: readings of a jump sensor only bound its widths, which 'kalman' cannot use; use 'censored'"
+                "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
+                "cannot use; use 'censored'"
             )
-        believed = prior(model, sensor, self.right, self.left, self.noise, self.x_std, self.drift)
-        variance = (
-            nonnegative("observer.disturbance", self.disturbance, model.m, "one per input") ** 2
+        prior = build_prior(
+            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift
         )
-        return measured_filter(model, sensor, believed, white(model, variance))
+        rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        return measured_filter(model, sensor, prior, white(model, rms**2))

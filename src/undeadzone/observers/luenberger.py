@@ -1,4 +1,4 @@
-"""The classical Luenberger observer, blind to the dead zone: it takes the reading for the output."""
+"""The classical Luenberger observer takes the reading for the output, blind to the dead zone."""
 
 from __future__ import annotations
 
@@ -25,37 +25,53 @@ class Luenberger(
     tag_field="method",
     tag="luenberger",
 ):
-    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966): L (n x p) [1/s] as in `Certified`, or the poles of A - L C [1/s]."""
+    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966), with one of L and poles.
+
+    Attributes:
+        L: gains (n x p) [1/s], as in `Certified`.
+        poles: poles of A - L C (n) [1/s].
+    """
 
     L: Array | None = None
     poles: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, StructureError."""
-        if self.poles is not None and self.L is None:
-            L = observer_gain(model.linear, self.poles, model.Ts)
-        elif self.L is not None and self.poles is None:
-            L = gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
-        else:
-            raise InputError("observer: luenberger needs exactly one of L, poles")
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            StructureError: for a model on which it does not exist.
+        """
+        L = self._gain(model)
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.n))
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)
             e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
-            return State(model.move(p.model, s.x, u) + p.L @ e), estimate(
-                s.x, z, none, none, reading, p.slope, sensor.kind, e
-            )
-
-        def init(p: Params) -> State:
-            return State(np.zeros(model.n))
+            after = State(model.move(p.model, s.x, u) + p.L @ e)
+            return after, estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
 
         params = Params(model.params, L, sensor.slope)
         return Observer(params, init, step, traits=Traits(L=L, adapts=False))
 
+    def _gain(self, model: System) -> Floats:
+        """L (n x p), per step when the model is sampled. Raises InputError, StructureError."""
+        if self.poles is not None and self.L is None:
+            return observer_gain(model.linear, self.poles, model.Ts)
+        if self.L is not None and self.poles is None:
+            return gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
+        raise InputError("observer: luenberger needs exactly one of L, poles")
+
 
 class Params(NamedTuple):
-    """Numbers of the observer; L is per step when the model is sampled."""
+    """Numbers of the observer; L (n x p) is per step when the model is sampled."""
 
     model: Any
     L: Floats

@@ -1,34 +1,39 @@
-"""Moving horizon estimation: the likeliest motion over the last samples, edges and ranges as constraints (docs/methods/moving_horizon.md)."""
+"""Moving horizon estimation finds the likeliest motion over the last samples.
+
+Edges and ranges are its constraints (docs/methods/moving_horizon.md).
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
+from undeadzone.interfaces import Estimate, NumericObserver, Reading, numeric_estimate
 from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import (
-    Assumptions,
-    Declared,
     Defaults,
-    claims,
+    JointClaims,
+    JointPrior,
+    joint_prior,
     quarter_period,
 )
-from undeadzone.observers.parts.measured_kalman import sample_time
+from undeadzone.observers.parts.prior import sample_time
+from undeadzone.observers.parts.tangents import Tangents, model_tangents
 from undeadzone.observers.parts.window import Weights, Window
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
-HABITS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
 class MovingHorizon(
-    Declared,
+    JointClaims,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
@@ -37,10 +42,17 @@ class MovingHorizon(
 ):
     """Moving horizon estimation of [x; d_r; d_l], Rao, Rawlings, Mayne (2003); sampled time.
 
-    right, left, noise, x_std, disturbance, swing, drift: as for `EKF`; the widths stay in their range. horizon: length [s] (default:
-    a quarter period of the plant; 1 s if it only integrates). period: time [s] between the readings that are used, and between
-    solutions (default: a fortieth of the horizon). slack: rms by which a silent sensor's z may be outside its zone [z], one or one
-    per output (default: noise). solver: of CasADi, exact (daqp) or by alternating directions (osqp). It runs in Python: in single runs only.
+    The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
+    and drift 0.5 % of the largest width. It runs in Python: in single runs only.
+
+    Attributes:
+        horizon: length of the horizon [s]; default a quarter period of the plant, 1 s if it only
+            integrates.
+        period: time between the readings that are used, and between solutions [s]; default a
+            fortieth of the horizon.
+        slack: rms by which a silent sensor's z may be outside its zone, one or one per output [z];
+            default noise.
+        solver: solver of CasADi, exact ("daqp") or by alternating directions ("osqp").
     """
 
     horizon: float | None = None
@@ -49,56 +61,69 @@ class MovingHorizon(
     solver: Literal["daqp", "osqp"] = "daqp"
 
     def build(self, model: System, sensor: Zone) -> NumericObserver:
-        """The estimator for a sampled model. Raises InputError, ShapeError."""
+        """The estimator for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which that of a jump sensor is not; use 'censored'"
+                "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
+                "that of a jump sensor is not; use 'censored'"
             )
         if not ca.has_conic(self.solver):
             raise InputError(
-                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose another of daqp, osqp"
+                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose "
+                "another of daqp, osqp"
             )
+        nodes, stride = self._grid(model)
+        prior = joint_prior(self, model, sensor, DEFAULTS, stride)
+        rms = np.sqrt(prior.prior.R)
+        slack = rms
+        if self.slack is not None:
+            slack = nonnegative("observer.slack", self.slack, model.p, "one per output")
+        if not slack.all():
+            raise InputError(
+                "observer.slack: must be positive, found 0: noise alone would leave no solution"
+            )
+        weights = Weights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
+        return moving(model, sensor, prior, weights, nodes, stride, self.solver)
+
+    def _grid(self, model: System) -> tuple[int, int]:
+        """(intervals of the horizon, samples of an interval). Raises InputError."""
         Ts = sample_time(model)
-        length = (
-            quarter_period(model)
-            if self.horizon is None
-            else scalar("observer.horizon", self.horizon, above=0.0)
-        )
-        period = (
-            length / NODES
-            if self.period is None
-            else scalar("observer.period", self.period, above=0.0)
-        )
+        if self.horizon is None:
+            length = quarter_period(model)
+        else:
+            length = scalar("observer.horizon", self.horizon, above=0.0)
+        if self.period is None:
+            period = length / NODES
+        else:
+            period = scalar("observer.period", self.period, above=0.0)
         stride = max(1, round(period / Ts))
         nodes = max(1, round(length / (stride * Ts)))
         if nodes > 500:
             raise InputError(
                 f"observer.period: expected at most 500 periods in the horizon, found {nodes}"
             )
-        given = claims(self, model, sensor, HABITS, stride)
-        rms = np.sqrt(given.prior.R)
-        slack = (
-            rms
-            if self.slack is None
-            else nonnegative("observer.slack", self.slack, model.p, "one per output")
-        )
-        if not slack.all():
-            raise InputError(
-                "observer.slack: must be positive, found 0: noise alone would leave no solution"
-            )
-        return moving(
-            model,
-            sensor,
-            given,
-            Weights(rms, slack, given.prior.gate / sensor.slope, given.ranges),
-            nodes,
-            stride,
-            self.solver,
-        )
+        return nodes, stride
 
 
 class State(NamedTuple):
-    """The window; X = [x; d_r; d_l] now; its covariance at the newest node; x now = F x + f + G w of that node's x; samples since."""
+    """What the estimator carries from sample to sample.
+
+    Attributes:
+        window: the nodes.
+        X: [x; d_r; d_l] now (n + 2p).
+        cov: covariance at the newest node (n + 2p x n + 2p).
+        F, f, G: x now = F x + f + G w of that node's x (n x n, n, n x m).
+        since: samples since that node.
+    """
 
     window: Window
     X: Floats
@@ -109,156 +134,173 @@ class State(NamedTuple):
     since: int
 
 
+class Setup(NamedTuple):
+    """What the parts of one estimator share.
+
+    Attributes:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        weights: what the programme weighs its errors by.
+        stride: samples of an interval.
+        rms: rms of the disturbance that is held over a node's samples (m) [u]: it moves the state
+            as far as white noise does.
+        tangents: the model's straight lines.
+        solve: solver of the programme.
+    """
+
+    model: System
+    sensor: Zone
+    prior: JointPrior
+    weights: Weights
+    stride: int
+    rms: Floats
+    tangents: Tangents
+    solve: horizon.Solver
+
+
 def moving(
     model: System,
     sensor: Zone,
-    given: Assumptions,
+    prior: JointPrior,
     weights: Weights,
     nodes: int,
     stride: int,
     plugin: str,
 ) -> NumericObserver:
-    """The estimator over `nodes` intervals of `stride` samples.
+    """The estimator.
 
-    Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active readings: what silence
-    adds is not counted.
+    Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active
+    readings: what silence adds is not counted.
+
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        weights: what the programme weighs its errors by.
+        nodes: intervals of the horizon.
+        stride: samples of an interval.
+        plugin: CasADi's name of the solver.
     """
+    rms = np.sqrt(prior.variance / stride)
+    tangents = model_tangents(model)
+    start = initial_state(model, prior, tangents, nodes)
+    solve = horizon.solver(plugin, *horizon.size(start.window))
+    setup = Setup(model, sensor, prior, weights, stride, rms, tangents, solve)
+    return NumericObserver(
+        prior.prior, lambda seed: start, partial(correct, setup), partial(predict, setup)
+    )
+
+
+def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: int) -> State:
+    """The state at t = 0: every node of the window knows the prior alone."""
     n, p, m = model.n, model.p, model.m
-    believed = given.prior
-    rms = np.sqrt(
-        given.variance / stride
-    )  # held over a node's samples, it moves the state as far as white noise does
-    move, output = _tangents(model)
-
-    def start(seed: int) -> State:
-        here = np.eye(n), np.zeros(n), np.zeros((n, m))
-        cov = np.diag(believed.std**2)
-        C, offset = output(believed.mean[:n])
-        padding = Window(
-            np.zeros(p), np.zeros(p), np.zeros(p), believed.mean, cov, C, offset, *here
-        )
-        return State(
-            Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding)),
-            believed.mean,
-            cov,
-            *here,
-            0,
-        )
-
-    solve = horizon.solver(plugin, *horizon.size(start(0).window))
-
-    def node(s: State, reading: Reading, seen: Floats) -> State:
-        """The state with a new node, read and solved."""
-        T = np.eye(n + 2 * p)
-        T[:n, :n] = s.F
-        added = np.concatenate([np.zeros(n), s.since * believed.drift])
-        cov: Floats = T @ s.cov @ T.T + np.diag(added)
-        cov[:n, :n] += s.G @ s.G.T
-        C, offset = output(s.X[:n])
-        y, side = np.where(seen, reading.y / sensor.slope, 0.0), np.where(seen, reading.side, 0.0)
-        newest = Window(
-            y,
-            side,
-            1.0 * seen,
-            s.X,
-            cov,
-            C,
-            offset,
-            np.zeros((n, n)),
-            np.zeros(n),
-            np.zeros((n, m)),
-        )
-        left = s.window._replace(
-            **{
-                name: np.concatenate([getattr(s.window, name)[:-1], getattr(s, name)[None]])
-                for name in ("F", "f", "G")
-            }
-        )
-        window = Window(
-            *(np.concatenate([old[1:], new[None]]) for old, new in zip(left, newest, strict=True))
-        )
-        found = horizon.estimate(window, weights, solve)
-        for i in range(p):
-            if side[i] != 0:
-                cov = _read(cov, _row(C, i, side[i]), believed.R[i])
-        return State(
-            window,
-            s.X if found is None else found,
-            cov,
-            np.eye(n),
-            np.zeros(n),
-            np.zeros((n, m)),
-            0,
-        )
-
-    def correct(s: State, reading: Reading) -> tuple[State, Any]:
-        seen = np.isfinite(reading.y)
-        side = np.where(seen, reading.side, 0.0)
-        C, offset = output(s.X[:n])
-        rows = np.stack([_row(C, i, side[i]) for i in range(p)])
-        e = np.where(
-            side != 0, np.where(seen, reading.y / sensor.slope, 0.0) - rows @ s.X - offset, 0.0
-        )
-        e_std = np.sqrt(np.einsum("ij,jk,ik->i", rows, s.cov, rows) + believed.R)
-        if s.since % stride == 0:
-            s = node(s, reading, seen)
-        C, offset = output(s.X[:n])
-        pairs = np.hstack([np.zeros((p, n)), np.eye(p), np.eye(p)])
-        both = np.sqrt(np.einsum("ij,jk,ik->i", pairs, s.cov, pairs))
-        std = np.sqrt(np.maximum(np.diag(s.cov), 0.0))
-        return s, numeric_estimate(s.X, C @ s.X[:n] + offset, reading, sensor, e, std, both, e_std)
-
-    def predict(s: State, u: Floats) -> State:
-        x, A, B = move(s.X[:n], u)
-        return s._replace(
-            X=np.concatenate([x, s.X[n:]]),
-            F=A @ s.F,
-            f=A @ s.f + x - A @ s.X[:n],
-            G=A @ s.G + B * rms,
-            since=s.since + 1,
-        )
-
-    return NumericObserver(believed, start, correct, predict)
+    mean = prior.prior.mean
+    cov = np.diag(prior.prior.std**2)
+    C, offset = tangents.output(mean[:n])
+    none = np.zeros(p)
+    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
+    window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
+    return State(window, mean, cov, F, f, G, 0)
 
 
-def _row(C: Floats, i: int, side: float) -> Floats:
-    """h of the reading z_i - d_r or z_i + d_l, linear in [x; d_r; d_l]; of z_i itself with side 0."""
+def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
+    """(the state, the estimate) given a reading; every `stride` samples a node is added."""
+    n, p = setup.model.n, setup.model.p
+    seen = np.isfinite(reading.y)
+    side = np.where(seen, reading.side, 0.0)
+    C, offset = setup.tangents.output(s.X[:n])
+    rows = np.stack([reading_row(C, i, side[i]) for i in range(p)])
+    y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
+    e = np.where(side != 0, y - rows @ s.X - offset, 0.0)
+    e_std = np.sqrt(variances(rows, s.cov) + setup.prior.prior.R)
+    if s.since % setup.stride == 0:
+        s = with_node(setup, s, y, side, seen)
+    C, offset = setup.tangents.output(s.X[:n])
+    sums = np.hstack([np.zeros((p, n)), np.eye(p), np.eye(p)])
+    width_std = np.sqrt(variances(sums, s.cov))
+    std = np.sqrt(np.maximum(np.diag(s.cov), 0.0))
+    z = C @ s.X[:n] + offset
+    return s, numeric_estimate(s.X, z, reading, setup.sensor, e, std, width_std, e_std)
+
+
+def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> State:
+    """The state with a new node, and the programme solved.
+
+    Args:
+        setup: the estimator.
+        s: the state before the reading.
+        y: reading y / m, 0 where it is missing (p).
+        side: measured side, 0 where the reading is missing (p).
+        seen: whether there was a reading (p).
+    """
+    n, p, m = setup.model.n, setup.model.p, setup.model.m
+    cov = covariance_now(setup, s)
+    C, offset = setup.tangents.output(s.X[:n])
+    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    unknown = np.zeros((n, n)), f, G  # the motion on from this node
+    newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, *unknown)
+    window = moved_on(s, newest)
+    X = horizon.estimate(window, setup.weights, setup.solve)
+    for i in range(p):
+        if side[i] != 0:
+            cov = read_covariance(cov, reading_row(C, i, side[i]), setup.prior.prior.R[i])
+    return State(window, s.X if X is None else X, cov, F, f, G, 0)
+
+
+def covariance_now(setup: Setup, s: State) -> Floats:
+    """The covariance of X now, from that of the newest node."""
+    n, p = setup.model.n, setup.model.p
+    T = np.eye(n + 2 * p)
+    T[:n, :n] = s.F
+    drift = np.concatenate([np.zeros(n), s.since * setup.prior.prior.drift])
+    cov: Floats = T @ s.cov @ T.T + np.diag(drift)
+    cov[:n, :n] += s.G @ s.G.T
+    return cov
+
+
+def moved_on(s: State, newest: Window) -> Window:
+    """The window without its oldest node and with a new one; the motion up to it is known now."""
+    motion = {}
+    for name in ("F", "f", "G"):
+        before = getattr(s.window, name)[:-1]
+        motion[name] = np.concatenate([before, getattr(s, name)[None]])
+    parts = []
+    for old, new in zip(s.window._replace(**motion), newest, strict=True):
+        parts.append(np.concatenate([old[1:], new[None]]))
+    return Window(*parts)
+
+
+def predict(setup: Setup, s: State, u: Floats) -> State:
+    """The state at the next sample."""
+    n = setup.model.n
+    x, A, B = setup.tangents.move(s.X[:n], u)
+    return s._replace(
+        X=np.concatenate([x, s.X[n:]]),
+        F=A @ s.F,
+        f=A @ s.f + x - A @ s.X[:n],
+        G=A @ s.G + B * setup.rms,
+        since=s.since + 1,
+    )
+
+
+def reading_row(C: Floats, i: int, side: float) -> Floats:
+    """h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side 0."""
     p = C.shape[0]
     edges = np.zeros(2 * p)
-    edges[i], edges[p + i] = -1.0 * (side > 0), 1.0 * (side < 0)
+    edges[i] = -1.0 * (side > 0)
+    edges[p + i] = 1.0 * (side < 0)
     return np.concatenate([C[i], edges])
 
 
-def _read(cov: Floats, h: Floats, R: float) -> Floats:
+def variances(rows: Floats, cov: Floats) -> Floats:
+    """The variance of h X for each row h."""
+    return np.asarray(np.einsum("ij,jk,ik->i", rows, cov, rows))
+
+
+def read_covariance(cov: Floats, h: Floats, R: float) -> Floats:
     """The covariance after a reading h X + v, var v = R (Joseph's form)."""
     K = cov @ h / (h @ cov @ h + R)
     half = np.eye(len(h)) - np.outer(K, h)
     return np.asarray(half @ cov @ half.T + R * np.outer(K, K))
-
-
-def _tangents(model: System) -> tuple[Any, Any]:
-    """(move(x, u) -> (x+, dx+/dx, dx+/du), output(x) -> (C, offset) with z = C x + offset) of the model at a point, on numbers."""
-    if not model.nonlinear:
-        A, B, C = model.linear
-        return lambda x, u: (A @ x + B @ u, A, B), lambda x: (C, np.zeros(model.p))
-    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
-    params = ca.SX(model.params)
-    after, z = model.move(params, x, u), model.output(params, x)
-    C = ca.densify(ca.jacobian(z, x))
-    moved = ca.Function(
-        "move",
-        [x, u],
-        [after, ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))],
-        {"cse": True},
-    )
-    seen = ca.Function("output", [x], [C, z - C @ x])
-
-    def move(x: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-        after, A, B = (part.full() for part in moved(x, u))
-        return after[:, 0], A, B
-
-    def output(x: Floats) -> tuple[Floats, Floats]:
-        C, offset = (part.full() for part in seen(x))
-        return C, offset[:, 0]
-
-    return move, output

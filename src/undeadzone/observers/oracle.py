@@ -1,4 +1,4 @@
-"""The reference line of what knowing the widths is worth: the certified observer with the true d_r, d_l."""
+"""The oracle is the certified observer with the true widths: what knowing them is worth."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.interfaces import Observer
-from undeadzone.observers.certified import measured_side
 from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.measured_side import measured_side
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array
@@ -21,21 +21,27 @@ class Oracle(
     tag_field="method",
     tag="oracle",
 ):
-    """Known-width observer: L (n x p) as in `Certified`; it is told the sensor's true widths and adapts nothing."""
+    """Known-width observer: it has the sensor's true widths and adapts nothing.
+
+    Attributes:
+        L: gains (n x p) [1/s], as in `Certified`; default P^-1 C'.
+        silence: use also that a silent sensor bounds z.
+    """
 
     L: Array | None = None
     silence: bool = False
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises ShapeError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            ShapeError: for an option of another shape.
+        """
         widths = np.stack([sensor.right, sensor.left], axis=1)
-        return measured_side(
-            model,
-            sensor,
-            gains(self.L, model),
-            np.zeros(model.p),
-            np.zeros(model.n),
-            widths,
-            np.full(model.p, np.inf),
-            self.silence,
-        )
+        gain, gamma = gains(self.L, model), np.zeros(model.p)
+        start, limit = np.zeros(model.n), np.full(model.p, np.inf)
+        return measured_side(model, sensor, gain, gamma, start, widths, limit, self.silence)

@@ -3,51 +3,80 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import NumericObserver, Reading, numeric_estimate
-from undeadzone.observers.parts.augmented_state import Assumptions, Declared, Defaults, claims, read
+from undeadzone.interfaces import Estimate, NumericObserver, Reading, numeric_estimate
+from undeadzone.observers.parts.augmented_state import (
+    Defaults,
+    JointClaims,
+    JointPrior,
+    joint_prior,
+    read,
+)
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
-HABITS = Defaults(
-    noise=0.1, drift=0.1, x_std=0.5
-)  # a likelihood that few particles meet leaves copies of these few
+# A likelihood that few particles meet leaves copies of these few.
+DEFAULTS = Defaults(noise=0.1, drift=0.1, x_std=0.5)
 STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise and disturbance
 
 
 class ParticleFilter(
-    Declared,
+    JointClaims,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
     tag_field="method",
     tag="particle_filter",
 ):
-    """Bootstrap filter of Gordon, Salmond, Smith (1993) on [x; d_r; d_l], systematic resampling of Kitagawa (1996); sampled time.
+    """Bootstrap filter of Gordon, Salmond, Smith (1993) on [x; d_r; d_l]; sampled time.
 
-    right, left, noise, x_std, disturbance, swing, drift: as for `EKF`, but widths are drawn evenly from their range and stay in it, and by
-    default noise is at least 10 % of the range, drift 10 % and x_std 50 % of the largest width. particles: how many; they are resampled when
-    fewer than half of them count, 1 / sum w^2. Random numbers follow from simulation.seed. It runs in Python: in single runs only.
+    Systematic resampling of Kitagawa (1996), when fewer than half of the particles count,
+    1 / sum w^2. Widths are drawn evenly from their range and stay in it. By default noise is at
+    least 10 % of the range, drift 10 % and x_std 50 % of the largest width. Random numbers follow
+    from simulation.seed. It runs in Python: in single runs only.
+
+    Attributes:
+        swing: rms, in largest widths, by which the default disturbance moves z in a quarter period.
+        particles: how many particles.
     """
 
     swing: float = 0.3
     particles: int = 500
 
     def build(self, model: System, sensor: Zone) -> NumericObserver:
-        """The filter for a sampled model. Raises InputError, ShapeError."""
+        """The filter for a sampled model.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
-        return bootstrap(model, sensor, claims(self, model, sensor, HABITS), self.particles)
+        prior = joint_prior(self, model, sensor, DEFAULTS)
+        return bootstrap(model, sensor, prior, self.particles)
 
 
 class State(NamedTuple):
-    """M particles: x (n x M), widths (2p x M), weights (M, sum 1); the sample's number; the seed."""
+    """M particles.
+
+    Attributes:
+        x: states (n x M).
+        widths: [d_r; d_l] (2p x M).
+        weights: weights, of sum 1 (M).
+        sample: number of the sample.
+        seed: seed of the random numbers.
+    """
 
     x: Floats
     widths: Floats
@@ -56,92 +85,152 @@ class State(NamedTuple):
     seed: int
 
 
-def bootstrap(model: System, sensor: Zone, given: Assumptions, count: int) -> NumericObserver:
+class Vectorised(NamedTuple):
+    """A model on M columns of numbers.
+
+    Attributes:
+        move: move(x, u) is x at the next sample (n x M).
+        output: output(x) is z (p x M).
+    """
+
+    move: Callable[[Floats, Floats], Floats]
+    output: Callable[[Floats], Floats]
+
+
+class Setup(NamedTuple):
+    """What the parts of one filter share.
+
+    Attributes:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        particles: how many there are.
+        columns: the model on as many columns.
+    """
+
+    model: System
+    sensor: Zone
+    prior: JointPrior
+    particles: int
+    columns: Vectorised
+
+
+def bootstrap(model: System, sensor: Zone, prior: JointPrior, count: int) -> NumericObserver:
     """The filter with `count` particles."""
-    n, p, m = model.n, model.p, model.m
-    believed, variance, ranges = given
+    setup = Setup(model, sensor, prior, count, vectorised(model, count))
+    return NumericObserver(
+        prior.prior, partial(start, setup), partial(correct, setup), partial(predict, setup)
+    )
+
+
+def start(setup: Setup, seed: int) -> State:
+    """Particles drawn from the prior."""
+    n, p, count = setup.model.n, setup.model.p, setup.particles
+    prior, _, ranges = setup.prior
+    rng = _random(seed, 0)
+    x = prior.mean[:n, None] + prior.std[:n, None] * rng.standard_normal((n, count))
+    widths = rng.uniform(ranges[:, :1], ranges[:, 1:], (2 * p, count))
+    return State(x, widths, even(count), 1, seed)
+
+
+def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
+    """(the particles weighed by a reading and perhaps resampled, the estimate)."""
+    sensor, R, p = setup.sensor, setup.prior.prior.R, setup.model.p
+    seen = np.isfinite(reading.y)
+    z = setup.columns.output(s.x)
+    y = np.where(seen, reading.y / sensor.slope, 0.0)
+    expected = np.asarray(read(sensor.kind, z, s.widths[:p], s.widths[p:]))
+    residuals = y[:, None] - expected
+    weights = reweighted(s.weights, (residuals / np.sqrt(R)[:, None])[seen])
+    X = np.vstack([s.x, s.widths])
+    mean, S = expected @ s.weights, R + weighted_variance(expected, s.weights)
+    width_variance = weighted_variance(s.widths[:p] + s.widths[p:], weights)
+    estimated = numeric_estimate(
+        X @ weights,
+        z @ weights,
+        reading,
+        sensor,
+        np.where(seen, y - mean, 0.0),
+        np.sqrt(weighted_variance(X, weights)),
+        np.sqrt(width_variance),
+        np.sqrt(S),
+    )
+    return resampled(s._replace(weights=weights)), estimated
+
+
+def resampled(s: State) -> State:
+    """The particles, drawn anew where fewer than half of them count, 1 / sum w^2."""
+    count = s.weights.size
+    if 1.0 / (s.weights @ s.weights) >= count / 2:
+        return s
+    at = systematic(s.weights, _random(s.seed, 2 * s.sample).uniform())
+    return s._replace(x=s.x[:, at], widths=s.widths[:, at], weights=even(count))
+
+
+def predict(setup: Setup, s: State, u: Floats) -> State:
+    """The particles at the next sample; widths are reflected at both ends of their range."""
+    m, p, count = setup.model.m, setup.model.p, setup.particles
+    prior, variance, ranges = setup.prior
     low, high = ranges[:, :1], ranges[:, 1:]
-    move, output = _vectorised(model, count)
-    even = np.full(count, 1.0 / count)
-
-    def start(seed: int) -> State:
-        rng = _random(seed, 0)
-        x = believed.mean[:n, None] + believed.std[:n, None] * rng.standard_normal((n, count))
-        return State(x, rng.uniform(low, high, (2 * p, count)), even, 1, seed)
-
-    def correct(s: State, reading: Reading) -> tuple[State, Any]:
-        seen = np.isfinite(reading.y)
-        z = output(s.x)
-        expected = np.asarray(read(sensor.kind, z, s.widths[:p], s.widths[p:]))
-        residuals = np.where(seen, reading.y / sensor.slope, 0.0)[:, None] - expected
-        weights = _weighted(s.weights, (residuals / np.sqrt(believed.R)[:, None])[seen])
-        X = np.vstack([s.x, s.widths])
-        mean, S = expected @ s.weights, believed.R + _variance(expected, s.weights)
-        both = np.sqrt(_variance(s.widths[:p] + s.widths[p:], weights))
-        innovation = np.where(seen, reading.y / sensor.slope - mean, 0.0)
-        found = numeric_estimate(
-            X @ weights,
-            z @ weights,
-            reading,
-            sensor,
-            innovation,
-            np.sqrt(_variance(X, weights)),
-            both,
-            np.sqrt(S),
-        )
-        if 1.0 / (weights @ weights) < count / 2:
-            at = systematic(weights, _random(s.seed, 2 * s.sample).uniform())
-            return s._replace(x=s.x[:, at], widths=s.widths[:, at], weights=even), found
-        return s._replace(weights=weights), found
-
-    def predict(s: State, u: Floats) -> State:
-        rng = _random(s.seed, 2 * s.sample + 1)
-        x = move(s.x, u[:, None] + np.sqrt(variance)[:, None] * rng.standard_normal((m, count)))
-        widths: Floats = s.widths + np.sqrt(believed.drift)[:, None] * rng.standard_normal(
-            (2 * p, count)
-        )
-        widths = high - np.abs(
-            high - low - np.abs(widths - low)
-        )  # reflected at both ends of the range
-        return s._replace(x=x, widths=widths, sample=s.sample + 1)
-
-    return NumericObserver(believed, start, correct, predict)
+    rng = _random(s.seed, 2 * s.sample + 1)
+    disturbance = np.sqrt(variance)[:, None] * rng.standard_normal((m, count))
+    x = setup.columns.move(s.x, u[:, None] + disturbance)
+    walk = np.sqrt(prior.drift)[:, None] * rng.standard_normal((2 * p, count))
+    widths: Floats = s.widths + walk
+    widths = high - np.abs(high - low - np.abs(widths - low))
+    return s._replace(x=x, widths=widths, sample=s.sample + 1)
 
 
-def systematic(weights: Floats, offset: float) -> Any:
-    """Which particle each of M becomes: those at the M points (i + offset) / M of the weights' cumulative sum."""
+def even(count: int) -> Floats:
+    """The same weight for every particle."""
+    return np.full(count, 1.0 / count)
+
+
+def systematic(weights: Floats, offset: float) -> Integers:
+    """Which particle each of M becomes.
+
+    Those at the M points (i + offset) / M of the weights' cumulative sum.
+    """
     count = weights.size
-    found = np.searchsorted(np.cumsum(weights), (np.arange(count) + offset) / count)
-    return np.minimum(found, count - 1)  # rounding of the sum
+    points = (np.arange(count) + offset) / count
+    places = np.searchsorted(np.cumsum(weights), points)
+    return np.minimum(places, count - 1)  # rounding may leave the sum below the last point
 
 
-def _weighted(weights: Floats, e: Floats) -> Floats:
-    """weights exp(-|e|^2 / 2), e a column for each, normalised; unchanged if no particle is a number any more."""
+def reweighted(weights: Floats, e: Floats) -> Floats:
+    """weights exp(-|e|^2 / 2), normalised; unchanged if no particle is a number any more.
+
+    Args:
+        weights: of the particles (M).
+        e: residuals of the readings that were seen, in standard deviations (seen x M).
+    """
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         logs = np.log(weights) - (e**2).sum(axis=0) / 2
-        found = np.exp(logs - logs.max())
-        found = np.where(np.isfinite(found), found, 0.0)
-    return found / found.sum() if found.sum() > 0 else weights
+        likely = np.exp(logs - logs.max())
+        likely = np.where(np.isfinite(likely), likely, 0.0)
+    total = likely.sum()
+    return likely / total if total > 0 else weights
 
 
-def _variance(rows: Floats, weights: Floats) -> Floats:
+def weighted_variance(rows: Floats, weights: Floats) -> Floats:
     """The weighted variance of each row."""
     return np.asarray((rows - (rows @ weights)[:, None]) ** 2 @ weights)
 
 
 def _random(seed: int, purpose: int) -> np.random.Generator:
+    """Random numbers of their own for every seed and purpose."""
     return np.random.Generator(np.random.Philox(key=[seed, STREAM], counter=[0, purpose, 0, 0]))
 
 
-def _vectorised(
-    model: System, count: int
-) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats], Floats]]:
+def vectorised(model: System, count: int) -> Vectorised:
     """The model's motion and output on `count` columns of numbers."""
+    params = model.params
     if not model.nonlinear:
-        return lambda x, u: np.asarray(model.move(model.params, x, u)), lambda x: np.asarray(
-            model.output(model.params, x)
+        return Vectorised(
+            lambda x, u: np.asarray(model.move(params, x, u)),
+            lambda x: np.asarray(model.output(params, x)),
         )
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
-    move = ca.Function("move", [x, u], [model.move(ca.SX(model.params), x, u)]).map(count)
-    output = ca.Function("output", [x], [model.output(ca.SX(model.params), x)]).map(count)
-    return lambda x, u: move(x, u).full(), lambda x: output(x).full()
+    move = ca.Function("move", [x, u], [model.move(ca.SX(params), x, u)]).map(count)
+    output = ca.Function("output", [x], [model.output(ca.SX(params), x)]).map(count)
+    return Vectorised(lambda x, u: move(x, u).full(), lambda x: output(x).full())

@@ -1,4 +1,4 @@
-"""The paper's observer as printed, (16)-(17) and (25), with the least that makes its shapes agree."""
+"""The paper's observer as printed, (16)-(17), (25), with the least that makes its shapes agree."""
 
 from __future__ import annotations
 
@@ -19,8 +19,13 @@ from undeadzone.support.arrays import Array, Floats, scalar
 STAND_INS = {
     "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",
     "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
-    "(25) P L C": "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L and C",
-    "(42) derivative": "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured",
+    "(25) P L C": (
+        "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L "
+        "and C"
+    ),
+    "(42) derivative": (
+        "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured"
+    ),
 }
 
 
@@ -32,10 +37,18 @@ class Printed(
     tag_field="method",
     tag="printed",
 ):
-    """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi, P of (34) with A - L C.
+    """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi.
 
-    L: gains (n); sigma: adaptation gain; alpha, Q: of (34); sharpness: k_s of (8); widths0: d^(0) = [right, left], A2
-    sets it to the truth; feed_input: add the B u that (16) lacks; left_sign: -1 as printed, +1 with a signed d_l.
+    P is that of (34) with A - L C.
+
+    Attributes:
+        L: gains (n).
+        sigma: adaptation gain.
+        alpha, Q: of (34).
+        sharpness: k_s of (8).
+        widths0: d^(0) = [right, left] [z]; A2 sets it to the truth.
+        feed_input: add the B u that (16) lacks.
+        left_sign: -1 as printed, +1 with a signed d_l.
     """
 
     L: Array
@@ -48,35 +61,25 @@ class Printed(
     left_sign: float = -1.0
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a continuous-time model of one output. Raises InputError, StructureError."""
+        """The observer for a continuous-time linear model of one output.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            StructureError: for a model on which it does not exist.
+        """
         if model.Ts is not None or model.nonlinear or model.p != 1:
             raise InputError(
-                "observer.method: 'printed' is defined for a linear plant of one output in continuous time (simulation.time)"
+                "observer.method: 'printed' is defined for a linear plant of one output in "
+                "continuous time (simulation.time)"
             )
-        A, B, C = model.linear
-        L = gains(self.L, model)
-        P = paper_riccati(
-            A - L @ C,
-            B,
-            scalar("observer.alpha", self.alpha, above=0.0),
-            weight("observer.Q", self.Q, model.n),
-        ).P
-        right, left = pairs("observer.widths0", self.widths0, 1)[0]
-        sigma, sharpness, left_sign = (
-            np.float64(scalar(f"observer.{name}", getattr(self, name)))
-            for name in ("sigma", "sharpness", "left_sign")
-        )
-        params = Params(
-            model.params,
-            L,
-            sigma,
-            C @ P @ L,
-            sharpness,
-            np.float64(self.feed_input),
-            left_sign,
-            np.array([right]),
-            np.array([left]),
-        )
+        params = self._params(model)
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.n), p.right0, p.left0)
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
             z = model.output(p.model, s.x)
@@ -84,21 +87,34 @@ class Printed(
             e = reading.y - y_hat
             chi_r, chi_l = indicators(reading.y, p.sharpness)
             rate = -p.sigma * e * p.cpl
-            change = State(
-                model.move(p.model, s.x, p.feed_input * u) + p.L @ e,
-                rate * chi_r,
-                p.left_sign * -rate * chi_l,
-            )
+            x = model.move(p.model, s.x, p.feed_input * u) + p.L @ e
+            change = State(x, rate * chi_r, p.left_sign * -rate * chi_l)
             return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
 
-        def init(p: Params) -> State:
-            return State(np.zeros(model.n), p.right0, p.left0)
+        return Observer(params, init, step, traits=Traits(L=params.L))
 
-        return Observer(params, init, step, traits=Traits(L=L))
+    def _params(self, model: System) -> Params:
+        """The observer's numbers. Raises InputError, ShapeError, StructureError."""
+        A, B, C = model.linear
+        L = gains(self.L, model)
+        alpha = scalar("observer.alpha", self.alpha, above=0.0)
+        P = paper_riccati(A - L @ C, B, alpha, weight("observer.Q", self.Q, model.n)).P
+        right, left = pairs("observer.widths0", self.widths0, 1)[0]
+        return Params(
+            model=model.params,
+            L=L,
+            sigma=np.float64(scalar("observer.sigma", self.sigma)),
+            cpl=C @ P @ L,
+            sharpness=np.float64(scalar("observer.sharpness", self.sharpness)),
+            feed_input=np.float64(self.feed_input),
+            left_sign=np.float64(scalar("observer.left_sign", self.left_sign)),
+            right0=np.array([right]),
+            left0=np.array([left]),
+        )
 
 
 class Params(NamedTuple):
-    """Numbers of the observer; cpl = C P L."""
+    """Numbers of the observer; cpl = C P L, the others as in `Printed`."""
 
     model: Any
     L: Floats

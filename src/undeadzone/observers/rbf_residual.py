@@ -1,46 +1,51 @@
-"""A radial basis function network that learns what the sensor takes off z."""
+"""A radial basis function network learns what the sensor takes off z."""
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
 from undeadzone.interfaces import Observer
 from undeadzone.numerics.approximators import gaussians
-from undeadzone.observers.parts.learned_residual import residual
+from undeadzone.observers.parts.learned_residual import LearnedOptions, residual
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, scalar
 
 
 class RBFResidual(
-    msgspec.Struct,
+    LearnedOptions,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
     tag_field="method",
     tag="rbf_residual",
 ):
-    """Sanner and Slotine, Gaussian networks for direct adaptive control (1992): z - y / m = W'phi(z^), phi Gaussians at `centres` places.
+    """Sanner and Slotine (1992): z - y / m = W'phi(z^), phi Gaussians.
 
-    reach: |z| up to which they lie, one or one per output [z]; overlap: of neighbours, standard deviation in spacings.
-    L, poles [1/s] or speed [1/s]: of A - L C (default: a speed of 6 mean poles of the plant, fewer beyond second order); gain [1/s], leak:
-    of the normalised gradient (default: 30 times the fastest pole) with e-modification; filtered: learn by the
-    sensitivity of the error, so that fast poles do less harm; false is the law as published.
+    Gaussian networks for direct adaptive control.
+
+    Attributes:
+        reach: |z| up to which the Gaussians lie, one or one per output [z].
+        centres: number of Gaussians, at least 2.
+        overlap: overlap of neighbours, standard deviation in spacings.
     """
 
     reach: Array
     centres: int = 9
     overlap: float = 0.7
-    L: Array | None = None
-    poles: Array | None = None
-    speed: float | None = None
-    gain: float | None = None
-    leak: float = 0.0
-    filtered: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+        """
         overlap = scalar("observer.overlap", self.overlap, above=0.0)
         basis = gaussians("observer.centres", np.ones(1), self.centres, overlap, False)
-        return residual(model, sensor, self, basis)
+        return residual(model, sensor, self, self.reach, basis)

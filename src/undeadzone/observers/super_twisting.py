@@ -1,7 +1,11 @@
-"""The super-twisting observer and its higher-order kin: exact in finite time, were the reading the output."""
+"""The super-twisting observer and its higher-order kin are exact in finite time.
+
+They would be, were the reading the output.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -18,16 +22,8 @@ from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
-LEVANT = (
-    1.1,
-    1.5,
-    2.0,
-    3.0,
-    5.0,
-    7.0,
-    10.0,
-    12.0,
-)  # gains of the recursive differentiator, from the last derivative up
+# Gains of the recursive differentiator, from the last derivative up.
+LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)
 
 
 class SuperTwisting(
@@ -38,13 +34,24 @@ class SuperTwisting(
     tag_field="method",
     tag="super_twisting",
 ):
-    """Davila, Fridman and Levant (2005) for second order; for higher orders Levant's exact differentiator (1998, 2003) with the model in it.
+    """Davila, Fridman and Levant (2005) for second order; Levant (1998, 2003) for higher orders.
 
-    In coordinates z_i, z_i', ... (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e:
-    1.5 and 1.1 for r = 2. lipschitz [z/s^r], one or one per output: must exceed what a disturbance does to the r-th
-    derivative (default: 5 times the fastest pole, to the power r, fit for z of order 1). L, poles [1/s] or speed [1/s]: a
-    linear correction beside it (Moreno and Osorio 2012), which an unstable plant needs; default none. gamma [1/s]: adapts the
-    widths from widths0 (p x 2) [z] within [0, width_max]; 0 with widths0 = 0 takes the reading for the output.
+    The latter is the exact differentiator with the model in it. In coordinates z_i, z_i', ...
+    (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e: 1.5 and
+    1.1 for r = 2.
+
+    Attributes:
+        lipschitz: what exceeds the effect of a disturbance on the r-th derivative, one or one per
+            output [z/s^r]; default 5 times the fastest pole, to the power r, fit for z of order 1.
+        L: gain of a linear correction beside it (Moreno and Osorio 2012) (n x p) [1/s], which an
+            unstable plant needs; default none.
+        poles: poles of A - L C (n) [1/s], in place of L.
+        speed: speed of A - L C [1/s], in place of L.
+        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 takes
+            the reading for the output.
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
+            default none.
     """
 
     lipschitz: Array | None = None
@@ -56,67 +63,76 @@ class SuperTwisting(
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled. Raises InputError, ShapeError, StructureError."""
+        """The observer for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+            sensor: the dead zone as the observer takes it.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which it does not exist.
+        """
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
-        linear = any(given is not None for given in (self.L, self.poles, self.speed))
-        L = (
-            injection(model, self.L, self.poles, self.speed, 1.0)
-            if linear
-            else np.zeros((model.n, model.p))
-        )
+        L = self._linear_gain(model)
         flow = model.linear if model.flow is None else model.flow
         chains = output_chains(flow.A, flow.C)
         orders = [len(rows) for rows in chains.rows]
         if max(orders) > len(LEVANT):
             raise StructureError(
-                f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives of one output, this plant needs {max(orders)}"
+                f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives "
+                f"of one output, this plant needs {max(orders)}"
             )
+        bound = self._bound(model, orders)
+        scales = []
+        for r, size in zip(orders, bound, strict=True):
+            scales.append(differentiator_gains(r) * size ** (np.arange(1, r + 1) / r))
+        order = np.concatenate(chains.rows)
+        per_step = 1.0 if model.Ts is None else model.Ts
+        law = Law(np.linalg.inv(chains.O)[:, order] * per_step, np.concatenate(scales))
+        return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
+
+    def _linear_gain(self, model: System) -> Floats:
+        """L (n x p) of the linear correction, per step when sampled; 0 if none is given."""
+        if self.L is self.poles is self.speed is None:
+            return np.zeros((model.n, model.p))
+        return injection(model, self.L, self.poles, self.speed, 1.0)
+
+    def _bound(self, model: System, orders: list[int]) -> Floats:
+        """`lipschitz` as given, or its default (p) [z/s^r]. Raises InputError, ShapeError."""
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
-        bound = vector(
-            "observer.lipschitz",
-            default if self.lipschitz is None else self.lipschitz,
-            model.p,
-            "one per output",
-        )
+        chosen = default if self.lipschitz is None else self.lipschitz
+        bound = vector("observer.lipschitz", chosen, model.p, "one per output")
         if (bound <= 0).any():
             raise InputError(f"observer.lipschitz: must be positive, found {bound.min():g}")
-        per_step = 1.0 if model.Ts is None else model.Ts
-        scale = np.concatenate(
-            [
-                _gains(r) * size ** (np.arange(1, r + 1) / r)
-                for r, size in zip(orders, bound, strict=True)
-            ]
-        )
-        order = np.concatenate(chains.rows)
-
-        def inject(law: Law, e: Any) -> Any:
-            powers = [
-                ca.sign(e[i]) * ca.fabs(e[i]) ** ((r - k) / r)
-                for i, r in enumerate(orders)
-                for k in range(1, r + 1)
-            ]
-            return law.inverse @ (law.scale * ca.vertcat(*powers))
-
-        return output_error(
-            model,
-            sensor,
-            L,
-            widths,
-            Law(np.linalg.inv(chains.O)[:, order] * per_step, scale),
-            inject,
-        )
+        return bound
 
 
 class Law(NamedTuple):
-    """inverse (n x n): from the derivatives of the outputs to x, per step when sampled; scale (n): of their corrections."""
+    """Numbers of the correction.
+
+    Attributes:
+        inverse: from the derivatives of the outputs to x (n x n), per step when sampled.
+        scale: scales of their corrections (n).
+    """
 
     inverse: Floats
     scale: Floats
 
 
-def _gains(r: int) -> Floats:
+def fractional_powers(orders: list[int], law: Law, e: Any) -> Any:
+    """What the error adds to x^' (n): |e|^((r-k)/r) sgn e in the k-th of r coordinates."""
+    powers = []
+    for i, r in enumerate(orders):
+        for k in range(1, r + 1):
+            powers.append(ca.sign(e[i]) * ca.fabs(e[i]) ** ((r - k) / r))
+    return law.inverse @ (law.scale * ca.vertcat(*powers))
+
+
+def differentiator_gains(r: int) -> Floats:
     """lambda_1 ... lambda_r of the non-recursive differentiator of r coordinates."""
-    found = [LEVANT[r - 1]]
+    gains = [LEVANT[r - 1]]
     for k in range(1, r):
-        found.append(LEVANT[r - 1 - k] * found[-1] ** ((r - 1 - k) / (r - k)))
-    return np.array(found)
+        gains.append(LEVANT[r - 1 - k] * gains[-1] ** ((r - 1 - k) / (r - k)))
+    return np.array(gains)

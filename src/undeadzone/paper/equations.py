@@ -98,7 +98,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         16,
         "observer x^' = A x^ + L (y - y^)",
-        "observers.certified.measured_side",
+        "observers.parts.measured_side.measured_side",
         "corrected",
         "B u was missing; L is n x 1; as printed in observers.printed",
     ),
@@ -109,15 +109,21 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "as printed",
         "the repaired observer takes the measured side, not that of the estimate",
     ),
-    (18, "(16) with (17) inserted", "observers.certified.measured_side", "corrected", "as (16)"),
+    (
+        18,
+        "(16) with (17) inserted",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "as (16)",
+    ),
     (
         19,
         "(18) by indicators",
-        "observers.certified.measured_side",
+        "observers.parts.measured_side.measured_side",
         "corrected",
         "needs one and the same side for plant and observer: the measured one",
     ),
-    (20, "(19) in errors", "observers.certified.measured_side", "corrected", "as (19)"),
+    (20, "(19) in errors", "observers.parts.measured_side.measured_side", "corrected", "as (19)"),
     (
         21,
         "d~ = d - d^, chi_bar",
@@ -149,7 +155,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         25,
         "adaptation of d^",
-        "observers.certified.measured_side",
+        "observers.parts.measured_side.measured_side",
         "corrected",
         "shapes disagree; d^_r' = -gamma e on the right, d^_l' = gamma e on the left",
     ),
@@ -163,7 +169,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         27,
         "output error by indicators",
-        "observers.certified.measured_side",
+        "observers.parts.measured_side.measured_side",
         "corrected",
         "the innovation e, on the measured side",
     ),

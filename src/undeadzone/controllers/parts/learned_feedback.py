@@ -1,11 +1,16 @@
-"""Output feedback that knows of the plant only its order and its input gain, and learns the rest with W'phi(x^)."""
+"""Output feedback that knows only the order and the input gain of the plant learns the rest.
+
+The rest is W'phi(x^).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
+import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, StructureError
@@ -20,12 +25,38 @@ from undeadzone.plants.time_scales import fastest_pole, in_poles
 from undeadzone.support.arrays import Array, Floats, listed, positive
 
 
+class FeedbackOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of every output feedback that learns.
+
+    Attributes:
+        reach: |z|, |z'|, ... up to which the functions hold, one per derivative below the relative
+            degree.
+        speed: all poles of its observer [1/s]; default 40 times the fastest pole.
+        bandwidth: all poles of the error [1/s]; default 10 times the fastest pole.
+        gain: gain of the weights [1/s^2]; default 50 times the fastest pole squared.
+        leak: leak of the weights [1/s]; default a hundredth of the fastest pole.
+    """
+
+    reach: Array
+    speed: float | None = None
+    bandwidth: float | None = None
+    gain: float | None = None
+    leak: float | None = None
+
+
 class Params(NamedTuple):
     """Numbers of the controller.
 
-    chain, input: of the r integrators (per step when sampled); L: gain of their observer (r), per step when sampled; L_top: its last
-    entry [1/s]; reference (r x n), top (n): r and its derivatives from x_ref, b: input gain; feedback (r), slide (r): of
-    the error; gain, leak: of the weights, per step when sampled.
+    Attributes:
+        basis: numbers of the basis.
+        chain, input: r integrators (r x r, r), per step when sampled.
+        L: gain of their observer (r), per step when sampled.
+        L_top: last entry of that gain in continuous time [1/s].
+        reference: r and its derivatives from x_ref (r x n).
+        top: the derivative above them (n).
+        b: input gain.
+        feedback, slide: weights of the error (r).
+        gain, leak: of the weights, per step when sampled.
     """
 
     basis: Any
@@ -49,14 +80,61 @@ class State(NamedTuple):
     W: Any
 
 
+class Rates(NamedTuple):
+    """Poles of the observer and of the error [1/s], gain [1/s^2] and leak [1/s] of the weights."""
+
+    speed: float
+    bandwidth: float
+    gain: float
+    leak: float
+
+
+def approximating(
+    model: System, options: FeedbackOptions, basis_on: Callable[[Floats], Basis]
+) -> Controller:
+    """The controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
+
+    x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^
+    less r and its derivatives; b u = r^(r) - W'phi - L_r e - feedback E,
+    W' = gain phi s - leak W, s = slide E = (d/dt + bandwidth)^(r-1) E_1.
+
+    Args:
+        model: the model, continuous or sampled.
+        options: the controller's.
+        basis_on: basis_on(reach (r)) is the basis.
+
+    Raises:
+        InputError, ShapeError, StructureError: for a model or options that cannot be.
+    """
+    if model.m != 1 or model.p != 1 or model.nonlinear:
+        nonlinear = ", nonlinear" if model.nonlinear else ""
+        raise InputError(
+            "controller.method: this method is for a linear model of one input and one output, "
+            f"found {model.m} and {model.p}{nonlinear}"
+        )
+    flow = model.linear if model.flow is None else model.flow
+    r = relative_degree(flow)
+    rates = _rates(model, options)
+    derivatives = f"|z| and its derivatives up to order {r - 1}"
+    basis = basis_on(positive("controller.reach", options.reach, r, derivatives))
+    params = _params(flow, model.Ts, r, rates, basis.params)
+
+    def init(p: Params) -> State:
+        return State(np.zeros(r), np.zeros(basis.size))
+
+    keep = 0.0 if model.Ts is None else 1.0
+    return Controller(params, init, partial(learned_step, basis, keep))
+
+
 def relative_degree(linear: Matrices) -> int:
-    """r, the first derivative of the one output that the input moves. Raises StructureError if the rest is not stable by itself."""
+    """r, the first derivative of the one output that the input moves.
+
+    Raises StructureError if the rest is not stable by itself.
+    """
     A, B, C = linear
     n = A.shape[0]
     rows = [C]
-    while len(rows) < n and abs((rows[-1] @ B).item()) <= 1e-9 * float(
-        np.linalg.norm(rows[-1]) * np.linalg.norm(B)
-    ):
+    while len(rows) < n and _moves_nothing(rows[-1], B):
         rows.append(rows[-1] @ A)
     seen = np.vstack(rows)
     b = (rows[-1] @ B).item()
@@ -65,65 +143,70 @@ def relative_degree(linear: Matrices) -> int:
         zeros = np.linalg.eigvals(hidden.T @ (A - B @ rows[-1] @ A / b) @ hidden)
         if zeros.real.max() >= 0:
             raise StructureError(
-                f"controller.method: the plant has zeros {listed(zeros)}, and what an output feedback without a model cannot see must be stable"
+                f"controller.method: the plant has zeros {listed(zeros)}, and what an output "
+                "feedback without a model cannot see must be stable"
             )
     return len(rows)
 
 
-def approximating(
-    model: System, reach: Array, basis_on: Callable[[Floats], Basis],
-    speed: float | None, bandwidth: float | None, gain: float | None, leak: float | None,
-) -> Controller:  # fmt: skip
-    """The controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
+def _moves_nothing(row: Floats, B: Floats) -> bool:
+    """Whether the input leaves a derivative of the output as it is, but for rounding."""
+    scale = float(np.linalg.norm(row) * np.linalg.norm(B))
+    return abs((row @ B).item()) <= 1e-9 * scale
 
-    x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^ less r and its derivatives;
-    b u = r^(r) - W'phi - L_r e - feedback E, W' = gain phi s - leak W, s = slide E = (d/dt + bandwidth)^(r-1) E_1.
-    speed, bandwidth [1/s]: all poles of the observer, of the error, if not given 40 and 10 times the fastest pole of the
-    plant, likewise gain and leak. basis_on(reach (r)): the basis.
-    Raises InputError, ShapeError, StructureError.
-    """
-    if model.m != 1 or model.p != 1 or model.nonlinear:
-        raise InputError(
-            f"controller.method: this method is for a linear model of one input and one output, found {model.m} and {model.p}{model.nonlinear * ', nonlinear'}"
-        )
-    flow = model.linear if model.flow is None else model.flow
-    r = relative_degree(flow)
-    speed, bandwidth = (
-        in_poles(model, "controller.speed", speed, 40.0),
-        in_poles(model, "controller.bandwidth", bandwidth, 10.0),
+
+def _rates(model: System, options: FeedbackOptions) -> Rates:
+    """The rates as given, else in fastest poles of the plant. Raises InputError."""
+    return Rates(
+        speed=in_poles(model, "controller.speed", options.speed, 40.0),
+        bandwidth=in_poles(model, "controller.bandwidth", options.bandwidth, 10.0),
+        gain=in_poles(model, "controller.gain", options.gain, 50.0 * fastest_pole(model)),
+        leak=in_poles(model, "controller.leak", options.leak, 0.01),
     )
-    gain, leak = (
-        in_poles(model, "controller.gain", gain, 50.0 * fastest_pole(model)),
-        in_poles(model, "controller.leak", leak, 0.01),
-    )
-    basis = basis_on(
-        positive("controller.reach", reach, r, f"|z| and its derivatives up to order {r - 1}")
-    )
+
+
+def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) -> Params:
+    """The controller's numbers."""
     chain = companion(np.zeros(r))
-    L = observer_gain(chain, np.full(r, -speed), None)[:, 0]
+    poles = np.full(r, -rates.speed)
+    L = observer_gain(chain, poles, None)[:, 0]
     rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])
     b = (rows[r - 1] @ flow.B).item()
-    per_step, keep, moving, injected = (1.0, 0.0, chain, L)
-    if model.Ts is not None:
-        per_step, keep, moving = model.Ts, 1.0, zoh(chain, model.Ts)
-        injected = observer_gain(moving, np.full(r, -speed), model.Ts)[:, 0]
-    feedback, slide = (
-        np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1] for order in (r, r - 1)
+    if Ts is None:
+        per_step, moving, injected = 1.0, chain, L
+    else:
+        per_step, moving = Ts, zoh(chain, Ts)
+        injected = observer_gain(moving, poles, Ts)[:, 0]
+    return Params(
+        basis=basis,
+        chain=moving.A,
+        input=moving.B[:, 0],
+        L=injected,
+        L_top=L[-1],
+        reference=rows[:r],
+        top=rows[r],
+        b=np.float64(b),
+        feedback=error_weights(r, rates.bandwidth),
+        slide=np.append(error_weights(r - 1, rates.bandwidth), 1.0),
+        gain=np.float64(rates.gain * per_step),
+        leak=np.float64(rates.leak * per_step),
     )
-    params = Params(
-        basis.params, moving.A, moving.B[:, 0], injected, L[-1], rows[:r], rows[r], np.float64(b), feedback,
-        np.append(slide, 1.0), np.float64(gain * per_step), np.float64(leak * per_step),
-    )  # fmt: skip
 
-    def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-        e = estimate.z_inverse - s.x[0]
-        phi = basis.phi(p.basis, s.x)
-        error = s.x - p.reference @ target.x_ref
-        wanted = (
-            p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
-        )  # f + b u
-        u = (wanted - ca.dot(s.W, phi)) / p.b
-        learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
-        return State(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u
 
-    return Controller(params, lambda p: State(np.zeros(r), np.zeros(basis.size)), step)
+def error_weights(order: int, bandwidth: float) -> Floats:
+    """Coefficients of (s + bandwidth)^order below the highest, lowest first (order)."""
+    return np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1]
+
+
+def learned_step(
+    basis: Basis, keep: float, p: Params, s: State, estimate: Estimate, target: Target
+) -> tuple[State, Any]:
+    """(the state's derivative, or its next value when sampled, u); keep: 1 when sampled, else 0."""
+    e = estimate.z_inverse - s.x[0]
+    phi = basis.phi(p.basis, s.x)
+    error = s.x - p.reference @ target.x_ref
+    # f + b u, what z^(r) is to be
+    wanted = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
+    u = (wanted - ca.dot(s.W, phi)) / p.b
+    learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
+    return State(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u

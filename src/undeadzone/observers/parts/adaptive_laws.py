@@ -1,8 +1,9 @@
-"""How weights learn from an error that is linear in them: normalised gradient, recursive least squares."""
+"""Weights learn from an error that is linear in them: by normalised gradient or least squares."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -17,9 +18,12 @@ from undeadzone.support.arrays import Floats, scalar
 class Law(NamedTuple):
     """How weights W (N p) learn from e, whose sensitivity to W is -zeta (p x N p).
 
-    spread0 (N p x N p or nothing): its own state at first; move(numbers, W, spread, zeta, e, told): what is added to W and
-    to the spread, each per second, or per step when sampled. told (p): whether an output tells anything.
-    rate [1/s]: what the fastest weight moves at, at most.
+    Attributes:
+        numbers: run-time numbers.
+        spread0: its own state at first (N p x N p, or nothing).
+        move: move(numbers, W, spread, zeta, e, used) is what is added to W and to the spread, each
+            per second, or per step when sampled; used (p): whether an output tells anything.
+        rate: what the fastest weight moves at, at most [1/s].
     """
 
     numbers: Any
@@ -29,14 +33,23 @@ class Law(NamedTuple):
 
 
 def gradient(model: System, gain: float, leak: float, size: int) -> Law:
-    """W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W: normalised gradient with e-modification. Raises InputError.
+    """W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W: normalised gradient with e-modification.
 
     Sampled, with 1 + (1 + gain Ts) zeta'zeta, which is stable for any gain.
+
+    Args:
+        model: the model, for its sample time.
+        gain: gain [1/s].
+        leak: leak of the weights.
+        size: number N of functions of an output.
+
+    Raises:
+        InputError: for a leak below 0.
     """
     leak = scalar("observer.leak", leak, least=0.0)
     per_step = 1.0 if model.Ts is None else model.Ts
 
-    def move(numbers: Any, W: Any, spread: Any, zeta: Any, e: Any, told: Any) -> tuple[Any, Any]:
+    def move(numbers: Any, W: Any, spread: Any, zeta: Any, e: Any, used: Any) -> tuple[Any, Any]:
         backward = 1.0 if model.Ts is None else 1.0 + numbers[0]
         normalised = e / (1 + backward * ca.sum2(zeta**2))
         leakage = numbers[1] * ca.kron(ca.fabs(e), ca.SX.ones(size)) * W
@@ -46,35 +59,53 @@ def gradient(model: System, gain: float, leak: float, size: int) -> Law:
 
 
 def least_squares(model: System, gain: float, forgetting: float, size: int) -> Law:
-    """W' = P zeta'e, P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I, which P never exceeds.
+    """W' = P zeta'e, P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I.
 
-    Recursive least squares whose information fades to the initial one (Salgado, Goodwin and Middleton 1988).
-    Raises InputError, StepError.
+    P never exceeds P(0). Recursive least squares whose information fades to the initial one
+    (Salgado, Goodwin and Middleton 1988).
+
+    Args:
+        model: the model, for its sample time and number of outputs.
+        gain: initial spread [1/s].
+        forgetting: rate at which information fades [1/s].
+        size: number N of functions of an output.
+
+    Raises:
+        InputError, StepError: for a rate below 0, or one that the step is too coarse for.
     """
     forgetting = scalar("observer.forgetting", forgetting, least=0.0)
-    count, per_step = size * model.p, 1.0 if model.Ts is None else model.Ts
+    count = size * model.p
+    per_step = 1.0 if model.Ts is None else model.Ts
     if model.Ts is not None and forgetting * per_step >= 1:
         raise StepError(
-            f"simulation.step: {per_step:g} s is too coarse for observer.forgetting: their product, {forgetting * per_step:.4g}, must be below 1"
+            f"simulation.step: {per_step:g} s is too coarse for observer.forgetting: "
+            f"their product, {forgetting * per_step:.4g}, must be below 1"
         )
+    move = least_squares_flow if model.Ts is None else partial(least_squares_step, model.p)
+    # the rate of fading, the initial spread, the variance of a reading when sampled
+    numbers = np.array([forgetting * per_step, gain, 1 / per_step])
+    return Law(numbers, gain * np.eye(count), move, gain)
 
-    def flow(numbers: Any, W: Any, P: Any, zeta: Any, e: Any, told: Any) -> tuple[Any, Any]:
-        step = P @ zeta.T
-        return step @ e, ca.mmax(told) * numbers[0] * (P - P @ P / numbers[1]) - step @ step.T
 
-    def jump(numbers: Any, W: Any, P: Any, zeta: Any, e: Any, told: Any) -> tuple[Any, Any]:
-        learnt, after = ca.SX.zeros(count), P
-        for i in range(model.p):  # one output at a time, each with what the ones before have taught
-            row = zeta[i, :]
-            step = after @ row.T / (numbers[2] + row @ after @ row.T)
-            learnt += step @ (e[i] - row @ learnt)
-            after -= step @ (row @ after)
-        after += ca.mmax(told) * numbers[0] * (after - after @ after / numbers[1])
-        return learnt, after - P
+def least_squares_flow(
+    numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
+) -> tuple[Any, Any]:
+    """(W', P') in continuous time."""
+    rate, gain = numbers[0], numbers[1]
+    step = P @ zeta.T
+    return step @ e, ca.mmax(used) * rate * (P - P @ P / gain) - step @ step.T
 
-    return Law(
-        np.array([forgetting * per_step, gain, 1 / per_step]),
-        gain * np.eye(count),
-        flow if model.Ts is None else jump,
-        gain,
-    )
+
+def least_squares_step(
+    p: int, numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
+) -> tuple[Any, Any]:
+    """What a step adds to W and P: one output after the other, each knows what was learnt."""
+    rate, gain, noise = numbers[0], numbers[1], numbers[2]
+    learnt, after = ca.SX.zeros(W.shape[0]), P
+    for i in range(p):
+        row = zeta[i, :]
+        step = after @ row.T / (noise + row @ after @ row.T)
+        learnt += step @ (e[i] - row @ learnt)
+        after -= step @ (row @ after)
+    after += ca.mmax(used) * rate * (after - after @ after / gain)
+    return learnt, after - P

@@ -1,4 +1,4 @@
-"""What filters that see the dead zone as one nonlinear function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l] have in common."""
+"""Joint filters see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l]."""
 
 from __future__ import annotations
 
@@ -14,36 +14,41 @@ from undeadzone import sensor as sensors
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
-from undeadzone.observers.parts.measured_kalman import (
+from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
     Params,
-    Prior,
-    declared,
-    kept,
+    filter_numbers,
+    kept_entries,
     motion,
-    numbers,
-    prior,
-    sample_time,
     to_estimate,
     white,
 )
+from undeadzone.observers.parts.prior import Prior, build_prior, sample_time, width_ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.sensor import Zone, present
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
-CROWD = 100  # readings
-SWING = 0.5  # rms, in largest widths, by which a coloured disturbance moves z in a quarter period, unless it is given
+CROWD = 100  # readings in a quarter period beyond which each is given more noise
+SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
 
 
-class Declared(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the rivals of `Kalman` are told, in its words; what is not given follows from `Defaults`.
+class JointClaims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Claims of the rivals of `Kalman`, in its words; what is not claimed follows from `Defaults`.
 
-    right, left: declared ranges [lo, hi] of d_r and d_l [z], one or one per output (left: default that of right).
-    noise: rms of a reading [z]. x_std: std of x(0) about 0, one or one per state. disturbance: rms of an input
-    disturbance that is new at every sample [u], one or one per input (default: what moves z by `swing` times the largest
-    width, rms, in a quarter period of the plant; in 1 s of a chain of integrators). drift: random walk of the widths
-    [z / sqrt(s)].
+    Attributes:
+        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
+            defaults to that of right.
+        noise: rms of a reading, one or one per output [z]; default the sensor's, but at least the
+            method's share of the claimed range.
+        x_std: standard deviation of x(0) about 0, one or one per state; default the method's
+            multiple of the largest width.
+        disturbance: rms of an input disturbance that is new at every sample, one or one per input
+            [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
+            of the plant (in 1 s of a chain of integrators).
+        swing: rms, in largest widths, by which the default disturbance moves z.
+        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the largest
+            width.
     """
 
     right: Array
@@ -56,10 +61,15 @@ class Declared(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Defaults(NamedTuple):
-    """A method's defaults: drift and x_std in largest widths; noise, the sensor's but at least this share of the declared range.
+    """What a method assumes where nothing is claimed.
 
-    Of more than `CROWD` readings in a quarter period, each has so much more noise that together they say no more: what
-    is wrong with the model does not average out.
+    Of more than `CROWD` readings in a quarter period, each has so much more noise that together
+    they say no more: what is wrong with the model does not average out.
+
+    Attributes:
+        noise: least noise, as a share of the claimed range.
+        drift: drift, in largest widths.
+        x_std: standard deviation of x(0), in largest widths.
     """
 
     noise: float
@@ -67,55 +77,81 @@ class Defaults(NamedTuple):
     x_std: float
 
 
-class Assumptions(NamedTuple):
-    """The prior, variances of the input disturbance (m) [u^2], and the declared ranges of the widths (2p x 2) [z]."""
+class JointPrior(NamedTuple):
+    """What a joint filter starts from.
+
+    Attributes:
+        prior: that of [x; d_r; d_l] and of the sensor.
+        variance: that of the input disturbance (m) [u^2].
+        ranges: claimed ranges of the widths (2p x 2) [z].
+    """
 
     prior: Prior
     variance: Floats
     ranges: Floats
 
 
-def claims(
-    given: Declared, model: System, sensor: Zone, habits: Defaults, stride: int = 1
-) -> Assumptions:
-    """What is believed of a sampled model that every stride-th reading is used of, defaults filled in. Raises InputError, ShapeError."""
+def joint_prior(
+    claims: JointClaims, model: System, sensor: Zone, defaults: Defaults, stride: int = 1
+) -> JointPrior:
+    """The prior of a joint filter, with defaults where nothing is claimed.
+
+    Args:
+        claims: the options.
+        model: the sampled model.
+        sensor: the dead zone.
+        defaults: the method's.
+        stride: every how many samples a reading is used.
+
+    Raises:
+        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+    """
     Ts = sample_time(model)
     readings = quarter_period(model) / (stride * Ts)
-    ranges = declared(given.right, given.left, model.p)
+    ranges = width_ranges(claims.right, claims.left, model.p)
     largest = float(ranges.max())
-    drift = habits.drift * largest if given.drift is None else given.drift
-    x_std = habits.x_std * largest if given.x_std is None else given.x_std
-    believed = prior(
-        model,
-        sensor,
-        given.right,
-        given.left,
-        given.noise,
-        x_std,
-        drift,
-        habits.noise * max(1.0, readings / CROWD) ** 0.5,
+    drift = defaults.drift * largest if claims.drift is None else claims.drift
+    x_std = defaults.x_std * largest if claims.x_std is None else claims.x_std
+    floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
+    prior = build_prior(
+        model, sensor, claims.right, claims.left, claims.noise, x_std, drift, floor=floor
     )
-    swing = scalar("observer.swing", given.swing, least=0.0)
-    if given.disturbance is None:
-        return Assumptions(believed, agitation(model, swing * largest) ** 2, ranges)
-    return Assumptions(
-        believed,
-        nonnegative("observer.disturbance", given.disturbance, model.m, "one per input") ** 2,
-        ranges,
-    )
+    swing = scalar("observer.swing", claims.swing, least=0.0)
+    if claims.disturbance is None:
+        rms = agitation(model, swing * largest)
+    else:
+        rms = nonnegative("observer.disturbance", claims.disturbance, model.m, "one per input")
+    return JointPrior(prior, rms**2, ranges)
 
 
 def agitation(model: System, rms: float) -> Floats:
-    """The rms (m) of a disturbance new at every sample that alone, in a quarter period of the plant, moves some z by that rms."""
+    """The rms (m) of a disturbance, new at every sample, that alone moves some z by a given rms.
+
+    Args:
+        model: the sampled model.
+        rms: that of z after a quarter period of the plant [z].
+    """
     assert model.flow is not None
     A, B, C = model.flow
     span = quarter_period(model)
-    reached = [np.diag(C @ sampled_noise(A, np.outer(b, b), span)[1] @ C.T).max() for b in B.T]
-    return rms / np.sqrt(sample_time(model) * np.where(np.array(reached) > 0, reached, np.inf))
+    reached = []
+    for b in B.T:
+        _, covariance = sampled_noise(A, np.outer(b, b), span)
+        reached.append(np.diag(C @ covariance @ C.T).max())
+    variance = np.where(np.array(reached) > 0, reached, np.inf)
+    return rms / np.sqrt(sample_time(model) * variance)
 
 
-def presumed(model: System, largest: float, correlation: float) -> Floats:
-    """The rms (m) of a disturbance of that correlation time [s] where none is given: as strong as a white one at low frequencies."""
+def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
+    """The rms (m) [u] of a coloured disturbance where none is claimed.
+
+    At low frequencies it is as strong as a white one that moves z by `SWING` largest widths.
+
+    Args:
+        model: the sampled model.
+        largest: largest claimed width [z].
+        correlation: correlation time of the disturbance [s].
+    """
     return agitation(model, SWING * largest) * np.sqrt(sample_time(model) / 2 / correlation)
 
 
@@ -132,48 +168,58 @@ class State(NamedTuple):
     cov: Any
 
 
-Sight = Callable[[Any], Any]  # from [x; d_r; d_l] to the reading y_i / m_i without noise
-Correct = Callable[
-    [Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian, Any, Any]
-]  # (q, belief, i, sight, y_i / m_i, side_i, present)
+Sight = Callable[[Any], Any]
+"""From [x; d_r; d_l] to the reading y_i / m_i without noise."""
+
+Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian, Any, Any]]
+"""(q, belief, i, sight, y_i / m_i, side_i, present) -> (belief, innovation, its variance)."""
+
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
+"""(belief, motion, covariance that it adds) -> belief at the next sample."""
 
 
 def joint_filter(
-    model: System, sensor: Zone, given: Assumptions, correct: Correct, predict: Predict
+    model: System, sensor: Zone, prior: JointPrior, correct: Correct, predict: Predict
 ) -> Observer:
-    """The filter as an observer: its readings one output after the other, by `correct`, then its motion, by `predict`."""
-    n, p = model.n, model.p
-    augmentation: Augmentation = white(model, given.variance)
-    params, entries = numbers(model, sensor, given.prior, augmentation), kept(model, augmentation)
+    """The filter as an observer.
 
-    def sight(q: Params, i: int, X: Any) -> Any:
-        z, right, left = model.output(q.model, X[:n])[i], X[n + i], X[n + p + i]
-        return read(sensor.kind, z, right, left)
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        correct: the correction by the reading of one output after the other.
+        predict: the motion to the next sample.
+    """
+    augmentation: Augmentation = white(model, prior.variance)
+    params = filter_numbers(model, sensor, prior.prior, augmentation)
+    entries = kept_entries(model, augmentation)
 
     def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         belief, innovations, variances = Gaussian(s.mean, symmetric(s.cov, entries)), [], []
-        for i in range(p):
+        for i in range(model.p):
             seen = present(reading.y[i])
             y = ca.if_else(seen, reading.y[i], 0.0) / q.slope[i]
-            belief, e, S = correct(q, belief, i, partial(sight, q, i), y, reading.side[i], seen)
+            sight = partial(reading_of, model, sensor.kind, q, i)
+            belief, e, S = correct(q, belief, i, sight, y, reading.side[i], seen)
             innovations.append(e)
             variances.append(S)
         after = predict(belief, *motion(model, q, augmentation, belief, u))
-        found = to_estimate(
-            model,
-            sensor,
-            q,
-            belief,
-            reading,
-            ca.vertcat(*innovations),
-            ca.sqrt(ca.vertcat(*variances)),
-        )
-        return State(after.mean, triangle(after.cov, entries)), found
+        e, e_std = ca.vertcat(*innovations), ca.sqrt(ca.vertcat(*variances))
+        estimated = to_estimate(model, sensor, q, belief, reading, e, e_std)
+        return State(after.mean, triangle(after.cov, entries)), estimated
 
     return Observer(params, lambda q: State(q.mean, q.cov), step)
 
 
+def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
+    """The reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
+    n, p = model.n, model.p
+    z = model.output(q.model, X[:n])[i]
+    return read(kind, z, X[n + i], X[n + p + i])
+
+
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:
     """The reading y / m of z by a sensor of that kind, without noise."""
-    return (sensors.jump if kind == "jump" else sensors.deadzone)(z, right, left)
+    if kind == "jump":
+        return sensors.jump(z, right, left)
+    return sensors.deadzone(z, right, left)

@@ -1,4 +1,4 @@
-"""Boxes of states and bounds of widths that hold whatever is not contradicted, on CasADi expressions."""
+"""Boxes of states and bounds of widths hold whatever is not contradicted, as CasADi expressions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ class Bounds(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """x^ (n); the half-widths of the box of zeta, x = x^ + T Phi zeta (n); bounds of d_r and d_l."""
+    """A box of states and the bounds of the widths.
+
+    Attributes:
+        x: midpoint x^ (n).
+        radius: half-widths (n) of the box of zeta, where x = x^ + T Phi zeta.
+        right, left: bounds of d_r and d_l.
+    """
 
     x: Any
     radius: Any
@@ -29,10 +35,11 @@ class Boxes(NamedTuple):
 
 
 def each(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
-    """f on every part."""
-    return tree.rebuild(
-        boxes[0], map(f, *((leaf for _, leaf in tree.leaves(box)) for box in boxes))
-    )
+    """f of every part, f(part of the first, part of the second, ...)."""
+    columns = []
+    for box in boxes:
+        columns.append([leaf for _, leaf in tree.leaves(box)])
+    return tree.rebuild(boxes[0], map(f, *columns))
 
 
 def meet(a: Bounds, b: Bounds) -> Bounds:
@@ -41,13 +48,24 @@ def meet(a: Bounds, b: Bounds) -> Bounds:
 
 
 def cut(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[Any, Any]:
-    """(x^, half-widths) of the smallest box that holds what of a box has c x in [lo, hi]; a half-width below 0 where nothing has."""
+    """The smallest box that holds what of a box has c x in [lo, hi].
+
+    Args:
+        x: midpoint of the box (n).
+        radius: half-widths of zeta (n).
+        frame: T Phi (n x n).
+        c: row of C (1 x n).
+        lo, hi: bounds of c x.
+
+    Returns:
+        (midpoint, half-widths); a half-width is below 0 where nothing of the box has such c x.
+    """
     row = (c @ frame).T
     size, z = ca.fabs(row), c @ x
-    others = size.T @ radius - 2 * size * radius  # what else is in z, less the entry's own share
-    up = ca.fmax(lo - z - others, 0.0) / ca.fmax(
-        size, 1 / FAR
-    )  # by which the ends of an entry move
+    # what the other entries may add to z: all of them, less the entry's own share
+    others = size.T @ radius - 2 * size * radius
+    # how far the lower and the upper end of an entry move
+    up = ca.fmax(lo - z - others, 0.0) / ca.fmax(size, 1 / FAR)
     down = ca.fmax(z - hi - others, 0.0) / ca.fmax(size, 1 / FAR)
     shift = (ca.fmin(up, 2 * radius) - ca.fmin(down, 2 * radius)) / 2
     return x + frame @ (ca.sign(row) * shift), ca.fmax(radius - (up + down) / 2, -radius)

@@ -10,7 +10,27 @@ from undeadzone.support.arrays import Array
 
 
 class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Claims about what is unknown, explained at `Censored`; what is not given is doubted, and 0 is a claim."""
+    """What is claimed of a plant and its sensor; what is not claimed is doubted, and 0 is a claim.
+
+    Attributes:
+        right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
+            that of right.
+        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
+        x_std: standard deviation of x(0) about 0, one or one per state; default five times the
+            largest width.
+        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the largest width per
+            sqrt(s).
+        disturbance: rms that a coloured input disturbance may have, one or one per input [u];
+            default what moves z by half of the largest width in a quarter period, rms.
+        correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
+            of the plant's period, 1/4 s if it only integrates.
+        bias: rms of an unknown constant at the input, one or one per input [u]; default a quarter
+            of the disturbance's.
+        calibrated: probability that there is no bias.
+        tolerance: relative rms error of the model: of every entry of A and B but in rows that only
+            say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear
+            plant.
+    """
 
     right: Array
     left: Array | None = None

@@ -1,4 +1,4 @@
-"""Coordinates in which a linear system moves boxes into boxes that shrink as fast as its poles allow."""
+"""Modal coordinates: a linear system moves boxes into boxes that shrink as fast as its poles."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from undeadzone.support.arrays import Floats
 
 
 class Modes(NamedTuple):
-    """x = T Phi(angle) zeta: F in real Schur form, S = T^-1 F T, whose oscillating modes are seen turning with them.
+    """x = T Phi(angle) zeta: F in real Schur form, whose oscillating modes are seen turning.
 
-    angle (one per complex pair) grows by `turn`, per second or per step; pairs: the first row of each.
+    Attributes:
+        T, inverse: the coordinates and their inverse (n x n).
+        S: T^-1 F T (n x n).
+        turn: what the angle of each complex pair grows by, per second or per step.
+        pairs: the first row of each complex pair.
     """
 
     T: Floats
@@ -24,9 +28,15 @@ class Modes(NamedTuple):
 
 
 def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
-    """The modes of x' = F x (x+ = F x when sampled); unit (n): of each state, so that units of states do not matter.
+    """The modes of x' = F x, or x+ = F x when sampled.
 
-    Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to rounding for every F.
+    Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to
+    rounding for every F.
+
+    Args:
+        F: motion (n x n).
+        unit: unit of each state (n), so that units of states do not matter.
+        Ts: sample time [s]; None in continuous time.
     """
     from scipy.linalg import schur
 
@@ -37,14 +47,17 @@ def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
         scale[i + 1] = np.sqrt(-S[i + 1, i] / S[i, i + 1])  # the block becomes [[a, w], [-w, a]]
     S = S * scale / scale[:, None]
     T = unit[:, None] * Q * scale
-    w, a = np.array([S[i, i + 1] for i in pairs]), np.array([S[i, i] for i in pairs])
-    return Modes(T, np.linalg.inv(T), S, w if Ts is None else np.arctan2(w, a), pairs)
+    w = np.array([S[i, i + 1] for i in pairs])
+    a = np.array([S[i, i] for i in pairs])
+    turn = w if Ts is None else np.arctan2(w, a)
+    return Modes(T, np.linalg.inv(T), S, turn, pairs)
 
 
 def turned(pairs: list[int], n: int, angle: Any) -> Any:
     """Phi(angle) (n x n, orthogonal): [[cos, sin], [-sin, cos]] at each pair, 1 elsewhere."""
-    found = ca.SX.eye(n)
+    Phi = ca.SX.eye(n)
     for k, i in enumerate(pairs):
         c, s = ca.cos(angle[k]), ca.sin(angle[k])
-        found[i, i], found[i, i + 1], found[i + 1, i], found[i + 1, i + 1] = c, s, -s, c
-    return found
+        Phi[i, i], Phi[i, i + 1] = c, s
+        Phi[i + 1, i], Phi[i + 1, i + 1] = -s, c
+    return Phi

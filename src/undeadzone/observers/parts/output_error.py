@@ -1,6 +1,7 @@
-"""Observers that correct by the output error y / m - Dz(C x^; d^): the reading against the dead zone of the estimate itself.
+"""Observers that correct by the output error y / m - Dz(C x^; d^).
 
-Sliding-mode, super-twisting and high-gain observers differ only in what they make of that error.
+The reading is held against the dead zone of the estimate itself. Sliding-mode, super-twisting and
+high-gain observers differ only in what they make of that error.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from undeadzone.support.arrays import Array, Floats, nonnegative
 
 
 class Widths(NamedTuple):
-    """gamma (p) [1/s], d^(0) (p x 2) [z] and their upper bound d_M (p)."""
+    """How widths adapt.
+
+    Attributes:
+        gamma: adaptation gain (p) [1/s].
+        start: d^(0), [right, left] per output (p x 2) [z].
+        limit: upper bound d_M (p) [z].
+    """
 
     gamma: Floats
     start: Floats
@@ -28,7 +35,17 @@ class Widths(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Numbers of the observer; L, gamma and the injection's are per step when the model is sampled."""
+    """Numbers of the observer; L, gamma and the injection's are per step when sampled.
+
+    Attributes:
+        model: numbers of the model.
+        L: gain of the error (n x p).
+        gamma: adaptation gain (p).
+        law: numbers of the injection.
+        right0, left0: widths at first (p) [z].
+        limit: upper bound of the widths (p) [z].
+        slope: slope m of the sensor (p).
+    """
 
     model: Any
     L: Floats
@@ -52,12 +69,13 @@ def adapted(
     gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
 ) -> Widths:
     """Checked widths and their gain. Raises InputError, ShapeError."""
-    found = nonnegative("observer.gamma", gamma, model.p, "one per output")
-    if sensor.kind == "jump" and found.any():
+    gain = nonnegative("observer.gamma", gamma, model.p, "one per output")
+    if sensor.kind == "jump" and gain.any():
         raise InputError(
-            "observer.gamma: readings of a jump sensor only bound its widths, this method cannot adapt them; leave gamma out"
+            "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "
+            "adapt them; leave gamma out"
         )
-    return Widths(found, *bounded_widths(widths0, width_max, model.p))
+    return Widths(gain, *bounded_widths(widths0, width_max, model.p))
 
 
 def measured(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
@@ -65,52 +83,78 @@ def measured(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
     return reading.side > 0, reading.side < 0
 
 
-def output_error(
-    model: System, sensor: Zone, L: Floats, widths: Widths, law: Any = (),
-    inject: Callable[[Any, Any], Any] = lambda law, e: 0.0, where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured,
-) -> Observer:  # fmt: skip
-    """x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma e on the left, within [0, d_M].
+def nothing(law: Any, e: Any) -> Any:
+    """No injection beside L e."""
+    return 0.0
 
-    e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing; with d^ = 0, y / m - C x^. L and what inject returns are
-    per step when the model is sampled. where(law, state, C x^, reading): how much each side is adapted (p each, 0 to 1).
+
+def output_error(
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    widths: Widths,
+    law: Any = (),
+    inject: Callable[[Any, Any], Any] = nothing,
+    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured,
+) -> Observer:
+    """x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma e left.
+
+    The widths stay within [0, d_M]. e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing;
+    with d^ = 0 it is y / m - C x^.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        L: gain (n x p), per step when the model is sampled.
+        widths: how the widths adapt.
+        law: numbers of the injection.
+        inject: inject(law, e) is added to x^', per step when the model is sampled.
+        where: where(law, state, C x^, reading) is how much each side is adapted (p each, 0 to 1).
     """
-    per_step, keep = (1.0, 0.0) if model.Ts is None else (model.Ts, 1.0)
+    sampled = model.Ts is not None
+    per_step = 1.0 if model.Ts is None else model.Ts
+    keep = 1.0 if sampled else 0.0
     params = Params(
-        model.params,
-        L,
-        widths.gamma * per_step,
-        law,
-        widths.start[:, 0],
-        widths.start[:, 1],
-        widths.limit,
-        sensor.slope,
+        model=model.params,
+        L=L,
+        gamma=widths.gamma * per_step,
+        law=law,
+        right0=widths.start[:, 0],
+        left0=widths.start[:, 1],
+        limit=widths.limit,
+        slope=sensor.slope,
     )
 
-    def project(p: Params, s: State) -> State:
-        return State(s.x, *(ca.fmax(ca.fmin(width, p.limit), 0.0) for width in (s.right, s.left)))
+    def init(p: Params) -> State:
+        return State(np.zeros(model.n), p.right0, p.left0)
 
     def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         z = model.output(p.model, s.x)
-        expected = (jump if sensor.kind == "jump" else deadzone)(z, s.right, s.left)
-        e = ca.if_else(present(reading.y), reading.y / p.slope - expected, 0.0)
+        e = error(sensor.kind, p, s, z, reading)
         right, left = where(p.law, s, z, reading)
         after = State(
             model.move(p.model, s.x, u) + p.L @ e + inject(p.law, e),
             keep * s.right - p.gamma * e * right,
             keep * s.left + p.gamma * e * left,
         )
-        return after if model.Ts is None else project(p, after), estimate(
-            s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e
-        )
+        if sampled:
+            after = project(p, after)
+        return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
 
-    traits = Traits(
-        L=L,
-        gamma=params.gamma,
-        width_max=widths.limit,
-        adapts=bool(widths.gamma.any()),
-    )
-
-    def init(p: Params) -> State:
-        return State(np.zeros(model.n), p.right0, p.left0)
-
+    adapts = bool(widths.gamma.any())
+    traits = Traits(L=L, gamma=params.gamma, width_max=widths.limit, adapts=adapts)
     return Observer(params, init, step, project, traits)
+
+
+def error(kind: str, p: Params, s: State, z: Any, reading: Reading) -> Any:
+    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing."""
+    zone = jump if kind == "jump" else deadzone
+    expected = zone(z, s.right, s.left)
+    return ca.if_else(present(reading.y), reading.y / p.slope - expected, 0.0)
+
+
+def project(p: Params, s: State) -> State:
+    """The state with its widths within [0, d_M]."""
+    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
+    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    return State(s.x, right, left)

@@ -1,8 +1,11 @@
-"""What may be wrong besides the widths, as states of a filter: input disturbance, bias, tolerance of the model (docs/filters.md)."""
+"""A filter's states for what may be wrong besides the widths: disturbance, bias, model tolerance.
+
+The mathematics is in docs/filters.md.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,18 +15,25 @@ from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.gaussian import Gaussian, update
-from undeadzone.observers.parts.measured_kalman import Augmentation, Params
-from undeadzone.plants.system import System, held
+from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
+from undeadzone.observers.parts.model_tolerance import Tolerance
+from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.support.arrays import Floats, scalar
 
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
 
-BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is given
+BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is claimed
 
 
 class Colour(NamedTuple):
-    """A disturbance of unit rms, C p with p+ = F p + noise of covariance Q; cov: that of p at all times (k x k, C: k)."""
+    """A disturbance C p of unit rms, p+ = F p + noise of covariance Q.
+
+    Attributes:
+        F, Q: motion and added covariance of p (k x k).
+        cov: covariance of p at all times (k x k).
+        C: from p to the disturbance (k).
+    """
 
     F: Floats
     Q: Floats
@@ -32,10 +42,15 @@ class Colour(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Run-time numbers.
+    """Run-time numbers of the unknowns.
 
-    F, Q, variance: of the disturbances; slopes, values, held: as in `Tolerance`; rest: the state under each unit bias (n x biases);
-    bias: their rms; odds: the log of those that they are `SMALL`.
+    Attributes:
+        F, Q: motion and added covariance of a disturbance of unit rms, as in `Colour`.
+        variance: variances of the disturbances.
+        slopes, values, held: as in `Tolerance`.
+        rest: state at rest under each unit bias (n x biases).
+        bias: rms of the biases.
+        odds: log of the odds that the biases are `SMALL`.
     """
 
     F: Floats
@@ -49,128 +64,67 @@ class Numbers(NamedTuple):
     odds: Any
 
 
+class Setup(NamedTuple):
+    """What the functions of `unknowns` share; extra = [bias; p; theta].
+
+    Attributes:
+        model: the sampled model.
+        tolerance: what of the model is uncertain.
+        ends: where bias, p and theta begin and end in extra (4).
+        biased: from the biases to the inputs (m x biases).
+        disturbing: from p to the inputs (m x size of p).
+        shaken: how many inputs have a disturbance.
+    """
+
+    model: System
+    tolerance: Tolerance
+    ends: list[int]
+    biased: Floats
+    disturbing: Floats
+    shaken: int
+
+
 def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
     """First-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
+
+    Args:
+        correlation: correlation time [s].
+        washout: time constant of the washout [s]; None: there is none.
+        Ts: sample time [s].
     """
     from scipy.linalg import solve_discrete_lyapunov
 
-    a, b = 1 / correlation, 0.0 if washout is None else 1 / washout
-    F, W, C = (
-        np.array([[-a, 0.0], [b, -b]]),
-        np.diag([2 * (a + b), 0.0]),
-        np.array([1.0, -1.0]),
-    )  # 2 (a + b): unit rms
+    a = 1 / correlation
     if washout is None:
-        F, W, C = F[:1, :1], W[:1, :1], C[:1]
+        F = np.array([[-a]])
+        W = np.array([[2 * a]])
+        C = np.array([1.0])
+    else:
+        b = 1 / washout
+        F = np.array([[-a, 0.0], [b, -b]])
+        W = np.diag([2 * (a + b), 0.0])  # which makes the rms of p_1 - p_2 one
+        C = np.array([1.0, -1.0])
     Fd, Q = sampled_noise(F, W, Ts)
     return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 
 def span(key: str, value: Any, Ts: float) -> float:
     """A time that samples resolve [s]. Raises InputError."""
-    found = scalar(f"observer.{key}", value, above=0.0)
-    if not 0.1 * Ts <= found <= 1e6 * Ts:
+    time = scalar(f"observer.{key}", value, above=0.0)
+    if not 0.1 * Ts <= time <= 1e6 * Ts:
         raise InputError(
-            f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, found {found:.4g} s"
+            f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, "
+            f"found {time:.4g} s"
         )
-    return found
+    return time
 
 
-def correlation_time(given: float | None, flow: Matrices, Ts: float) -> float:
+def correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
     """That of a disturbance [s]; default: a 16th of the plant's period. Raises InputError."""
-    return span("correlation_time", BRIEF * time_scale(flow) if given is None else given, Ts)
-
-
-class Tolerance(NamedTuple):
-    """Relative standard deviations (K) of what is uncertain, and d[Ad, Bd] per relative change of each (Kn x (n + m)).
-
-    entries: their rows and columns in [A, B], values: themselves; held: `plant.held`. For a nonlinear plant what is
-    uncertain are its parameters, and there is no matrix: changed(params, theta) has them as theta (K) changes them.
-    """
-
-    std: Floats
-    slopes: Floats
-    entries: tuple[tuple[int, int], ...] = ()
-    values: Floats = np.zeros(0)
-    held: Floats = np.zeros((0, 0))
-    changed: Callable[[Any, Any], Any] = lambda params, theta: params * (1 + theta)
-
-
-def named(model: System, given: dict[str, float]) -> Tolerance:
-    """Named parameters of a nonlinear plant, of absolute standard deviations. Raises InputError."""
-    std = {
-        name: scalar(f"observer.uncertain.{name}", value, above=0.0)
-        for name, value in given.items()
-    }
-    if unknown := sorted(set(std) - set(model.names)):
-        raise InputError(
-            f"observer.uncertain.{unknown[0]}: unknown parameter; the model has {', '.join(model.names) or 'none with a name'}"
-        )
-    pick = ca.DM(len(model.names), len(std))
-    for k, name in enumerate(std):
-        pick[model.names.index(name), k] = 1
-    return Tolerance(
-        np.array([*std.values()]),
-        np.zeros((0, model.n + model.m)),
-        changed=lambda params, theta: params + pick @ theta,
-    )
-
-
-def tolerances(model: System, given: float | dict[str, float]) -> Tolerance:
-    """The uncertain entries of the plant's A and B, or its parameters. Raises InputError."""
-    assert model.Ts is not None
-    assert model.flow is not None
-    n, m = model.n, model.m
-    if model.nonlinear:
-        if isinstance(given, dict):
-            raise InputError(
-                "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
-            )
-        std = scalar("observer.tolerance", given, least=0.0)
-        return Tolerance(np.full(np.size(model.params) if std else 0, std), np.zeros((0, n + m)))
-    AB = np.hstack(model.flow[:2])
-    names = {
-        f"{name}[{i},{j}]": (i, j + (n if name == "B" else 0))
-        for name, columns in (("A", n), ("B", m))
-        for i in range(n)
-        for j in range(columns)
-    }
-    if not isinstance(given, dict):
-        free = np.flatnonzero(~((np.count_nonzero(AB, axis=1) == 1) & (AB.max(axis=1) == 1.0)))
-        given = {name: given for name, (i, j) in names.items() if i in free and AB[i, j] != 0.0}
-    found = []
-    for name, value in given.items():
-        std = scalar(f"observer.tolerance.{name}", value, least=0.0)
-        if name not in names or AB[names[name]] == 0.0:
-            uncertain = ", ".join(name for name, at in names.items() if AB[at] != 0.0)
-            raise InputError(
-                f"observer.tolerance.{name}: expected an entry of A or B that is not 0: {uncertain}"
-            )
-        if std:
-            found.append((std, names[name]))
-    from scipy.linalg import expm_frechet
-
-    square = np.vstack([AB, np.zeros((m, n + m))]) * model.Ts
-    slopes = [
-        expm_frechet(square, square * _unit(at, square.shape), compute_expm=False)[:n]
-        for _, at in found
-    ]
-    entries = tuple(at for _, at in found)
-    return Tolerance(
-        np.array([std for std, _ in found]),
-        np.concatenate([np.zeros((0, n + m)), *slopes]),
-        entries,
-        np.array([AB[at] for at in entries]),
-        held(model),
-    )
-
-
-def _unit(at: tuple[int, int], shape: tuple[int, ...]) -> Floats:
-    found = np.zeros(shape)
-    found[at] = 1.0
-    return found
+    time = BRIEF * time_scale(flow) if claimed is None else claimed
+    return span("correlation_time", time, Ts)
 
 
 def unknowns(
@@ -181,80 +135,111 @@ def unknowns(
     calibrated: float,
     tolerance: Tolerance,
 ) -> Augmentation:
-    """Bias, disturbance and tolerance states of those inputs and entries that have any: extra = [bias; p; theta]."""
+    """Bias, disturbance and tolerance states of those inputs and entries that have any.
+
+    Args:
+        model: the sampled model.
+        colour: the disturbance of unit rms.
+        rms: rms of the disturbance (m) [u]; 0: there is none.
+        bias: rms of a constant at the inputs (m) [u]; 0: there is none.
+        calibrated: probability that the biases are `SMALL`.
+        tolerance: what of the model is uncertain.
+    """
     from scipy.linalg import block_diag
 
-    n, count = model.n, tolerance.std.size
-    biased, shaken = (np.eye(model.m)[:, size > 0] for size in (bias, rms))
-    ends = np.cumsum([0, biased.shape[1], colour.C.size * shaken.shape[1], count]).tolist()
-    disturbing = shaken @ np.kron(colour.C, np.eye(shaken.shape[1]))
+    biased = np.eye(model.m)[:, bias > 0]
+    shaken = np.eye(model.m)[:, rms > 0]
+    inputs = shaken.shape[1]
+    sizes = [0, biased.shape[1], colour.C.size * inputs, tolerance.std.size]
+    disturbing = shaken @ np.kron(colour.C, np.eye(inputs))
+    setup = Setup(model, tolerance, np.cumsum(sizes).tolist(), biased, disturbing, inputs)
     variance = rms[rms > 0] ** 2
-    # The tolerance acts on x less the rest that a bias leads to: else estimates of theta would seem to tell bias from centre.
-    rest = np.linalg.lstsq(np.eye(n) - model.linear.A, model.linear.B @ biased, rcond=None)[0]
-
-    def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        constant, shaped, theta = ca.vertsplit(extra, ends)
-        moving = u + disturbing @ shaped
-        total = moving + biased @ constant
-        if model.nonlinear:
-            after = model.move(tolerance.changed(q.model, theta) if count else q.model, x, total)
-        else:
-            regressor = q.augmentation.slopes @ ca.vertcat(
-                x - q.augmentation.rest @ constant, moving
-            )
-            after = model.move(q.model, x, total) + ca.reshape(regressor, n, count) @ theta
-        return after, ca.vertcat(
-            constant, ca.kron(q.augmentation.F, ca.SX.eye(shaken.shape[1])) @ shaped, theta
-        )
-
-    def bend(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        """theta_i a_i [x; u] in the rows of A and B, held over the step."""
-        constant, shaped, theta = ca.vertsplit(extra, ends)
-        moved = ca.vertcat(x - q.augmentation.rest @ constant, u + disturbing @ shaped)
-        rows = sorted({row for row, _ in tolerance.entries})
-        b = ca.SX(len(rows), 1)
-        for k, (row, column) in enumerate(tolerance.entries):
-            b[rows.index(row)] += theta[k] * q.augmentation.values[k] * moved[column]
-        return q.augmentation.held[:, rows], b
-
-    def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-        static = [ca.SX(size, size) for size in (biased.shape[1], count)]
-        return ca.SX(n, n), ca.diagcat(
-            static[0], ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance)), static[1]
-        )
-
-    def small(q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-        """(the belief if the bias is `SMALL`, the log of its odds): what a reading of it as 0 leaves (docs/filters.md)."""
-        odds = q.augmentation.odds
-        for i in range(ends[1]):
-            at, R = n + 2 * model.p + i, q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
-            e = -belief.mean[at]
-            belief, S = update(belief, ca.SX.eye(belief.mean.shape[0])[at, :], e, R, 1.0)
-            odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
-        return belief, odds
-
-    odds = np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0)
     numbers = Numbers(
-        colour.F,
-        colour.Q,
-        variance,
-        tolerance.slopes,
-        tolerance.values,
-        tolerance.held,
-        rest,
-        bias[bias > 0],
-        odds,
+        F=colour.F,
+        Q=colour.Q,
+        variance=variance,
+        slopes=tolerance.slopes,
+        values=tolerance.values,
+        held=tolerance.held,
+        rest=rest_under_bias(model, biased),
+        bias=bias[bias > 0],
+        odds=np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0),
     )
     cov = block_diag(
         np.diag(bias[bias > 0] ** 2),
         np.kron(colour.cov, np.diag(variance)),
         np.diag(tolerance.std**2),
     )
+    may_be_small = calibrated and bias.any()
     return Augmentation(
         numbers,
         cov,
-        move,
-        noise,
-        small if calibrated and bias.any() else None,
-        bend if tolerance.entries else None,
+        partial(move_with_unknowns, setup),
+        partial(noise_of_unknowns, setup),
+        alternative=partial(small_bias, setup) if may_be_small else None,
+        bilinear=partial(tolerance_times_state, setup) if tolerance.entries else None,
     )
+
+
+def rest_under_bias(model: System, biased: Floats) -> Floats:
+    """The state at rest under each unit bias (n x biases).
+
+    The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
+    centre.
+    """
+    A, B, _ = model.linear
+    return np.linalg.lstsq(np.eye(model.n) - A, B @ biased, rcond=None)[0]
+
+
+def move_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+    """(x+, extra+) under bias, disturbance and tolerance."""
+    model, tolerance, numbers = setup.model, setup.tolerance, q.augmentation
+    count = tolerance.std.size
+    constant, shaped, theta = ca.vertsplit(extra, setup.ends)
+    moving = u + setup.disturbing @ shaped
+    total = moving + setup.biased @ constant
+    if model.nonlinear:
+        params = tolerance.changed(q.model, theta) if count else q.model
+        after = model.move(params, x, total)
+    else:
+        regressor = numbers.slopes @ ca.vertcat(x - numbers.rest @ constant, moving)
+        after = model.move(q.model, x, total) + ca.reshape(regressor, model.n, count) @ theta
+    shaped_after = ca.kron(numbers.F, ca.SX.eye(setup.shaken)) @ shaped
+    return after, ca.vertcat(constant, shaped_after, theta)
+
+
+def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+    """(G, b) for `predict`: theta_i a_i [x; u] in the rows of A and B, held over the step."""
+    numbers, entries = q.augmentation, setup.tolerance.entries
+    constant, shaped, theta = ca.vertsplit(extra, setup.ends)
+    moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
+    rows = sorted({row for row, _ in entries})
+    b = ca.SX(len(rows), 1)
+    for k, (row, column) in enumerate(entries):
+        b[rows.index(row)] += theta[k] * numbers.values[k] * moved[column]
+    return numbers.held[:, rows], b
+
+
+def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+    """The covariances that a step adds to x and to extra: only the disturbances move at random."""
+    n, biases, count = setup.model.n, setup.biased.shape[1], setup.tolerance.std.size
+    of_disturbances = ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance))
+    of_extra = ca.diagcat(ca.SX(biases, biases), of_disturbances, ca.SX(count, count))
+    return ca.SX(n, n), of_extra
+
+
+def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief if the bias is `SMALL`: what a reading of it as 0 leaves (docs/filters.md).
+
+    Returns:
+        (belief, the log of its odds).
+    """
+    odds = q.augmentation.odds
+    first = setup.model.n + 2 * setup.model.p
+    for i in range(setup.biased.shape[1]):
+        R = q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
+        e = -belief.mean[first + i]
+        h = ca.SX.eye(belief.mean.shape[0])[first + i, :]
+        belief, S = update(belief, h, e, R, 1.0)
+        odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
+    return belief, odds

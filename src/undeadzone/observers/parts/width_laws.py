@@ -1,6 +1,7 @@
-"""Adaptation laws: what a push on an edge, -e on the right and +e on the left, does to its width (docs/adaptation.md).
+"""Adaptation laws say what the drive of an edge does to its width (docs/adaptation.md).
 
-Each law says what becomes of the certificate, V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md).
+The drive is -e on the right and +e on the left. Each law says what becomes of the certificate:
+V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md).
 """
 
 from __future__ import annotations
@@ -18,9 +19,18 @@ from undeadzone.support.arrays import scalar
 
 
 class Edge(NamedTuple):
-    """One side of every output: push on its width, 1 where it is adapted, d^, d^(0), its gain (`Law.gains`), gamma."""
+    """One side of every output.
 
-    push: Any
+    Attributes:
+        drive: what its width is driven by (p).
+        adapted: 1 where the width is adapted (p).
+        width: d^ (p).
+        width0: d^(0) (p).
+        gain: its gain where the law moves it (`Law.gains`).
+        gamma: adaptation gain (p).
+    """
+
+    drive: Any
     adapted: Any
     width: Any
     width0: Any
@@ -28,22 +38,37 @@ class Edge(NamedTuple):
     gamma: Any
 
 
+def gradient_move(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive."""
+    return edge.gamma * edge.drive, NONE
+
+
+def leave_innovation(numbers: Any, y: Any) -> Any:
+    """The factor 1: the innovation counts as it is."""
+    return 1.0
+
+
+def leave_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
+    """The gain as it is."""
+    return gain
+
+
 class Law(NamedTuple):
     """A law as pure functions; gains and rates are per step in sampled time.
 
-    numbers: run-time numbers, None for the one law whose gains are constant; soften(numbers, y): factor in (0, 1] on the
-    innovation; gains: whether each edge has a gain that moves, from gamma on; move(numbers, edge): (what is added to d^,
-    the gain's derivative or next value); reset(numbers, gain, gamma): the gain in place of one that has become too small.
+    Attributes:
+        numbers: run-time numbers; None for the one law whose gains are constant.
+        soften: soften(numbers, y) is the factor in (0, 1] on the innovation.
+        gains: whether each edge has a gain that moves, from gamma on.
+        move: move(numbers, edge) is (what is added to d^, the gain's derivative or next value).
+        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small.
     """
 
     numbers: Any = None
-    soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
+    soften: Callable[[Any, Any], Any] = leave_innovation
     gains: bool = False
-    move: Callable[[Any, Edge], tuple[Any, Any]] = lambda numbers, edge: (
-        edge.gamma * edge.push,
-        NONE,
-    )
-    reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
+    move: Callable[[Any, Edge], tuple[Any, Any]] = gradient_move
+    reset: Callable[[Any, Any, Any], Any] = leave_gain
 
 
 GRADIENT = Law()
@@ -57,10 +82,14 @@ class Gradient(
     tag_field="method",
     tag="gradient",
 ):
-    """d^' = gamma push, (25) as repaired. Certified where M < 0."""
+    """d^' = gamma drive, (25) as repaired. Certified where M < 0."""
 
     def law(self, Ts: float | None) -> Law:
-        """The law; Ts [s] is the sample time, None in continuous time."""
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+        """
         return GRADIENT
 
 
@@ -72,15 +101,26 @@ class Normalised(
     tag_field="method",
     tag="normalised",
 ):
-    """The innovation, in x^' and d^' alike, is divided by 1 + weight y^2 (y in units of z): large signals count less.
+    """The innovation is divided by 1 + weight y^2 in x^' and d^' alike: large signals count less.
 
-    Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that M < 0 covers.
+    Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that
+    M < 0 covers.
+
+    Attributes:
+        weight: weight of y^2, y in units of z [1/z^2].
     """
 
     weight: float = 1.0
 
     def law(self, Ts: float | None) -> Law:
-        """The law. Raises InputError."""
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a weight below 0.
+        """
         weight = scalar("observer.adaptation.weight", self.weight, least=0.0)
         return Law(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
 
@@ -93,40 +133,54 @@ class LeastSquares(
     tag_field="method",
     tag="least_squares",
 ):
-    """Recursive least squares: d^' = g push, g' = forgetting g - g^2 where the edge is active, g(0) = gamma, g <= gamma.
+    """Recursive least squares: d^' = g drive, g(0) = gamma, g <= gamma.
 
-    forgetting [1/s]: rate at which old readings fade; reset: the share of gamma below which g is set back to gamma.
-    Loses the certificate for constant gains, but V = x~'P x~ + sum d~^2 / g never rises, whatever is forgotten or reset,
-    if |G(jw)| < 1, G = C (sI - A)^-1 L; sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
+    g' = forgetting g - g^2 where the edge is active. Loses the certificate for constant gains, but
+    V = x~'P x~ + sum d~^2 / g never rises, whatever is forgotten or reset, if |G(jw)| < 1,
+    G = C (sI - A)^-1 L; sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
+
+    Attributes:
+        forgetting: rate at which old readings fade [1/s]; default 0, they do not.
+        reset: share of gamma below which g is set back to gamma, below 1; default 0, never.
     """
 
     forgetting: float = 0.0
     reset: float = 0.0
 
     def law(self, Ts: float | None) -> Law:
-        """The law. Raises InputError."""
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a rate below 0, or a share outside [0, 1).
+        """
         forgetting = scalar("observer.adaptation.forgetting", self.forgetting, least=0.0)
         share = scalar("observer.adaptation.reset", self.reset, least=0.0)
         if share >= 1:
             raise InputError(f"observer.adaptation.reset: must be below 1, found {share:g}")
-
-        def flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-            growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
-            return edge.gain * edge.push, ca.if_else(
-                edge.gain < edge.gamma, growth, ca.fmin(growth, 0.0)
-            )
-
-        def step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-            after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
-            return after * edge.push, after
-
-        def reset(numbers: Any, gain: Any, gamma: Any) -> Any:
-            return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
-
         fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
-        return Law(
-            np.array([fade, share]), gains=True, move=flow if Ts is None else step, reset=reset
-        )
+        move = least_squares_flow if Ts is None else least_squares_step
+        return Law(np.array([fade, share]), gains=True, move=move, reset=reset_small_gain)
+
+
+def least_squares_flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """(d^', g') in continuous time; numbers: the rate of forgetting and the share of `reset`."""
+    growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
+    below = edge.gain < edge.gamma
+    return edge.gain * edge.drive, ca.if_else(below, growth, ca.fmin(growth, 0.0))
+
+
+def least_squares_step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """(what a step adds to d^, the next g); numbers: what a step keeps of readings, share."""
+    after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
+    return after * edge.drive, after
+
+
+def reset_small_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
+    """gamma in place of a gain below its share of gamma."""
+    return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
 
 class Sigma(
@@ -137,24 +191,35 @@ class Sigma(
     tag_field="method",
     tag="sigma",
 ):
-    """d^' = gamma (push - leak (d^ - d^(0))), Ioannou and Kokotovic (1983): bounded without projection, at a price.
+    """d^' = gamma (drive - leak (d^ - d^(0))), Ioannou and Kokotovic (1983).
 
-    Loses exactness: V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time and
-    x^ = x, d~ comes to rest near leak / (a + leak) of d - d^(0).
+    The widths are bounded without projection, at a price: exactness is lost,
+    V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time
+    and x^ = x, d~ comes to rest near leak / (a + leak) of d - d^(0).
+
+    Attributes:
+        leak: leak of the widths, relative to the drive.
     """
 
     leak: float
 
     def law(self, Ts: float | None) -> Law:
-        """The law. Raises InputError."""
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a leak below 0.
+        """
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(
-            np.float64(leak),
-            move=lambda leak, edge: (
-                edge.gamma * (edge.push - leak * (edge.width - edge.width0)),
-                NONE,
-            ),
-        )
+        return Law(np.float64(leak), move=sigma_move)
+
+
+def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive less a constant leak."""
+    leakage = leak * (edge.width - edge.width0)
+    return edge.gamma * (edge.drive - leakage), NONE
 
 
 class EModification(
@@ -165,23 +230,34 @@ class EModification(
     tag_field="method",
     tag="e_modification",
 ):
-    """d^' = gamma (push - leak |push| (d^ - d^(0))), Narendra and Annaswamy (1987): no leak where there is no error.
+    """d^' = gamma (drive - leak |drive| (d^ - d^(0))), Narendra and Annaswamy (1987).
 
-    With |d - d^(0)| <= D it keeps V where M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
+    There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where
+    M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
+
+    Attributes:
+        leak: leak of the widths per unit of the drive [1/z].
     """
 
     leak: float
 
     def law(self, Ts: float | None) -> Law:
-        """The law. Raises InputError."""
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a leak below 0.
+        """
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(
-            np.float64(leak),
-            move=lambda leak, edge: (
-                edge.gamma * (edge.push - leak * ca.fabs(edge.push) * (edge.width - edge.width0)),
-                NONE,
-            ),
-        )
+        return Law(np.float64(leak), move=e_modification_move)
+
+
+def e_modification_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive less a leak that grows with the error."""
+    leakage = leak * ca.fabs(edge.drive) * (edge.width - edge.width0)
+    return edge.gamma * (edge.drive - leakage), NONE
 
 
 Adaptation = Gradient | Normalised | LeastSquares | Sigma | EModification

@@ -1,4 +1,7 @@
-"""The quadratic programme of moving horizon estimation behind a dead zone, in units of standard deviations (docs/methods/moving_horizon.md)."""
+"""The quadratic programme of moving horizon estimation behind a dead zone.
+
+Its unknowns are in units of standard deviations (docs/methods/moving_horizon.md).
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,24 @@ import numpy as np
 
 from undeadzone.support.arrays import Floats
 
-TIGHT = {
-    "verbose": False,
-    "eps_abs": 1e-6,
-    "eps_rel": 1e-6,
-    "max_iter": 20000,
-}  # of OSQP, whose own tolerance is 1e-3
+# Of OSQP, whose own tolerance is 1e-3.
+TIGHT = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
 
 
 class Window(NamedTuple):
-    """N + 1 nodes, oldest first. Of each: what it read and the belief about X = [x; d_r; d_l] that all nodes before it left.
+    """N + 1 nodes, oldest first: what each read, and what all nodes before it left.
 
-    y (p): reading y / m; side (p), seen (p); mean (n + 2p), cov; C (p x n), offset (p): z = C x + offset there. F (n x n),
-    f (n), G (n x m): x of the next node = F x + f + G w, w of unit variance; those of the newest are not yet known, 0.
+    The belief of a node is about X = [x; d_r; d_l]; w has unit variance.
+
+    Attributes:
+        y: reading y / m (p).
+        side: measured side (p).
+        seen: whether there was a reading (p).
+        mean: mean of X (n + 2p).
+        cov: covariance of X (n + 2p x n + 2p).
+        C, offset: z = C x + offset at the node (p x n, p).
+        F, f, G: x of the next node = F x + f + G w (n x n, n, n x m); those of the newest node are
+            not yet known, 0.
     """
 
     y: Floats
@@ -38,7 +46,14 @@ class Window(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """rms of a reading (p) and of a silent sensor's violation (p) [z]; z that a silent reading leaves open (p); ranges of d (2p x 2)."""
+    """What the programme weighs its errors by.
+
+    Attributes:
+        noise: rms of a reading (p) [z].
+        slack: rms of a silent sensor's violation (p) [z].
+        gate: z beyond an edge that a silent reading leaves open (p) [z].
+        ranges: claimed ranges of the widths (2p x 2) [z].
+    """
 
     noise: Floats
     slack: Floats
@@ -46,104 +61,154 @@ class Weights(NamedTuple):
     ranges: Floats
 
 
-Solver = Callable[
-    [Floats, Floats, Floats, Floats, Floats], Floats | None
-]  # (H, g, A, low, high) -> v, None if it failed
+Solver = Callable[[Floats, Floats, Floats, Floats, Floats], Floats | None]
+"""(H, g, A, low, high) -> v, None if it failed."""
 
 
 def solver(plugin: str, unknowns: int, rows: int) -> Solver:
-    """min v'Hv / 2 + g'v subject to low <= A v <= high, by one of CasADi's solvers for convex programmes."""
-    sizes = {"h": ca.Sparsity.dense(unknowns, unknowns), "a": ca.Sparsity.dense(rows, unknowns)}
-    programme = ca.conic("horizon", plugin, sizes, {"osqp": TIGHT} if plugin == "osqp" else {})
-    given, v = (
-        {name: np.zeros(programme.numel_in(name)) for name in programme.name_in()},
-        np.zeros(unknowns),
-    )
-    given["lbx"][:], given["ubx"][:] = -np.inf, np.inf
+    """Solves min v'Hv / 2 + g'v subject to low <= A v <= high, by a convex solver of CasADi.
+
+    Args:
+        plugin: CasADi's name of the solver.
+        unknowns: size of v.
+        rows: rows of A.
+    """
+    shapes = {"h": ca.Sparsity.dense(unknowns, unknowns), "a": ca.Sparsity.dense(rows, unknowns)}
+    programme = ca.conic("horizon", plugin, shapes, {"osqp": TIGHT} if plugin == "osqp" else {})
+    arguments = {name: np.zeros(programme.numel_in(name)) for name in programme.name_in()}
+    v = np.zeros(unknowns)
+    arguments["lbx"][:] = -np.inf
+    arguments["ubx"][:] = np.inf
     buffer, evaluate = programme.buffer()  # without it, conversions take longer than the solution
-    for i, part in enumerate(given.values()):
+    for i, part in enumerate(arguments.values()):
         buffer.set_arg(i, part.data)
     buffer.set_res(programme.name_out().index("x"), v.data)
 
     def solve(H: Floats, g: Floats, A: Floats, low: Floats, high: Floats) -> Floats | None:
         for name, part in (("h", H), ("g", g), ("a", A), ("lba", low), ("uba", high)):
-            given[name][:] = part.ravel(order="F")
+            arguments[name][:] = part.ravel(order="F")
         try:
             evaluate()
         except RuntimeError:  # not solved, or not numbers any more
             return None
-        solved = buffer.ret() == 0 and bool(
-            np.isfinite(v).all()
-        )  # which also keeps the buffer alive
+        solved = buffer.ret() == 0 and np.isfinite(v).all()  # naming buffer keeps it alive
         return v.copy() if solved else None
 
     return solve
 
 
 def size(window: Window) -> tuple[int, int]:
-    """(unknowns, rows) of the programme: of X at the oldest node, disturbances, violations; two edges a node, widths."""
+    """(unknowns, rows) of the programme.
+
+    The unknowns are X at the oldest node, disturbances and violations; the rows are two edges a
+    node, and the widths.
+    """
     nodes, n, m = window.G.shape
     p = window.y.shape[1]
     return n + 2 * p + (nodes - 1) * m + nodes * p, 2 * nodes * p + 2 * p
 
 
+class Affine(NamedTuple):
+    """M v + b of the programme's unknowns v."""
+
+    M: Floats
+    b: Floats
+
+
 def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
     """X (n + 2p) at the newest node; None if the programme was not solved.
 
-    Unknown are X = mean + root cov xi at the oldest node, the disturbances w, and how far z is outside a silent sensor's
-    zone, s slack; minimised is |xi|^2 + |w|^2 + |s|^2 + sum over active nodes of (error of the reading / noise)^2.
+    Unknown are X = mean + root cov xi at the oldest node, the disturbances w, and how far z is
+    outside a silent sensor's zone, s slack; minimised is
+    |xi|^2 + |w|^2 + |s|^2 + sum over active nodes of (error of the reading / noise)^2.
+
+    Args:
+        window: the nodes.
+        weights: what the errors are weighed by.
+        solve: the solver.
     """
-    nodes, n, m = window.G.shape
-    p = window.y.shape[1]
     unknowns, _ = size(window)
-    known, shaken = n + 2 * p, n + 2 * p + (nodes - 1) * m
+    start = oldest_node(window)
+    n = window.G.shape[1]
+    d = Affine(start.M[n:], start.b[n:])
+    xs, newest = trajectory(window, Affine(start.M[:n], start.b[:n]))
+    right, left = beyond_edges(window, xs, d)
+    M, b = reading_errors(window, weights, right, left)
+    A, low, high = constraints(window, weights, right, left, d)
+    v = solve(np.eye(unknowns) + M.T @ M, -M.T @ b, A, low, high)
+    if v is None:
+        return None
+    return np.concatenate([newest.M @ v + newest.b, d.M @ v + d.b])
+
+
+def oldest_node(window: Window) -> Affine:
+    """X = mean + root cov xi at the oldest node."""
+    unknowns, _ = size(window)
     values, vectors = np.linalg.eigh(window.cov[0])
+    known = len(values)
     root = np.zeros((known, unknowns))
     root[:, :known] = vectors * np.sqrt(np.maximum(values, 0.0))
-    x, rest = root[:n], window.mean[0, :n]
+    return Affine(root, window.mean[0])
+
+
+def trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
+    """x of every node (nodes x n) from that of the oldest, and x of the newest.
+
+    The disturbances w of a node stand in v behind X and those of the nodes before it.
+    """
+    nodes, n, m = window.G.shape
+    first = n + 2 * window.y.shape[1]
+    x, rest = oldest
     xs, rests = [x], [rest]
     for j in range(nodes - 1):
         x, rest = window.F[j] @ x, window.F[j] @ rest + window.f[j]
-        x[:, known + j * m : known + (j + 1) * m] += window.G[j]
+        x[:, first + j * m : first + (j + 1) * m] += window.G[j]
         xs.append(x)
         rests.append(rest)
-    z, z_rest = (
-        window.C @ np.stack(xs),
-        (window.C @ np.stack(rests)[:, :, None])[:, :, 0] + window.offset,
-    )
-    d, d_rest = root[n:], window.mean[0, n:]
-    # What z is beyond either edge: M v + b, nodes x p rows.
-    right, right_rest = (z - d[:p]).reshape(-1, unknowns), (z_rest - d_rest[:p]).ravel()
-    left, left_rest = (z + d[p:]).reshape(-1, unknowns), (z_rest + d_rest[p:]).ravel()
-    y, side, silent = (
-        window.y.ravel(),
-        window.side.ravel(),
-        ((window.side == 0) & (window.seen > 0)).ravel(),
-    )
-    noise, slack, gate = (np.tile(part, nodes) for part in weights[:3])
+    return Affine(np.stack(xs), np.stack(rests)), Affine(x, rest)
+
+
+def beyond_edges(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]:
+    """What z is beyond the right and the left edge, node by node (nodes p rows each).
+
+    Args:
+        window: the nodes.
+        xs: x of every node.
+        d: the widths [d_r; d_l].
+    """
+    p = window.y.shape[1]
+    unknowns = d.M.shape[1]
+    z = window.C @ xs.M
+    z_rest = (window.C @ xs.b[:, :, None])[:, :, 0] + window.offset
+    right = Affine((z - d.M[:p]).reshape(-1, unknowns), (z_rest - d.b[:p]).ravel())
+    left = Affine((z + d.M[p:]).reshape(-1, unknowns), (z_rest + d.b[p:]).ravel())
+    return right, left
+
+
+def reading_errors(
+    window: Window, weights: Weights, right: Affine, left: Affine
+) -> tuple[Floats, Floats]:
+    """(M, b): M v - b are the errors of the readings on active sides, in units of their noise."""
+    y, side = window.y.ravel(), window.side.ravel()
+    noise = np.tile(weights.noise, len(window.y))
     active, rightward = side != 0, (side > 0)[:, None]
-    M = (np.where(rightward, right, left) / noise[:, None])[active]
-    b = ((y - np.where(side > 0, right_rest, left_rest)) / noise)[active]
-    violation = np.hstack([np.zeros((nodes * p, shaken)), np.diag(slack)])
-    low = np.concatenate(
-        [
-            np.full(nodes * p, -np.inf),
-            np.where(silent, -gate - left_rest, -np.inf),
-            weights.ranges[:, 0] - d_rest,
-        ]
-    )
-    high = np.concatenate(
-        [
-            np.where(silent, gate - right_rest, np.inf),
-            np.full(nodes * p, np.inf),
-            weights.ranges[:, 1] - d_rest,
-        ]
-    )
-    v = solve(
-        np.eye(unknowns) + M.T @ M,
-        -M.T @ b,
-        np.vstack([right - violation, left + violation, d]),
-        low,
-        high,
-    )
-    return None if v is None else np.concatenate([xs[-1] @ v + rests[-1], d @ v + d_rest])
+    M = (np.where(rightward, right.M, left.M) / noise[:, None])[active]
+    b = ((y - np.where(side > 0, right.b, left.b)) / noise)[active]
+    return M, b
+
+
+def constraints(
+    window: Window, weights: Weights, right: Affine, left: Affine, d: Affine
+) -> tuple[Floats, Floats, Floats]:
+    """(A, low, high): silent nodes inside both edges but for their violation, widths in ranges."""
+    nodes, p = window.y.shape
+    silent = ((window.side == 0) & (window.seen > 0)).ravel()
+    slack, gate = np.tile(weights.slack, nodes), np.tile(weights.gate, nodes)
+    violation = np.zeros(right.M.shape)
+    violation[:, -nodes * p :] = np.diag(slack)
+    free = np.full(nodes * p, np.inf)
+    above_left = np.where(silent, -gate - left.b, -np.inf)
+    below_right = np.where(silent, gate - right.b, np.inf)
+    low = np.concatenate([-free, above_left, weights.ranges[:, 0] - d.b])
+    high = np.concatenate([below_right, free, weights.ranges[:, 1] - d.b])
+    return np.vstack([right.M - violation, left.M + violation, d.M]), low, high

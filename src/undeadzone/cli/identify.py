@@ -1,0 +1,87 @@
+"""undeadzone identify LOG.csv ..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import common, print_json, print_pairs, progress
+
+if TYPE_CHECKING:
+    from undeadzone.identification.result import Identified
+
+
+@click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
+@click.argument(
+    "logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG [LOG ...]"
+)
+@click.option("--order", default="1-4", help="Poles of the plant: 2, or a range to choose from.")
+@click.option("--right", default=None, help="d_r: known (0.5), within bounds (0.2,1) or inf.")
+@click.option("--left", default=None, help="d_l: known (0.5), within bounds (0.2,1) or inf.")
+@click.option("--offset", default="0", help="rms of a constant output offset, or free.")
+@click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
+@click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
+@click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
+@click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
+@click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
+@click.option("--time", default=None, help="Column of times: a name, or a number from 1.")
+@click.option("--input", "inputs", default=None, help="Columns of inputs, comma between.")
+@click.option("--output", default=None, help="Column of readings.")
+@common
+def identify(
+    logs: tuple[Path, ...],
+    out: Path | None,
+    as_json: bool,
+    no_figures: bool,
+    **options: Any,
+) -> int:
+    """Find plant and dead zone from a log of a real plant.
+
+    A log is a CSV file of any dialect (t, u, y; units in brackets), .npz or .mat; several are
+    records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
+    intervals, the plant, and how it does on held-out data. Writes NAME.toml, a scenario for run,
+    check, design and watch, and identify.json, figures and report.html to DIR (default:
+    NAME-identify). With --no-figures and no --out it writes the scenario alone. Exit code 1: no
+    dead zone of the sensor, or nothing can be said.
+    """
+    from undeadzone.errors import InputError
+    from undeadzone.identification.identify import identify as identified
+    from undeadzone.support.files import write_text
+
+    with progress("identifying", None) as advance:
+        answer = identified([str(path) for path in logs], progress=advance, **options)
+        first = logs[0]
+        folder = out
+        if folder is None and not no_figures:
+            folder = Path(f"{first.stem}-identify")
+        written = []
+        reason = None
+        if answer.verdict == "dead_zone":
+            where = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
+            try:
+                written.append(write_text(answer.scenario(), where))
+            except InputError as error:
+                reason = str(error)
+        if folder is not None:
+            written.append(answer.save(folder / "identify.json"))
+            if not no_figures:
+                from undeadzone.report.identify_page import write_identified
+
+                written += write_identified(answer, folder, first.name)
+    if as_json:
+        print_json(answer.numbers() | {"files": [str(path) for path in written]})
+    else:
+        print_pairs(_lines(answer, [str(path) for path in written], reason))
+    return 0 if answer.verdict == "dead_zone" else 1
+
+
+def _lines(answer: Identified, written: list[str], reason: str | None) -> dict[str, Any]:
+    """The lines of the answer, and what was written."""
+    lines = answer.summary()
+    if reason is not None:
+        lines["no scenario"] = reason.removeprefix("scenario: ")
+    if written:
+        lines["written"] = ", ".join(written)
+    return lines

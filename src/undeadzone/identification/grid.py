@@ -1,0 +1,240 @@
+"""Logs on a regular grid of time: the step, gaps as missing readings, the quantum of readings."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.identification.log import Flags, Log, where
+from undeadzone.support.arrays import Floats, Integers
+
+JITTER = 0.01  # of a step, by which regular times may differ
+LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
+
+
+MOST = 20_000  # samples that are used; more would take minutes and say little more
+
+
+class Grid(NamedTuple):
+    """Records on a regular grid, one after another.
+
+    Attributes:
+        t: times (N) [s].
+        u: inputs (N x m), held over gaps.
+        y: readings (N), 0 where missing.
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        step: sample time [s].
+        quantum: smallest common spacing of the readings, 0 if there is none [y].
+        remarks: what was done to the log, for the user.
+        counted: whether times count samples.
+        inputs: names of the inputs.
+        input_unit, output_unit: units, "1" if unknown.
+    """
+
+    t: Floats
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    step: float
+    quantum: float
+    remarks: list[str]
+    counted: bool
+    inputs: tuple[str, ...]
+    input_unit: str
+    output_unit: str
+
+
+def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
+    """Logs of one plant on one regular grid.
+
+    Args:
+        logs: one or more; each begins a record with a state of its own.
+        resample: step [s] to resample to; default: the step of the logs, which must be regular.
+
+    Returns:
+        The records, one after another.
+
+    Raises:
+        FileError: an irregular step.
+        InputError: logs with different steps or numbers of inputs.
+    """
+    pieces = []
+    remarks: list[str] = []
+    for log in logs:
+        if log.u.shape[1] != logs[0].u.shape[1]:
+            raise InputError(
+                f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
+            )
+        step = find_step(log) if resample is None else resample
+        if resample is None:
+            pieces.append(_regular(log, step, remarks))
+        else:
+            pieces.append(_resampled(log, step, remarks))
+    steps = [piece.step for piece in pieces]
+    if max(steps) > min(steps) * (1 + JITTER):
+        raise InputError(
+            f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s; use --resample STEP"
+        )
+    sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
+    starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
+    first = logs[0]
+    y = np.concatenate([piece.y for piece in pieces])
+    ok = np.concatenate([piece.ok for piece in pieces])
+    return Grid(
+        np.concatenate([piece.t for piece in pieces]),
+        np.concatenate([piece.u for piece in pieces]),
+        np.where(ok, y, 0.0),
+        ok,
+        np.concatenate(starts),
+        float(np.mean(steps)),
+        find_quantum(y[ok]),
+        remarks,
+        first.counted,
+        first.inputs,
+        first.input_unit,
+        first.output_unit,
+    )
+
+
+def shortened(grid: Grid) -> Grid:
+    """The first `MOST` samples of a longer log, with a remark; others as they are."""
+    size = grid.t.size
+    if size <= MOST:
+        return grid
+    remark = (
+        f"the log has {size} samples; the first {MOST} are used: cut the log, or take every k-th"
+        " sample of it, to use others"
+    )
+    return grid._replace(
+        t=grid.t[:MOST],
+        u=grid.u[:MOST],
+        y=grid.y[:MOST],
+        ok=grid.ok[:MOST],
+        start=grid.start[grid.start < MOST - 1],
+        remarks=[*grid.remarks, remark],
+    )
+
+
+class _Piece(NamedTuple):
+    """One log on its grid."""
+
+    t: Floats
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    step: float
+
+
+def find_step(log: Log) -> float:
+    """The sample time of a log [s].
+
+    Args:
+        log: its times increase.
+
+    Returns:
+        The median spacing, refined over the whole log.
+
+    Raises:
+        FileError: fewer than two samples, or spacings that are no multiples of one step.
+    """
+    if log.t.size < 3:
+        raise FileError(f"{log.source}: {log.t.size} samples are too few")
+    spacing = np.diff(log.t)
+    step = float(np.median(spacing))
+    count = np.maximum(np.rint(spacing / step), 1.0)
+    step = float((log.t[-1] - log.t[0]) / count.sum())
+    off = np.abs(spacing - count * step)
+    allowed = JITTER * step * np.sqrt(count) + _printed(log.t)
+    bad = np.flatnonzero(off > allowed)
+    if bad.size:
+        worst = int(bad[np.argmax(off[bad])])
+        raise FileError(
+            f"{where(log.source, log.lines, worst + 1)}: irregular step: {spacing[worst]:.6g} s"
+            f" where the log has {step:.6g} s; {bad.size} of {spacing.size} steps differ by more"
+            f" than 1 % from a multiple; use --resample {step:.3g}, or give times with more digits"
+        )
+    return step
+
+
+def _printed(t: Floats) -> float:
+    """By how much printed times may be off [s]: their last decimal, if they have few; else 0."""
+    for digits in range(7):
+        if np.abs(t - np.round(t, digits)).max() < 1e-9 * max(1.0, float(np.abs(t).max())):
+            unit = 10.0**-digits
+            step = float(np.median(np.diff(t)))
+            return 1.01 * unit if unit < 0.25 * step else 0.0
+    return 0.0
+
+
+def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """A log of multiples of a step; short gaps are filled, a long one begins a record."""
+    count: Any = np.maximum(np.rint(np.diff(log.t) / step), 1).astype(int)
+    breaks = count > LONG
+    count[breaks] = 1
+    place = np.concatenate([[0], np.cumsum(count)])
+    size = int(place[-1]) + 1
+    held = np.searchsorted(place, np.arange(size), side="right") - 1
+    t = log.t[held] + (np.arange(size) - place[held]) * step
+    y = np.full(size, np.nan)
+    y[place] = log.y
+    start = np.concatenate([[0], place[1:][breaks]])
+    missing = size - log.t.size
+    if missing:
+        remarks.append(
+            f"{missing} readings missing in gaps of {log.source}; the input is held there"
+        )
+    if breaks.any():
+        remarks.append(
+            f"{int(breaks.sum())} gaps of {log.source} are longer than {LONG} steps; a new record"
+            " begins after each"
+        )
+    return _Piece(t, log.u[held], y, np.isfinite(y), start, step)
+
+
+def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """A log on a grid of its own: inputs held, readings kept only where they lie near the grid."""
+    if not 0 < step < (log.t[-1] - log.t[0]) / 10:
+        raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
+    size = int(np.floor((log.t[-1] - log.t[0]) / step)) + 1
+    if size > 20 * log.t.size:
+        raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
+    t = log.t[0] + step * np.arange(size)
+    held = np.clip(np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1, 0, None)
+    after = np.minimum(held + 1, log.t.size - 1)
+    nearer = np.abs(log.t[after] - t) < np.abs(log.t[held] - t)
+    near = np.where(nearer, after, held)
+    y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near], np.nan)
+    remarks.append(
+        f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
+        " a tenth of a step of the grid and are kept"
+    )
+    return _Piece(t, log.u[held], y, np.isfinite(y), np.zeros(1, int), step)
+
+
+def find_quantum(y: Floats) -> float:
+    """The smallest common spacing of readings.
+
+    Args:
+        y: readings (N), none missing.
+
+    Returns:
+        The spacing [y] of which every reading is a multiple; 0 if the readings are many and
+        different, or are rounded to so many digits that no quantum can be told from printing.
+    """
+    values: Floats = np.unique(np.abs(y))
+    if values.size < 3 or values.size > 0.5 * max(int(np.count_nonzero(y)), 8):
+        return 0.0
+    spacing = np.diff(values)
+    size = float(values[-1])
+    large = spacing[spacing > 1e-9 * size]
+    if not large.size:
+        return 0.0
+    quantum = float(large.min())
+    if np.abs(values / quantum - np.rint(values / quantum)).max() > 0.02:
+        return 0.0
+    return quantum

@@ -1,0 +1,326 @@
+"""(L3): the likelihood of a record through the measured-side Kalman filter, and its smoother."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.engine import lanes
+from undeadzone.identification.climb import climb
+from undeadzone.identification.fit import Fit
+from undeadzone.identification.kalman_step import kernel
+from undeadzone.identification.long_run import Spread, above, sandwich
+from undeadzone.identification.objective import Limits
+from undeadzone.identification.plant_fit import Data
+from undeadzone.support.arrays import Floats
+
+WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
+NAMES = ("white at the input", "first order at the input", "first order at the output")
+QUIETEST = 1e-3  # least rms of white noise ahead of the zone, in rms of y
+SHARES = (0.2, 0.8)  # of the disturbance in what (L2) left, at the starts
+STEP = 1e-4  # of a number, for differences
+
+
+class Numbers(NamedTuple):
+    """Places in [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
+
+    Attributes:
+        n, m: order of the plant, inputs.
+        model: of the disturbance.
+    """
+
+    n: int
+    m: int
+    model: int
+
+    @property
+    def log_q(self) -> int:
+        """ln q; ln r, d_r, d_l and atanh phi follow."""
+        return self.n * (1 + self.m)
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are."""
+        return self.log_q + 4 + (self.model > 0)
+
+
+class KalmanObjective:
+    """(L3) of a record for one order and one model of the disturbance.
+
+    Args:
+        data: the records.
+        n: order.
+        model: WHITE, AT_INPUT or AT_OUTPUT.
+        limits: of the widths.
+    """
+
+    def __init__(self, data: Data, n: int, model: int, limits: Limits) -> None:
+        self.data = data
+        self.numbers = Numbers(n, data.u.shape[1], model)
+        self.limits = limits
+        starts = np.zeros(data.y.size)
+        starts[data.start] = 1.0
+        rows = [data.u, data.y, data.side, data.ok, starts]
+        self.exogenous = np.column_stack(rows)
+        free = np.ones(self.numbers.size, bool)
+        widths = self.numbers.log_q + 2
+        free[widths] = limits.right[0] != limits.right[1]
+        free[widths + 1] = limits.left[0] != limits.left[1]
+        self.free = np.flatnonzero(free)
+        self._last: tuple[Floats, Floats, Floats] | None = None
+
+    def admissible(self, p: Floats) -> bool:
+        """Whether the filter can be run with these numbers."""
+        numbers = self.numbers
+        if not np.isfinite(p).all():
+            return False
+        log_q, log_r, right, left = p[numbers.log_q : numbers.log_q + 4]
+        if right + left < 0 or abs(log_q) > 25 or abs(log_r) > 25:
+            return False
+        if numbers.model and abs(p[-1]) > 4:
+            return False
+        poles = np.roots(np.append(1.0, p[: numbers.n]))
+        return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
+
+    def lane(self, p: Floats) -> Floats:
+        """The numbers of `kalman_step.kernel` for p."""
+        numbers = self.numbers
+        log_q, log_r, right, left = p[numbers.log_q : numbers.log_q + 4]
+        q = math.exp(log_q)
+        r = max(math.exp(log_r), QUIETEST)
+        phi = math.tanh(p[-1]) if numbers.model else 0.0
+        at_first = q * q / max(1 - phi * phi, 1e-4)
+        tail = [q * q, r * r, right, left, phi, 5.0, at_first]
+        return np.append(p[: numbers.log_q], tail)
+
+    def densities(self, points: Floats) -> Floats:
+        """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
+        numbers = self.numbers
+        rows = np.array([self.lane(p) for p in points])
+        compiled = kernel(numbers.n, numbers.m, numbers.model)
+        size = numbers.n + (numbers.model > 0)
+        state = np.zeros(size + size * (size + 1) // 2)
+        outputs, _ = lanes.run(
+            compiled,
+            np.tile(state, (len(rows), 1)),
+            self.exogenous,
+            np.zeros(rows.shape[1]),
+            lane_params=rows,
+            threads=1,
+        )
+        return np.nan_to_num(outputs[:, :, 0], nan=-1e3, posinf=-1e3, neginf=-1e3)
+
+    def scores(self, p: Floats) -> tuple[Floats, Floats]:
+        """Log densities (N) and their derivatives by the free numbers (N x free)."""
+        if self._last is not None and np.array_equal(self._last[0], p):
+            return self._last[1], self._last[2]
+        points, steps = self._around(p)
+        values = self.densities(points)
+        count = self.free.size
+        slopes = (values[1 : 1 + count] - values[1 + count :]) / (2 * steps[:, None])
+        self._last = (p.copy(), values[0], slopes.T)
+        return values[0], slopes.T
+
+    def _around(self, p: Floats) -> tuple[Floats, Floats]:
+        """p, then p with each free number a little larger, then a little smaller; the steps."""
+        steps = STEP * np.maximum(np.abs(p[self.free]), 0.05)
+        points = np.tile(p, (1 + 2 * self.free.size, 1))
+        for place, (index, step) in enumerate(zip(self.free, steps, strict=True)):
+            points[1 + place, index] += step
+            points[1 + self.free.size + place, index] -= step
+        return points, steps
+
+    def value(self, p: Floats) -> float:
+        """The log likelihood; -inf where p makes no sense."""
+        if not self.admissible(p):
+            return -math.inf
+        return float(self.scores(p)[0].sum())
+
+    def quadratic(self, p: Floats) -> tuple[float, Floats, Floats]:
+        """(value, score, outer products of the scores) of the free numbers."""
+        values, slopes = self.scores(p)
+        hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
+        return float(values.sum()), slopes.sum(axis=0), hessian
+
+    def start(self, fit: Fit, share: float) -> Floats:
+        """Numbers from a fit of (L2), that share of its disturbance coming from the model."""
+        numbers = self.numbers
+        layout = fit.objective.layout
+        p = np.zeros(numbers.size)
+        p[: numbers.log_q] = fit.theta[: numbers.log_q]
+        disturbance = math.sqrt(share) * fit.s
+        white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
+        phi = min(max(fit.rho, 0.5), 0.99)
+        gain = math.sqrt(self._gain(p, phi if numbers.model == AT_INPUT else 0.0))
+        root = math.sqrt(1 - phi * phi)
+        if numbers.model == AT_OUTPUT:
+            log_q = math.log(disturbance * root)
+        elif numbers.model == AT_INPUT:
+            log_q = math.log(disturbance * root / gain)
+        else:
+            log_q = math.log(disturbance / gain)
+        p[numbers.log_q : numbers.log_q + 2] = log_q, math.log(white)
+        p[numbers.log_q + 2 : numbers.log_q + 4] = fit.theta[layout.right : layout.right + 2]
+        if numbers.model:
+            p[-1] = math.atanh(phi)
+        return p
+
+    def _gain(self, p: Floats, phi: float) -> float:
+        """Variance at z of unit noise at the inputs, first order with that correlation."""
+        return input_gain(p[: self.numbers.n], p[self.numbers.n : self.numbers.log_q], phi)
+
+    def spread(self, p: Floats) -> Spread:
+        """(I1) of the free numbers, with a numerical Hessian."""
+        _, scores = self.scores(p)
+        outer = scores.T @ scores
+        scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
+        steps = np.minimum(3e-2 * scale, 0.05)
+        points, inner = [], []
+        for index, step in zip(self.free, steps, strict=True):
+            for sign in (1.0, -1.0):
+                moved = p.copy()
+                moved[index] += sign * step
+                around, small = self._around(moved)
+                points.append(around[1:])
+                inner.append(small)
+        totals = self.densities(np.concatenate(points)).sum(axis=1)
+        hessian = np.empty_like(outer)
+        count = self.free.size
+        for place, step in enumerate(steps):
+            score = []
+            for part in (2 * place, 2 * place + 1):
+                block = totals[part * 2 * count : (part + 1) * 2 * count]
+                score.append((block[:count] - block[count:]) / (2 * inner[part]))
+            hessian[place] = -(score[0] - score[1]) / (2 * step)
+        if not np.isfinite(hessian).all():
+            hessian = outer
+        return sandwich(scores, above(hessian, outer))
+
+
+def input_gain(a: Floats, b: Floats, phi: float) -> float:
+    """Variance at z of unit noise at the inputs, first order with correlation phi.
+
+    Args:
+        a: denominator a_1 to a_n.
+        b: numerators from delay 1, input by input (m n).
+        phi: correlation over one sample.
+
+    Returns:
+        The sum of squares of the response; at least 1e-12.
+    """
+    from scipy.signal import lfilter
+
+    n = a.size
+    total = 0.0
+    for numerator in b.reshape(-1, n):
+        impulse = np.zeros(5000)
+        impulse[0] = math.sqrt(1 - phi * phi)
+        shaped = lfilter([1.0], [1.0, -phi], impulse)
+        total += float(np.sum(lfilter(np.append(0.0, numerator), np.append(1.0, a), shaped) ** 2))
+    return max(total, 1e-12)
+
+
+class KalmanFit(NamedTuple):
+    """A fit of (L3).
+
+    Attributes:
+        objective: what was maximised.
+        p: where its top is.
+        value: the log likelihood there.
+    """
+
+    objective: KalmanObjective
+    p: Floats
+    value: float
+
+    @property
+    def bic(self) -> float:
+        """-2 L + P ln N."""
+        count = int(self.objective.data.ok.sum())
+        return -2 * self.value + self.objective.free.size * math.log(count)
+
+    @property
+    def model(self) -> int:
+        """The model of the disturbance."""
+        return self.objective.numbers.model
+
+    @property
+    def right(self) -> float:
+        """d_r, scaled."""
+        return float(self.p[self.objective.numbers.log_q + 2])
+
+    @property
+    def left(self) -> float:
+        """d_l, scaled."""
+        return float(self.p[self.objective.numbers.log_q + 3])
+
+    @property
+    def r(self) -> float:
+        """rms of white noise ahead of the zone, scaled."""
+        return max(math.exp(float(self.p[self.objective.numbers.log_q + 1])), QUIETEST)
+
+    @property
+    def q(self) -> float:
+        """rms of what drives the disturbance, scaled."""
+        return math.exp(float(self.p[self.objective.numbers.log_q]))
+
+    @property
+    def phi(self) -> float:
+        """Correlation of the disturbance over one sample."""
+        return math.tanh(float(self.p[-1])) if self.model else 0.0
+
+    def direction(self, right: float = 0.0, left: float = 0.0) -> Floats:
+        """The row of right d_r + left d_l over the free numbers."""
+        row = np.zeros(self.objective.numbers.size)
+        widths = self.objective.numbers.log_q + 2
+        row[widths : widths + 2] = right, left
+        return row[self.objective.free]
+
+
+def fit_kalman(fit: Fit) -> list[KalmanFit]:
+    """(L3) for the three models of the disturbance, best first by BIC.
+
+    Args:
+        fit: that of (L2), where the climbs start.
+
+    Returns:
+        One fit a model; empty where none could be run.
+    """
+    data, n = fit.objective.data, fit.objective.layout.n
+    fits = []
+    for model in (WHITE, AT_INPUT, AT_OUTPUT):
+        objective = KalmanObjective(data, n, model, fit.objective.limits)
+        longest = np.full(objective.numbers.size, np.inf)
+        longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0
+        longest = longest[objective.free]
+        tops = []
+        for share in SHARES:
+            begun = objective.start(fit, share)
+            if objective.admissible(begun):
+                tops.append(
+                    climb(
+                        objective.value,
+                        objective.quadratic,
+                        begun,
+                        objective.free,
+                        12,
+                        2e-3,
+                        longest=longest,
+                    )
+                )
+        if not tops:
+            continue
+        best = max(tops, key=lambda top: top.value)
+        top = climb(
+            objective.value,
+            objective.quadratic,
+            best.theta,
+            objective.free,
+            50,
+            2e-3,
+            longest=longest,
+        )
+        fits.append(KalmanFit(objective, top.theta, top.value))
+    return sorted(fits, key=lambda one: one.bic)

@@ -1,0 +1,241 @@
+"""The log likelihood of a record by all its unknown numbers, with scores and a Hessian."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from undeadzone.identification.likelihood import (
+    ATANH_RHO,
+    LEFT,
+    LOG_S,
+    RIGHT,
+    Z_BEFORE,
+    Noise,
+    Terms,
+    Z,
+    behind,
+    pairs,
+    residual,
+    singles,
+)
+from undeadzone.identification.log import Flags
+from undeadzone.identification.long_run import Spread, positive, sandwich
+from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.support.arrays import Floats
+
+Kind = Literal["singles", "pairs", "behind"]
+FAR = 1e8  # outputs beyond this end a trial
+LARGEST_ATANH = 3.5  # |rho| below 0.998
+
+
+class Limits(NamedTuple):
+    """What is known of the widths.
+
+    Attributes:
+        right, left: least and largest value, in rms of y; equal ones fix a width.
+        zone: whether there is a zone at all.
+    """
+
+    right: tuple[float, float] = (-np.inf, np.inf)
+    left: tuple[float, float] = (-np.inf, np.inf)
+    zone: bool = True
+
+
+class Objective:
+    """Log likelihood of theta = [a, b, x0, d_r, d_l, log s, atanh rho].
+
+    Args:
+        simulator: the plant, with its data.
+        kind: singles (L1), pairs (L2), or behind: noise behind the zone.
+        limits: of the widths.
+        use: samples that count (N); default all with a reading.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        kind: Kind,
+        limits: Limits | None = None,
+        use: Flags | None = None,
+    ) -> None:
+        self.simulator = simulator
+        self.layout = simulator.layout
+        self.data: Data = simulator.data
+        self.kind = kind
+        self.limits = limits or Limits()
+        self.readings = self.data.readings(use)
+        rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
+        self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
+        self.free = np.flatnonzero(~self._fixed())
+
+    def _fixed(self) -> Flags:
+        """Which numbers of theta stay where they are (P)."""
+        right = self.layout.right
+        fixed = np.zeros(self.layout.size, bool)
+        fixed[right] = not self.limits.zone or self.limits.right[0] == self.limits.right[1]
+        fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
+        fixed[right + 3] = self.kind != "pairs"
+        return fixed
+
+    def noise(self, theta: Floats) -> Noise:
+        """Widths, rms and correlation in theta."""
+        right, left, log_s, atanh_rho = theta[self.layout.right :]
+        rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
+        return Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
+
+    def admissible(self, theta: Floats) -> bool:
+        """Whether theta has a likelihood worth computing."""
+        right, left, log_s, atanh_rho = theta[self.layout.right :]
+        if self.limits.zone and right + left < 0:
+            return False
+        if abs(log_s) > 30 or abs(atanh_rho) > LARGEST_ATANH:
+            return False
+        return self.simulator.admissible(theta)
+
+    def terms(self, theta: Floats, z: Floats) -> Terms:
+        """Log densities of the samples and their derivatives."""
+        noise = self.noise(theta)
+        if self.kind == "behind":
+            return behind(self.readings, z, noise, self.limits.zone)
+        if self.kind == "singles":
+            return singles(self.readings, z, noise)
+        return pairs(self.readings, z, noise)
+
+    def value(self, theta: Floats) -> float:
+        """The log likelihood, with the prior of x(0); -inf where theta makes no sense."""
+        if not self.admissible(theta):
+            return -math.inf
+        z = self.simulator.z(theta)
+        if not np.abs(z).max() < FAR:
+            return -math.inf
+        total = float(self.terms(theta, z).value.sum()) - self._prior(theta)
+        return total if math.isfinite(total) else -math.inf
+
+    def _prior(self, theta: Floats) -> float:
+        x0 = theta[self.layout.x0]
+        return 0.5 * self.x0_weight * float(x0 @ x0)
+
+    def per_sample(self, theta: Floats) -> Floats:
+        """The log density of each sample (N)."""
+        return self.terms(theta, self.simulator.z(theta)).value
+
+    def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
+        """(log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
+        z = self.simulator.z(theta)
+        slope = self.simulator.gradient(theta, z)
+        terms = self.terms(theta, z)
+        scores = terms.slopes[:, Z : Z + 1] * slope
+        scores[1:] += terms.slopes[1:, Z_BEFORE : Z_BEFORE + 1] * slope[:-1]
+        right = self.layout.right
+        for place, column in enumerate((RIGHT, LEFT, LOG_S, ATANH_RHO)):
+            scores[:, right + place] += terms.slopes[:, column]
+        scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
+        fixed = np.ones(self.layout.size, bool)
+        fixed[self.free] = False
+        scores[:, fixed] = 0.0
+        return terms.value, scores, slope
+
+    def score(self, theta: Floats) -> Floats:
+        """The derivative of the log likelihood by theta (P)."""
+        return self.scores(theta)[1].sum(axis=0)
+
+    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """(value, score, a positive Hessian of minus the log likelihood), of the free numbers.
+
+        Gauss-Newton where a sample speaks, outer products of scores where it is silent.
+        """
+        values, scores, slope = self.scores(theta)
+        z = self.simulator.z(theta)
+        noise = self.noise(theta)
+        if self.kind == "behind":
+            hessian, quiet = self._behind_part(z, slope, noise)
+        else:
+            hessian, quiet = self._speaking_part(slope, noise)
+        right = self.layout.right
+        spread = scores[quiet].copy()
+        spread[:, right + 2 :] = 0.0
+        hessian += spread.T @ spread
+        speaking = int(self.readings.ok.sum() - quiet.sum())
+        hessian[right + 2, right + 2] = 2 * speaking + float((scores[quiet, right + 2] ** 2).sum())
+        if self.kind == "pairs":
+            both = scores[:, right + 2 : right + 4]
+            hessian[right + 2 :, right + 2 :] = both.T @ both + 1e-9 * np.eye(2)
+        x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
+        hessian[x0, x0] += self.x0_weight
+        value = float(values.sum()) - self._prior(theta)
+        free = self.free
+        return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
+
+    def _speaking_part(self, slope: Floats, noise: Noise) -> tuple[Floats, Flags]:
+        """Gauss-Newton of the speaking samples (P x P), and which samples are silent (N)."""
+        readings = self.readings
+        speaks = readings.ok & (readings.side != 0)
+        change = slope.copy()
+        change[:, self.layout.right] -= readings.side > 0
+        change[:, self.layout.right + 1] += readings.side < 0
+        rows = change / noise.s
+        if noise.rho != 0.0:
+            chained = speaks & readings.before
+            chained[1:] &= speaks[:-1]
+            at = np.flatnonzero(chained)
+            spread = noise.s * math.sqrt(1 - noise.rho**2)
+            rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
+        rows = rows[speaks]
+        return rows.T @ rows, readings.ok & ~speaks
+
+    def _behind_part(self, z: Floats, slope: Floats, noise: Noise) -> tuple[Floats, Flags]:
+        """Gauss-Newton for noise behind the zone (P x P), and no silent samples (N)."""
+        side = np.ones(z.size)
+        change = slope.copy()
+        if self.limits.zone:
+            side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left)
+            change[:, self.layout.right] -= side > 0
+            change[:, self.layout.right + 1] += side < 0
+        rows = change[(side != 0) & self.readings.ok] / noise.s
+        return rows.T @ rows, np.zeros(z.size, bool)
+
+    def spread(self, theta: Floats) -> Spread:
+        """(I1): robust covariance of the free numbers of theta."""
+        _, scores, _ = self.scores(theta)
+        return sandwich(scores[:, self.free], self.hessian(theta))
+
+    def hessian(self, theta: Floats) -> Floats:
+        """Minus the second derivative by the free numbers; Gauss-Newton for noise behind."""
+        _, _, approximate = self.quadratic(theta)
+        approximate = approximate + 1e-12 * np.eye(self.free.size)
+        if self.kind == "behind":
+            return approximate
+        scale = 1 / np.sqrt(np.diag(approximate))
+        rows = np.empty_like(approximate)
+        for place, index in enumerate(self.free):
+            step = 1e-2 * scale[place]
+            ahead, back = theta.copy(), theta.copy()
+            ahead[index] += step
+            back[index] -= step
+            rows[place] = approximate[place]
+            if self.admissible(ahead) and self.admissible(back):
+                difference = self.score(ahead) - self.score(back)
+                rows[place] = -difference[self.free] / (2 * step)
+        return positive(rows)
+
+    def direction(self, **parts: float) -> Floats:
+        """The row that weighs the free numbers: direction(right=1, left=1) is that of the width."""
+        places = {"right": 0, "left": 1, "log_s": 2, "rho": 3}
+        row = np.zeros(self.layout.size)
+        for name, weight in parts.items():
+            row[self.layout.right + places[name]] = weight
+        return row[self.free]
+
+    def residuals(self, theta: Floats) -> Floats:
+        """What is left of the readings (N): e where a sample speaks, y - Dz(z) for noise behind."""
+        z = self.simulator.z(theta)
+        noise = self.noise(theta)
+        if self.kind != "behind":
+            return residual(self.readings, z, noise.right, noise.left)
+        if not self.limits.zone:
+            return self.readings.y - z
+        outside = np.maximum(z - noise.right, 0.0) + np.minimum(z + noise.left, 0.0)
+        return self.readings.y - outside

@@ -1,0 +1,93 @@
+"""What a user may say about a log before it is identified."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+
+from undeadzone.errors import InputError
+
+MOST_POLES = 8
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known or asked, besides the log.
+
+    Attributes:
+        order: orders of the plant to try, as "2" or "1-4"; default 1-4.
+        right, left: widths as in "0.5" (known), "0.2,1.0" (bounds) or "inf" (no edge on that
+            side) [y]; default: from the log.
+        offset: rms of a constant offset of the output [y], or "free": then the width alone has an
+            interval; default 0, none.
+        held_out: share of the log, at its end, that checks the fit; default 0.3.
+        noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
+        place: where the zone is: sensor if the user knows, auto to find out.
+        threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
+        resample: step [s] onto which an irregular log is put; default: none.
+    """
+
+    order: str = "1-4"
+    right: str | None = None
+    left: str | None = None
+    offset: str = "0"
+    held_out: float = 0.3
+    noise: Literal["before", "after", "auto"] = "auto"
+    place: Literal["sensor", "auto"] = "auto"
+    threshold: float | None = None
+    resample: float | None = None
+
+    def orders(self) -> range:
+        """The orders to try. Raises InputError."""
+        parts = self.order.split("-")
+        try:
+            ends = [int(part) for part in parts]
+        except ValueError:
+            ends = []
+        if len(ends) not in (1, 2) or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
+            raise InputError(
+                f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
+                f" found {self.order!r}"
+            )
+        return range(ends[0], ends[-1] + 1)
+
+    def offset_rms(self) -> float | None:
+        """The rms of an unknown output offset [y]; None where it is free. Raises InputError."""
+        if self.offset == "free":
+            return None
+        try:
+            rms = float(self.offset)
+        except ValueError:
+            rms = math.nan
+        if not (math.isfinite(rms) and rms >= 0):
+            raise InputError(f"offset: expected an rms >= 0 or free, found {self.offset!r}")
+        return rms
+
+    def bounds(self, side: Literal["right", "left"]) -> tuple[float, float]:
+        """Least and largest width of a side [y]; equal where it is known. Raises InputError."""
+        text = self.right if side == "right" else self.left
+        if text is None:
+            return (-math.inf, math.inf)
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (1, 2) or not 0 <= numbers[0] <= numbers[-1]:
+            raise InputError(
+                f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf;"
+                f" found {text!r}"
+            )
+        return (numbers[0], numbers[-1])
+
+    def checked(self) -> Options:
+        """These options, every one of them usable. Raises InputError."""
+        self.orders()
+        self.offset_rms()
+        self.bounds("right")
+        self.bounds("left")
+        if not 0.1 <= self.held_out <= 0.5:
+            raise InputError(f"held_out: expected 0.1 to 0.5, found {self.held_out:g}")
+        if self.threshold is not None and not 0 <= self.threshold < math.inf:
+            raise InputError(f"threshold: must not be negative, found {self.threshold:g}")
+        return self

@@ -1,0 +1,182 @@
+"""The order of the plant: each order fitted, judged by BIC and by what it says of held-out data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from undeadzone.identification.fit import Fit, fit_zone, refit
+from undeadzone.identification.log import Flags
+from undeadzone.identification.objective import Limits
+from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.identification.residual_map import expected_reading, explained
+from undeadzone.support.arrays import Floats
+
+CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
+LAGS = 20
+HEARD = 8  # past inputs, of which one-step residuals should be free
+
+
+class OrderFit(NamedTuple):
+    """One order.
+
+    Attributes:
+        n: the order.
+        singles: fit of (L1), or of noise behind the zone.
+        pairs: fit of (L2); the same as singles for noise behind the zone.
+        error: rms error of the held-out readings, simulated, scaled.
+        share: 1 - that error / rms of these readings.
+        white: whether the one-step residuals of the held-out readings are white.
+    """
+
+    n: int
+    singles: Fit
+    pairs: Fit
+    error: float
+    share: float
+    white: bool
+
+
+class HeldOut(NamedTuple):
+    """How a fit of the first part of a log does on the rest."""
+
+    error: float
+    share: float
+    white: bool
+
+
+def fit_orders(
+    data: Data,
+    orders: list[int],
+    limits: Limits,
+    held_out: float,
+    advance: Callable[[int], None],
+) -> list[OrderFit]:
+    """Every order, fitted to all data and checked on the last part.
+
+    Args:
+        data: the records.
+        orders: the orders to try.
+        limits: of the widths.
+        held_out: share of the samples, at the end, that checks.
+        advance: called with 1 after each order.
+
+    Returns:
+        One entry an order; those without a stable fit are left out.
+    """
+    train = np.arange(data.y.size) < (1 - held_out) * data.y.size
+    fits = []
+    for n in orders:
+        simulator = Simulator(data, n)
+        kind = "singles" if data.silent_zeros else "behind"
+        singles = fit_zone(simulator, "singles" if kind == "singles" else "behind", limits)
+        advance(1)
+        if not math.isfinite(singles.value):
+            continue
+        pairs = refit(singles, "pairs") if data.silent_zeros else singles
+        check = validate(pairs, train)
+        fits.append(OrderFit(n, singles, pairs, *check))
+    return fits
+
+
+def best_order(fits: list[OrderFit]) -> OrderFit:
+    """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
+    inside = [one for one in fits if not at_limit(one)]
+    return min(inside or fits, key=lambda one: one.pairs.bic)
+
+
+def at_limit(one: OrderFit) -> bool:
+    """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+    return not one.pairs.objective.simulator.admissible(one.pairs.theta, 1.2)
+
+
+def credible(fits: list[OrderFit]) -> list[OrderFit]:
+    """The orders whose held-out error is within 2 % of the least."""
+    inside = [one for one in fits if not at_limit(one)] or fits
+    least = min(one.error for one in inside)
+    return [one for one in inside if one.error <= CREDIBLE * least]
+
+
+def validate(fit: Fit, train: Flags) -> HeldOut:
+    """A fit of the training part, checked on the rest.
+
+    Args:
+        fit: the fit to all data, from where the climb starts.
+        train: samples that are used (N).
+
+    Returns:
+        Error, share and whiteness on the other samples.
+    """
+    trained = refit(fit, fit.objective.kind, train, 25)
+    if not math.isfinite(trained.value):
+        trained = fit
+    test = fit.objective.data.ok & ~train
+    expected = expected_reading(trained)
+    error = (fit.objective.data.y - expected)[test]
+    rms = float(np.sqrt(np.mean(error**2)))
+    usual = float(np.sqrt(np.mean(fit.objective.data.y[test] ** 2)))
+    innovation, use = innovations(trained, test)
+    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(innovation, use))
+
+
+def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
+    """One-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N, N)."""
+    readings = fit.objective.readings
+    e = fit.objective.residuals(fit.theta)
+    ok = fit.objective.data.ok
+    speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
+    use = speaks & among
+    use[1:] &= speaks[:-1]
+    use[fit.objective.data.start] = False
+    value = e.copy()
+    value[1:] -= _step_correlation(fit, e, use) * e[:-1]
+    return value, use
+
+
+def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
+    """Whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
+    count = int(use.sum())
+    if count < 3 * lags:
+        return True
+    squares = correlation(value, use, lags) ** 2
+    total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
+    return bool(chi2.sf(total, lags) > 0.01)
+
+
+def hears_input(fit: Fit) -> bool:
+    """Whether past inputs explain one-step residuals: a delay, or too few poles."""
+    value, use = innovations(fit, fit.objective.data.ok)
+    lagged = []
+    for lag in range(1, HEARD + 1):
+        lagged.append(np.roll(fit.objective.data.u, lag, axis=0))
+    use = use.copy()
+    for first in fit.objective.data.start:
+        use[first : first + HEARD] = False
+    if use.sum() < 20 * HEARD:
+        return False
+    _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
+    return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
+
+
+def _step_correlation(fit: Fit, e: Floats, use: Flags) -> float:
+    """The correlation over one sample: fitted by pairs, else of the residuals themselves."""
+    if fit.objective.kind == "pairs":
+        return fit.rho
+    at = np.flatnonzero(use)
+    return float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
+
+
+def correlation(value: Floats, use: Flags, lags: int) -> Floats:
+    """Autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
+    centred = (value - value[use].mean()) * use if use.any() else value * 0.0
+    count = max(int(use.sum()), 1)
+    power = max(float(centred @ centred) / count, 1e-300)
+    out = np.zeros(lags)
+    for lag in range(1, lags + 1):
+        both = max(int((use[lag:] & use[:-lag]).sum()), 1)
+        out[lag - 1] = float(centred[lag:] @ centred[:-lag]) / both / power
+    return out

@@ -1,0 +1,279 @@
+"""The answer as numbers for JSON and as words for the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from undeadzone.identification.answer import Answer
+from undeadzone.identification.intervals import Interval
+from undeadzone.identification.verdict import WORDS, winning_rival
+
+HEADS = {
+    "dead_zone": "yes",
+    "unreached": "yes, but an edge is never reached",
+    "none": "NO",
+    "saturation": "NO: a saturation",
+    "jump": "NO: a zone with a jump, readings are not shifted",
+    "play": "NO: play",
+    "friction": "NO: friction in the plant",
+    "input_zone": "NO: a zone of the input",
+    "other": "NO: another nonlinearity",
+    "unclear": "nothing can be said",
+}
+
+
+def numbers(answer: Answer) -> dict[str, Any]:
+    """All numbers of an answer, as nested dictionaries.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
+        alternatives, held_out, and more.
+    """
+    evidence = answer.evidence
+    grid, chosen = evidence.grid, evidence.chosen
+    return {
+        "zone": answer.zone,
+        "verdict": answer.verdict,
+        "reasons": answer.reasons,
+        "right": _listed(answer.right),
+        "left": _listed(answer.left),
+        "width": _listed(answer.width),
+        "centre": _listed(answer.centre),
+        "order": answer.order,
+        "plant": {
+            "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
+            "gain": answer.gain.tolist(),
+        },
+        "disturbance": answer.disturbance._asdict(),
+        "alternatives": _alternatives(answer),
+        "place": _place(answer),
+        "held_out": {
+            "error": chosen.error * answer.scale,
+            "fit": chosen.share,
+            "white": chosen.white,
+        },
+        "orders": [
+            {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
+            for one in evidence.orders
+        ],
+        "no_zone": evidence.no_zone.chance,
+        "residual_map": {
+            "share": evidence.residuals.share,
+            "p": evidence.residuals.chance,
+            "moving_share": evidence.residuals.moving_share,
+            "moving_p": evidence.residuals.moving_chance,
+        },
+        "excitation": {
+            "samples": list(evidence.excitation.samples),
+            "visits": list(evidence.excitation.visits),
+            "silent": evidence.excitation.silent,
+            "longest_silence": evidence.excitation.longest * grid.step,
+        },
+        "stages": _stages(answer),
+        "record": {
+            "samples": int(grid.t.size),
+            "readings": int(grid.ok.sum()),
+            "records": int(grid.start.size),
+            "step": grid.step,
+            "quantum": grid.quantum,
+        },
+        "units": {"input": grid.input_unit, "output": grid.output_unit},
+        "remarks": answer.remarks,
+    }
+
+
+def _listed(interval: Interval | None) -> list[float] | None:
+    """[value, low, high]."""
+    return None if interval is None else [float(number) for number in interval]
+
+
+def _alternatives(answer: Answer) -> dict[str, Any]:
+    """Nats per sample by which static rivals and other places are behind the best of their kind."""
+    rivals = answer.evidence.rivals
+    best = min(one.bic for one in rivals.values())
+    behind = {}
+    for name, one in rivals.items():
+        behind[name] = (one.bic - best) / (2 * one.value.size)
+    return behind
+
+
+def _place(answer: Answer) -> dict[str, Any] | None:
+    """The place of the zone, lambda, and how far other places are behind."""
+    place = answer.evidence.place
+    if place is None:
+        return None
+    u_scale = answer.fit.objective.data.u_scale[0]
+    levels = {}
+    for name, (right, left) in place.levels.items():
+        levels[name] = [right * u_scale, left * u_scale]
+    return {
+        "verdict": place.verdict,
+        "lambda": [place.lam, place.lam - place.half, place.lam + place.half],
+        "by_rivals": place.by_rivals,
+        "by_lambda": place.by_lambda,
+        "behind": place.behind,
+        "levels": levels,
+    }
+
+
+def _stages(answer: Answer) -> dict[str, Any]:
+    """Widths and half intervals by stage of the fit."""
+    widths = answer.evidence.widths
+    stages = {}
+    for name, (right, left) in widths.stages.items():
+        halves = widths.halves[name]
+        stages[name] = {
+            "right": right * answer.scale,
+            "left": left * answer.scale,
+            "right_half": halves["right"] * answer.scale,
+            "left_half": halves["left"] * answer.scale,
+        }
+    return stages
+
+
+def in_words(answer: Answer) -> dict[str, Any]:
+    """The answer as lines of the terminal: name and text, or a list of texts.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        The lines in order.
+    """
+    lines: dict[str, Any] = {"record": _record(answer), "plant": _plant(answer)}
+    lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
+    if answer.reasons:
+        lines["why"] = answer.reasons
+    place = answer.evidence.place
+    if place is not None:
+        lines["where"] = _where(answer)
+    unit = "" if answer.evidence.grid.output_unit == "1" else f" {answer.evidence.grid.output_unit}"
+    visits = dict(zip(("right", "left"), answer.evidence.excitation.visits, strict=True))
+    samples = dict(zip(("right", "left"), answer.evidence.excitation.samples, strict=True))
+    for name, title in (
+        ("right", "d_r"),
+        ("left", "d_l"),
+        ("width", "width"),
+        ("centre", "centre"),
+    ):
+        interval: Interval | None = getattr(answer, name)
+        if interval is None:
+            continue
+        text = _in_words(interval, unit)
+        if name in visits:
+            text += f"  passed {visits[name]} times, {samples[name]} samples"
+        if name == "centre" and np.isfinite(interval.high):
+            text += "  assumes z = 0 at u = 0"
+        lines[f"{title}_{name}" if name in visits else title] = text
+    lines = {name.replace("d_r_right", "d_right"): text for name, text in lines.items()}
+    lines = {name.replace("d_l_left", "d_left"): text for name, text in lines.items()}
+    lines["disturbance"] = _disturbance(answer, unit)
+    lines["held out"] = _held_out(answer, unit)
+    if answer.remarks:
+        lines["note"] = answer.remarks
+    return lines
+
+
+def _in_words(interval: Interval, unit: str) -> str:
+    """A value with its interval, digits as far as they mean something."""
+    value, low, high = interval
+    if not np.isfinite(high):
+        if not np.isfinite(low):
+            return "unknown: an offset would shift it"
+        return f"at least {low:.4g}{unit}: no reading lies beyond this edge"
+    if high == low:
+        return f"{value:.6g}{unit}  (given)"
+    digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
+    digits = min(digits, 12)
+    return f"{value:.{digits}f}{unit}  [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _record(answer: Answer) -> str:
+    """Samples, step, names and units, silence."""
+    grid = answer.evidence.grid
+    names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
+    text = f"{grid.t.size} samples, {grid.step:.6g} s, {names}, y [{grid.output_unit}]"
+    if grid.start.size > 1:
+        text += f", {grid.start.size} records"
+    silent = answer.evidence.excitation.silent
+    if answer.fit.objective.kind != "behind":
+        return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
+    return text + f"; no exact zeros: noise behind the zone; {100 * silent:.0f} % of z inside it"
+
+
+def _plant(answer: Answer) -> str:
+    """Order, poles, gains."""
+    grid = answer.evidence.grid
+    rate = "1/sample" if grid.counted else "1/s"
+    shown = []
+    for pole in answer.poles:
+        if pole.imag > 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
+        elif abs(pole.imag) <= 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g}")
+    unit = f"{grid.output_unit}/{grid.input_unit}"
+    unit = "" if unit == "1/1" else f" {unit}"
+    gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
+    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, DC gain {gains}{unit}"
+
+
+def _certainty(answer: Answer) -> str:
+    """How sure the zone is."""
+    if not answer.zone:
+        return ""
+    chance = answer.evidence.no_zone.chance
+    sure = "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
+    if answer.fit.objective.kind != "behind":
+        sure = "silence"
+    if winning_rival(answer.evidence.rivals) is None:
+        return f" ({sure}; no other static map, no play explains it better)"
+    return f" ({sure})"
+
+
+def _where(answer: Answer) -> str:
+    """The place of the zone."""
+    place = answer.evidence.place
+    assert place is not None
+    text = f"{place.verdict}: lambda {place.lam:.2f} +- {place.half:.2g} (1 sensor, 0 friction)"
+    behind = []
+    for name in ("sensor", "friction", "input"):
+        if name in place.behind and place.behind[name] > 0:
+            behind.append(f"{name} {place.behind[name]:.2g}")
+    if behind:
+        text += "; behind the best, nats a sample: " + ", ".join(behind)
+    return text
+
+
+def _disturbance(answer: Answer, unit: str) -> str:
+    """rms and correlation time."""
+    disturbance = answer.disturbance
+    where = "at z" if disturbance.ahead else "behind the zone"
+    text = f"rms {disturbance.rms:.3g}{unit} {where}"
+    if disturbance.correlation_time is not None:
+        text += f", correlation time {disturbance.correlation_time:.2g} s"
+    if disturbance.model is not None:
+        text += f", {disturbance.model}, white part {disturbance.white:.2g}{unit}"
+    return text
+
+
+def _held_out(answer: Answer, unit: str) -> str:
+    """How the fit does on data that had no part in it."""
+    chosen = answer.evidence.chosen
+    share = f"last {100 * answer.options.held_out:.0f} %"
+    white = "white" if chosen.white else "not white"
+    return (
+        f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
+        f" fit {100 * chosen.share:.1f} %, one-step residual {white}"
+    )
+
+
+def rivals_in_words(answer: Answer) -> list[tuple[str, float]]:
+    """Static rivals by how far they are behind, in nats per sample."""
+    behind = _alternatives(answer)
+    words = {"dead_zone": "a dead zone of the sensor"} | WORDS
+    return sorted(((words[name], value) for name, value in behind.items()), key=lambda row: row[1])

@@ -1,0 +1,223 @@
+"""The observer on the measured side: its innovation is formed on the side that the sensor shows.
+
+`certified` adapts the widths; with gamma = 0 and the true widths it is `oracle`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.observers.parts.width_laws import GRADIENT, Edge, Law
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone, offset, present
+from undeadzone.support.arrays import Floats
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; L and gamma are per step when the model is sampled.
+
+    Attributes:
+        model: numbers of the model.
+        L: gain of the innovation (n x p).
+        gamma: adaptation gain (p).
+        x0: x^ at first (n).
+        right0, left0: widths at first (p) [z].
+        limit: upper bound d_M of the widths (p) [z].
+        slope: slope m of the sensor (p).
+        threshold: |y| that counts as silent (p) [y].
+        law: numbers of the adaptation law.
+    """
+
+    model: Any
+    L: Floats
+    gamma: Floats
+    x0: Floats
+    right0: Floats
+    left0: Floats
+    limit: Floats
+    slope: Floats
+    threshold: Floats
+    law: Any
+
+
+class State(NamedTuple):
+    """x^, the widths d_r^, d_l^, and their gains where the adaptation law moves them."""
+
+    x: Any
+    right: Any
+    left: Any
+    right_gain: Any
+    left_gain: Any
+
+
+class Setup(NamedTuple):
+    """What the parts of one observer share.
+
+    Attributes:
+        model: the model.
+        kind: kind of the sensor.
+        silence: whether it uses that a silent sensor bounds z.
+        law: the adaptation law.
+    """
+
+    model: System
+    kind: str
+    silence: bool
+    law: Law
+
+
+class Correction(NamedTuple):
+    """What a reading says.
+
+    Attributes:
+        e: innovation (p).
+        drive_right, drive_left: what the widths are driven by (p).
+        adapt_right, adapt_left: whether the widths are adapted (p).
+    """
+
+    e: Any
+    drive_right: Any
+    drive_left: Any
+    adapt_right: Any
+    adapt_left: Any
+
+
+def measured_side(
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    gamma: Floats,
+    start: Floats,
+    widths: Floats,
+    limit: Floats,
+    silence: bool,
+    law: Law = GRADIENT,
+) -> Observer:
+    """The observer itself; with gamma = 0 and true widths it is the known-width oracle.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        L: gain of the innovation (n x p) [1/s].
+        gamma: adaptation gain (p) [1/s].
+        start: x^(0) (n).
+        widths: d^(0), [right, left] per output (p x 2) [z].
+        limit: upper bound d_M of the widths (p) [z].
+        silence: whether it uses that a silent sensor bounds z.
+        law: the adaptation law.
+    """
+    setup = Setup(model, sensor.kind, silence, law)
+    per_step = 1.0 if model.Ts is None else model.Ts
+    params = Params(
+        model=model.params,
+        L=L * per_step,
+        gamma=gamma * per_step,
+        x0=start,
+        right0=widths[:, 0],
+        left0=widths[:, 1],
+        limit=limit,
+        slope=sensor.slope,
+        threshold=sensor.threshold,
+        law=law.numbers,
+    )
+
+    def init(p: Params) -> State:
+        gain = p.gamma if law.gains else np.zeros(0)
+        return State(p.x0, p.right0, p.left0, gain, gain)
+
+    traits = Traits(
+        L=params.L,
+        gamma=params.gamma,
+        constant=law.numbers is None,
+        width_max=limit,
+        adapts=bool(gamma.any()),
+    )
+    step, project = partial(measured_side_step, setup), partial(into_bounds, law)
+    return Observer(params, init, step, project, traits)
+
+
+def into_bounds(law: Law, p: Params, s: State) -> State:
+    """The state with its widths within [0, d_M], and gains that became too small set back."""
+    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
+    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    right_gain = law.reset(p.law, s.right_gain, p.gamma)
+    left_gain = law.reset(p.law, s.left_gain, p.gamma)
+    return State(s.x, right, left, right_gain, left_gain)
+
+
+def measured_side_step(
+    setup: Setup, p: Params, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """The state's derivative, or its next value when sampled, and the estimate."""
+    model, law = setup.model, setup.law
+    keep = 0.0 if model.Ts is None else 1.0
+    z = model.output(p.model, s.x)
+    y = reading.y / p.slope
+    active = reading.side != 0
+    over, under = silent_violation(setup, p, s, z, reading)
+    correct = correct_jump if setup.kind == "jump" else correct_deadzone
+    correction = correct(s, z, y, reading.side, over, under)
+    soft = law.soften(p.law, ca.if_else(active, y, 0.0))
+    right = Edge(
+        drive=soft * correction.drive_right,
+        adapted=correction.adapt_right,
+        width=s.right,
+        width0=p.right0,
+        gain=s.right_gain,
+        gamma=p.gamma,
+    )
+    left = Edge(
+        drive=soft * correction.drive_left,
+        adapted=correction.adapt_left,
+        width=s.left,
+        width0=p.left0,
+        gain=s.left_gain,
+        gamma=p.gamma,
+    )
+    change_right, right_gain = law.move(p.law, right)
+    change_left, left_gain = law.move(p.law, left)
+    x = model.move(p.model, s.x, u) + p.L @ (soft * correction.e)
+    after = State(
+        x, keep * s.right + change_right, keep * s.left + change_left, right_gain, left_gain
+    )
+    if model.Ts is not None:
+        after = into_bounds(law, p, after)
+    return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e)
+
+
+def silent_violation(
+    setup: Setup, p: Params, s: State, z: Any, reading: Reading
+) -> tuple[Any, Any]:
+    """How far z^ is over the right edge (>= 0) and under the left one (<= 0) of a silent sensor.
+
+    A silent sensor says -d_l <= z <= d_r (wider by the threshold); beyond an edge, that edge or z^
+    is wrong.
+    """
+    slack = p.threshold / p.slope
+    is_silent = ca.logic_and(reading.side == 0, present(reading.y))
+    silent = ca.if_else(is_silent, float(setup.silence), 0.0)
+    over = silent * ca.fmax(z - s.right - slack, 0.0)
+    under = silent * ca.fmin(z + s.left + slack, 0.0)
+    return over, under
+
+
+def correct_jump(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
+    """What a jump sensor's reading y / m = z says: outside, it is beyond the edge it is on."""
+    e = ca.if_else(side != 0, y - z, 0.0)
+    right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
+    left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
+    return Correction(e, right, left, right != 0, left != 0)
+
+
+def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
+    """What a dead zone's reading says: on the measured side y / m = z - chi_bar d."""
+    e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
+    adapt_right = ca.logic_or(side > 0, over > 0)
+    adapt_left = ca.logic_or(side < 0, under < 0)
+    right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
+    return Correction(e, right, left, adapt_right, adapt_left)

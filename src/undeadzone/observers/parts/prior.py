@@ -1,0 +1,144 @@
+"""The prior of a filter: what it assumes of state, widths and sensor before the first reading."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
+
+FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+
+
+class Prior(NamedTuple):
+    """Mean and spread of [x; d_r; d_l] (n + 2p) before the first reading, and the sensor's noise.
+
+    Attributes:
+        mean: mean of [x; d_r; d_l] (n + 2p).
+        std: standard deviations of them (n + 2p).
+        R: variance of a reading on an active side (p) [z^2].
+        gate: |y| that is surely not silent (p) [y].
+        drift: variance that the widths gain each step (2p) [z^2].
+        ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+    """
+
+    mean: Floats
+    std: Floats
+    R: Floats
+    gate: Floats
+    drift: Floats
+    ranges: Floats
+
+
+def build_prior(
+    model: System,
+    sensor: Zone,
+    right: Array,
+    left: Array | None,
+    noise: Array | None,
+    x_std: Array | None,
+    drift: Array | None,
+    *,
+    floor: float = FLOOR,
+    wear: float = 0.0,
+    start: Array = 0.0,
+) -> Prior:
+    """The prior from claimed ranges [lo, hi] of the widths.
+
+    A width has the mean of its range, and the standard deviation of a uniform distribution over it.
+
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        right, left: claimed ranges of d_r, d_l; left None: those of right.
+        noise: rms of a reading [z]; None: the sensor's, but at least `floor`.
+        x_std: standard deviation of x(0); None: five times the largest width.
+        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width.
+        floor: least noise, as a share of the claimed range.
+        wear: drift, in largest widths per sqrt(s), where none is claimed.
+        start: mean of x(0), one number or one per state.
+
+    Raises:
+        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+    """
+    Ts = sample_time(model)
+    p = model.p
+    ranges = width_ranges(right, left, p)
+    span = ranges[:, 1] - ranges[:, 0]
+    largest = ranges[:, 1].max()
+    if noise is None:
+        rms = sensor.rms
+        least = floor * span.reshape(2, p).max(axis=0)
+    else:
+        rms = _claimed_noise(noise, p)
+        least = np.zeros(p)
+    if x_std is None:
+        spread = np.full(model.n, 5 * largest)
+    else:
+        spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
+    walk = wear * largest if drift is None else drift
+    growth = scalar("observer.drift", walk, least=0.0) ** 2 * Ts
+    x0 = vector("observer.start", start, model.n, "one per state")
+    return Prior(
+        mean=np.concatenate([x0, ranges.mean(axis=1)]),
+        std=np.concatenate([spread, span / np.sqrt(12)]),
+        R=np.maximum(rms, least) ** 2,
+        gate=np.maximum(sensor.threshold, 4 * rms * sensor.slope),
+        drift=np.full(2 * p, growth),
+        ranges=ranges,
+    )
+
+
+def _claimed_noise(noise: Array, p: int) -> Floats:
+    """The claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
+    rms = nonnegative("observer.noise", noise, p, "one per output")
+    if not rms.all():
+        raise InputError(
+            "observer.noise: must be positive, found 0; leave it out for a sensor without noise"
+        )
+    return rms
+
+
+def sample_time(model: System) -> float:
+    """The model's sample time [s]. Raises InputError in continuous time."""
+    if model.Ts is None:
+        raise InputError(
+            'observer: this filter works on samples; set simulation.time = "sampled" '
+            "(simulation.step is the sample time)"
+        )
+    return model.Ts
+
+
+def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
+    """The claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+
+    Args:
+        right, left: [lo, hi], or one per output (p x 2); left None: those of right.
+        p: number of outputs.
+
+    Raises:
+        InputError, ShapeError: unless 0 <= lo < hi.
+    """
+    of_left = right if left is None else left
+    return np.concatenate(
+        [_ranges("observer.right", right, p), _ranges("observer.left", of_left, p)]
+    )
+
+
+def _ranges(key: str, value: Array, p: int) -> Floats:
+    """The ranges of one side (p x 2). Raises InputError, ShapeError."""
+    ranges = array(key, value)
+    if ranges.shape not in ((2,), (p, 2)):
+        shape = " x ".join(map(str, ranges.shape)) or "one number"
+        raise ShapeError(
+            f"{key}: expected the declared range [lo, hi], or one per output ({p} x 2), "
+            f"found {shape}"
+        )
+    ranges = np.broadcast_to(ranges, (p, 2))
+    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
+        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")
+    return ranges

@@ -1,0 +1,53 @@
+"""A model's straight lines at a point, on numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Floats
+
+
+class Tangents(NamedTuple):
+    """A model's straight lines at a point, on numbers.
+
+    Attributes:
+        move: move(x, u) is (x+, dx+/dx, dx+/du).
+        output: output(x) is (C, offset), z = C x + offset.
+    """
+
+    move: Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
+    output: Callable[[Floats], tuple[Floats, Floats]]
+
+
+def model_tangents(model: System) -> Tangents:
+    """The model's straight lines at a point, on numbers."""
+    if not model.nonlinear:
+        A, B, C = model.linear
+        return Tangents(lambda x, u: (A @ x + B @ u, A, B), lambda x: (C, np.zeros(model.p)))
+    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
+    params = ca.SX(model.params)
+    after, z = model.move(params, x, u), model.output(params, x)
+    A, B = ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))
+    C = ca.densify(ca.jacobian(z, x))
+    moved = ca.Function("move", [x, u], [after, A, B], {"cse": True})
+    seen = ca.Function("output", [x], [C, z - C @ x])
+
+    def move(x: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+        after, A, B = _arrays(moved(x, u))
+        return after[:, 0], A, B
+
+    def output(x: Floats) -> tuple[Floats, Floats]:
+        C, offset = _arrays(seen(x))
+        return C, offset[:, 0]
+
+    return Tangents(move, output)
+
+
+def _arrays(parts: Any) -> list[Floats]:
+    """What a function of CasADi gives, as arrays."""
+    return [part.full() for part in parts]

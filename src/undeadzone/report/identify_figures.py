@@ -1,0 +1,204 @@
+"""Figures of an identified log."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from undeadzone.identification.intervals import profile
+from undeadzone.identification.kalman_smoother import innovations as filtered
+from undeadzone.identification.orders import correlation, innovations
+from undeadzone.identification.residual_map import expected_reading
+from undeadzone.identification.result import Identified
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    TRUTH,
+    ZONE,
+    finish,
+    label,
+    sheet,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LAGS = 25
+POINTS = 9  # of a profile
+MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
+
+
+def figures(found_log: Identified) -> dict[str, Figure]:
+    """The figures that apply.
+
+    Args:
+        found_log: the answer.
+
+    Returns:
+        Figures by name: overview, residual_map, residual, and where there is a zone profiles and
+        hidden.
+    """
+    drawn = {
+        "overview": _overview(found_log),
+        "residual_map": _residual_map(found_log),
+        "residual": _residual(found_log),
+    }
+    if found_log.zone:
+        drawn["hidden"] = _hidden(found_log)
+        if found_log.verdict == "dead_zone":
+            drawn["profiles"] = _profiles(found_log)
+    return drawn
+
+
+def _shown(found_log: Identified) -> slice:
+    """The samples of a figure over time."""
+    size = found_log.answer.evidence.grid.t.size
+    return slice(max(0, size - MOST), size)
+
+
+def _unit(found_log: Identified) -> str:
+    return found_log.answer.evidence.grid.output_unit
+
+
+def _time(found_log: Identified) -> str:
+    """The label of the axis of time."""
+    return "t [samples]" if found_log.answer.evidence.grid.counted else "t [s]"
+
+
+def _overview(found_log: Identified) -> Figure:
+    """z^, y and zone over time, the held-out part shaded; sides below."""
+    answer = found_log.answer
+    grid, part = answer.evidence.grid, _shown(found_log)
+    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    axes = panels["signals"]
+    t = grid.t[part]
+    if found_log.zone:
+        _zone_bands(axes, found_log)
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(t, (answer.fit.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    first = int((1 - answer.options.held_out) * grid.t.size)
+    for each in panels.values():
+        each.axvspan(grid.t[first], grid.t[-1], color=ZONE, alpha=0.12, linewidth=0)
+    finish(axes, "Output and reading; shaded: held out", label("z, y", _unit(found_log)), "")
+    data = answer.fit.objective.data
+    side = np.where(data.ok, data.side, np.nan)[part]
+    panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
+    panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
+    panels["sides"].set_ylim(-1.3, 1.3)
+    finish(panels["sides"], "Side of the readings", "", _time(found_log), legend=0)
+    return figure
+
+
+def _zone_bands(axes: Axes, found_log: Identified) -> None:
+    """The zone, and the intervals of its edges."""
+    for interval, sign, name in ((found_log.right, 1, "d_r"), (found_log.left, -1, "d_l")):
+        if interval is None or not math.isfinite(interval.high):
+            continue
+        axes.axhline(sign * interval.value, color=PRINTED, linewidth=1.0, label=None)
+        axes.axhspan(
+            sign * interval.low, sign * interval.high, color=PRINTED, alpha=0.25, linewidth=0,
+            label=f"edge ${name}$, 95 %",
+        )  # fmt: skip
+
+
+def _hidden(found_log: Identified) -> Figure:
+    """The hidden output with its band against the reading, of the last part of the log."""
+    states = found_log.states()
+    grid = found_log.answer.evidence.grid
+    size = grid.t.size
+    part = slice(max(0, size - 600), size)
+    figure, panels = sheet([["z"]], "The hidden output", height=3.2)
+    axes = panels["z"]
+    t, z, band = states.t[part], states.z[part], 1.96 * states.z_std[part]
+    _zone_bands(axes, found_log)
+    axes.fill_between(t, z - band, z + band, color=ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(t, z, color=ESTIMATE, label=r"$\hat z$ with 95 % band")
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
+           _time(found_log))  # fmt: skip
+    return figure
+
+
+def _residual_map(found_log: Identified) -> Figure:
+    """The residual by z^."""
+    answer = found_log.answer
+    residuals, scale = answer.evidence.residuals, answer.scale
+    fit = answer.evidence.chosen.singles
+    figure, panels = sheet([["map", "static"]], "What the dead zone leaves", height=3.4)
+    axes = panels["map"]
+    ok = fit.objective.readings.ok
+    left = (fit.objective.readings.y - expected_reading(fit)) * scale
+    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5)
+    x, curve = residuals.centres * scale, residuals.curve * scale
+    band = 1.96 * residuals.std * scale
+    axes.fill_between(x, curve - band, curve + band, color=PRINTED, alpha=0.25, linewidth=0)
+    axes.plot(x, curve, color=PRINTED, label="mean residual, 95 %")
+    unit = _unit(found_log)
+    finish(axes, "Residual by z^", label("y - E[y | z^]", unit), label(r"$\hat z$", unit))
+    axes = panels["static"]
+    axes.plot((fit.z * scale)[ok], fit.objective.readings.y[ok] * scale, ".", color=READING,
+              markersize=1.5, alpha=0.5, label="readings")  # fmt: skip
+    order = np.argsort(fit.z)
+    axes.plot((fit.z * scale)[order], (expected_reading(fit) * scale)[order], color=ESTIMATE,
+              label="dead zone")  # fmt: skip
+    finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
+    return figure
+
+
+def _residual(found_log: Identified) -> Figure:
+    """Correlation of the one-step residual with itself and with the input."""
+    fit = found_log.answer.fit
+    data = fit.objective.data
+    kalman = found_log.answer.evidence.kalman
+    if kalman:
+        value, use = filtered(kalman[0]), data.ok & (data.side != 0)
+    else:
+        value, use = innovations(fit, data.ok)
+    figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
+    band = 1.96 / math.sqrt(max(int(use.sum()), 1))
+    lags = np.arange(1, LAGS + 1)
+    _stems(panels["auto"], lags, correlation(value, use, LAGS), band)
+    finish(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
+    u = data.u[:, 0] - data.u[:, 0].mean()
+    centred = (value - value[use].mean()) * use
+    power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
+    cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
+    _stems(panels["cross"], lags, np.array(cross), 1.96 / math.sqrt(u.size))
+    finish(panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0)
+    return figure
+
+
+def _stems(axes: Axes, lags: object, values: object, band: float) -> None:
+    """Correlations as stems over the band of white noise."""
+    axes.axhspan(-band, band, color=ZONE, alpha=0.25, linewidth=0)
+    axes.vlines(lags, 0, values, color=ESTIMATE)  # type: ignore[arg-type]
+    axes.plot(lags, values, "o", color=ESTIMATE, markersize=3)  # type: ignore[arg-type]
+    axes.set_xlim(0, LAGS + 1)
+
+
+def _profiles(found_log: Identified) -> Figure:
+    """Profile likelihoods of both widths."""
+    answer = found_log.answer
+    figure, panels = sheet([["right", "left"]], "Profile likelihoods", height=2.8)
+    for name, colour in (("right", PRINTED), ("left", OTHER)):
+        interval = getattr(found_log, name)
+        axes = panels[name]
+        if interval is not None and interval.half > 0:
+            own = answer.fit.right if name == "right" else answer.fit.left
+            reach = 1.5 * interval.half / answer.scale
+            values = own + np.linspace(-reach, reach, POINTS)
+            fall = profile(answer.fit, name, values)
+            axes.axvspan(interval.low, interval.high, color=ZONE, alpha=0.2, linewidth=0)
+            axes.axvline(interval.value, color=TRUTH, linewidth=0.8)
+            good = np.isfinite(fall)
+            axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
+        finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
+               label(f"$d_{name[0]}$", _unit(found_log)), legend=0)  # fmt: skip
+    return figure

@@ -1,0 +1,168 @@
+"""The page of an identified log: the answer, what it rests on, and what else was tried."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from undeadzone.identification.result import Identified
+from undeadzone.identification.summary import HEADS, rivals_in_words
+from undeadzone.report.html import Html, page, paragraph, picture, section, table, tag
+from undeadzone.report.identify_figures import figures
+from undeadzone.report.style import write
+from undeadzone.support.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+CAPTIONS = {
+    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands; the"
+    " last, shaded part checked a fit of the part before it. Below: which side each reading shows.",
+    "residual_map": "What the zone leaves of the readings, by z^, with 95 % bands: a curve here is"
+    " another nonlinearity. Grey: single readings.",
+    "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
+    " for white residuals: what stands out is not in the model.",
+    "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
+    " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
+    "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
+}
+
+
+def write_identified(found_log: Identified, folder: Path, source: str) -> list[Path]:
+    """Write figures as PNG and report.html to a folder.
+
+    Args:
+        found_log: the answer.
+        folder: where to.
+        source: name of the log.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    written = {}
+    for name, figure in figures(found_log).items():
+        written[name] = write(figure, folder / f"{name}.png")
+    images = {name: path.read_bytes() for name, path in written.items()}
+    text = identified_page(found_log, images, source)
+    return [*written.values(), write_text(text, folder / "report.html")]
+
+
+def identified_page(found_log: Identified, images: Mapping[str, bytes], source: str) -> str:
+    """The page of an answer.
+
+    Args:
+        found_log: the answer.
+        images: PNGs by the names of `identify_figures.figures`.
+        source: name of the log.
+
+    Returns:
+        HTML that needs nothing but itself.
+    """
+    answer = found_log.answer
+    good = "yes" if found_log.verdict == "dead_zone" else "no"
+    head = paragraph(tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good))
+    rows = []
+    for name, value in found_log.summary().items():
+        for text in value if isinstance(value, list) else [value]:
+            rows.append((name, text))
+    shown = {}
+    for name, image in images.items():
+        shown[name] = picture(image, CAPTIONS[name])
+    return page(
+        f"Identified: {source}",
+        head,
+        *map(paragraph, answer.reasons),
+        section("The answer", table(("what", "value"), rows), *_pick(shown, "overview")),
+        section("Hidden output", *_pick(shown, "hidden")),
+        section("Is it a dead zone?", *_rivals(found_log), *_pick(shown, "residual_map")),
+        *_place(found_log),
+        section("How sure are the widths?", _stages(found_log), *_pick(shown, "profiles")),
+        section("Order and residual", _orders(found_log), *_pick(shown, "residual")),
+    )
+
+
+def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
+    """The pictures that there are."""
+    return [shown[name] for name in names if name in shown]
+
+
+def _rivals(found_log: Identified) -> list[Html]:
+    """Static rivals and the residual map in numbers."""
+    evidence = found_log.answer.evidence
+    residuals = evidence.residuals
+    words = (
+        f"A curve over z^ explains {100 * residuals.share:.1f} % of what the zone leaves"
+        f" (p = {residuals.chance:.2g}); one over its direction"
+        f" {100 * residuals.moving_share:.1f} % (p = {residuals.moving_chance:.2g})."
+        " A dead zone alone leaves 1 % or less. Test of no zone at all:"
+        f" p = {evidence.no_zone.chance:.2g}."
+    )
+    rivals = rivals_in_words(found_log.answer)
+    return [table(("instead of a dead zone", "behind, nats a sample"), rivals), paragraph(words)]
+
+
+def _place(found_log: Identified) -> list[Html]:
+    """Where the zone is."""
+    place = found_log.answer.evidence.place
+    if place is None:
+        return []
+    words = (
+        f"lambda = {place.lam:.3g} +- {place.half:.2g}: 1 is a zone of the sensor, 0 friction in"
+        f" the plant. By lambda: {place.by_lambda}; by comparing models: {place.by_rivals};"
+        f" together: {place.verdict}."
+    )
+    rows = sorted(place.behind.items(), key=lambda row: row[1])
+    return [
+        section(
+            "Where is the zone?",
+            paragraph(words),
+            table(("place", "behind, nats a sample"), rows),
+        )
+    ]
+
+
+def _stages(found_log: Identified) -> Html:
+    """Widths by stage of the fit."""
+    answer = found_log.answer
+    names = {
+        "L1": "single samples",
+        "L2": "pairs of samples",
+        "L3": "Kalman filter",
+    }
+    rows = []
+    for name, (right, left) in answer.evidence.widths.stages.items():
+        halves = answer.evidence.widths.halves[name]
+        rows.append(
+            (
+                names[name],
+                right * answer.scale,
+                halves["right"] * answer.scale,
+                left * answer.scale,
+                halves["left"] * answer.scale,
+            )
+        )
+    unit = answer.evidence.grid.output_unit
+    heads = ("likelihood of", f"d_r [{unit}]", "+-", f"d_l [{unit}]", "+-")
+    return table(heads, rows)
+
+
+def _orders(found_log: Identified) -> Html:
+    """Orders tried."""
+    answer = found_log.answer
+    least = min(one.pairs.bic for one in answer.evidence.orders)
+    rows = []
+    for one in answer.evidence.orders:
+        rows.append(
+            (
+                one.n,
+                one.pairs.bic - least,
+                one.error * answer.scale,
+                one.pairs.right * answer.scale,
+                one.pairs.left * answer.scale,
+                "chosen" if one.n == answer.order else "",
+            )
+        )
+    return table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)

@@ -1,0 +1,430 @@
+"""Identification from a log: likelihoods, gradients, intervals, places of a zone, verdicts."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import lfilter
+from scipy.special import log_ndtr, ndtr
+
+import undeadzone as uz
+from undeadzone.errors import InputError
+from undeadzone.identification.fit import Fit, fit_zone, polished, refit
+from undeadzone.identification.friction_step import simulate
+from undeadzone.identification.intervals import profile
+from undeadzone.identification.kalman_likelihood import KalmanFit, KalmanObjective
+from undeadzone.identification.kalman_smoother import innovations
+from undeadzone.identification.likelihood import (
+    Noise,
+    Readings,
+    behind,
+    log_difference,
+    log_rectangle,
+    pairs,
+    singles,
+)
+from undeadzone.identification.long_run import cosines, sandwich
+from undeadzone.identification.objective import Limits, Objective
+from undeadzone.identification.plant_fit import Data, Simulator
+
+A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
+
+
+def deadzone(z, right, left):
+    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
+
+
+def steps(rng, size, hold=12):
+    return np.repeat(rng.standard_normal(size // hold + 1), hold)[:size]
+
+
+def record(seed=0, size=900, right=0.5, left=0.3, noise=0.03, where="ahead", disturbance=0.0):
+    """A log of a second-order plant behind a zone: t, u, y and the true z."""
+    rng = np.random.default_rng(seed)
+    u = steps(rng, size)
+    driven = u + disturbance * lfilter([0.3], [1, -0.95], rng.standard_normal(size))
+    z = lfilter(np.append(0.0, B), np.append(1.0, A), driven)
+    e = noise * rng.standard_normal(size)
+    y = deadzone(z + e, right, left) if where == "ahead" else deadzone(z, right, left) + e
+    return 0.05 * np.arange(size), u, y, z
+
+
+def data_of(u, y):
+    scale = float(np.sqrt(np.mean(y**2)))
+    ok = np.ones(y.size, bool)
+    side = np.sign(y).astype(int)
+    start = np.zeros(1, int)
+    return Data(u[:, None] / u.std(), y / scale, ok, start, side, True, np.array([u.std()]), scale)
+
+
+def some_readings(seed=1, size=300):
+    rng = np.random.default_rng(seed)
+    y = np.where(rng.random(size) < 0.4, 0.0, rng.standard_normal(size))
+    ok = rng.random(size) < 0.95
+    before = np.append(False, ok[:-1])
+    z = y + 0.6 * np.sign(y) + 0.2 * rng.standard_normal(size)
+    return Readings(y, np.sign(y).astype(int), ok, before), z
+
+
+# --- likelihoods
+
+
+def test_log_difference_neither_cancels_nor_underflows() -> None:
+    assert log_difference(np.array([1.0]), np.array([-1.0]))[0] == pytest.approx(
+        math.log(ndtr(1.0) - ndtr(-1.0)), rel=1e-13
+    )
+    far = log_difference(np.array([-40.0]), np.array([-41.0]))[0]
+    assert far == pytest.approx(log_ndtr(-40.0), rel=1e-12)
+    mirrored = log_difference(np.array([41.0]), np.array([40.0]))[0]
+    assert mirrored == pytest.approx(far, rel=1e-14)
+    narrow = log_difference(np.array([2.0 + 1e-9]), np.array([2.0]))[0]
+    assert narrow == pytest.approx(math.log(1e-9) - 2.0 - 0.5 * math.log(2 * math.pi), rel=1e-6)
+
+
+def brute_rectangle(a0, b0, a, b, rho):
+    """ln P of a rectangle by adaptive quadrature in pieces."""
+    q = math.sqrt(1 - rho**2)
+
+    def mass(upper, lower):
+        return ndtr(upper) - ndtr(lower) if lower < 0 else ndtr(-lower) - ndtr(-upper)
+
+    def integrand(x):
+        inside = mass((a - rho * x) / q, (b - rho * x) / q)
+        return math.exp(-x * x / 2) / math.sqrt(2 * math.pi) * inside
+
+    corners = [b0, a0, *np.arange(-8, 8.1, 0.5)]
+    for centre in (a / rho, b / rho):
+        corners += list(centre + np.arange(-8, 8.1) * q / abs(rho))
+    ends = np.unique(np.clip(corners, b0, a0))
+    total = 0.0
+    for low, high in itertools.pairwise(ends):
+        total += quad(integrand, low, high, epsabs=0, epsrel=1e-13)[0]
+    return math.log(total)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("rho", [0.01, 0.4, 0.69, 0.71, 0.9, 0.99, -0.5, -0.95])
+def test_two_silent_samples_agree_with_brute_force(rho: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        z0 = 2 * rng.standard_normal()
+        z1 = z0 + 0.5 * rng.standard_normal()
+        width = rng.uniform(0.1, 6)
+        limits = (width - z0, -width / 2 - z0, width - z1, -width / 2 - z1)
+        value = log_rectangle(*[np.array([limit]) for limit in limits], rho)[0]
+        expected = brute_rectangle(*limits, rho)
+        assert abs(value - expected) < 1e-9 * max(1.0, abs(expected))
+
+
+def test_a_pair_is_a_density_of_the_second_sample() -> None:
+    """Over every reading that may follow, speaking or silent, the densities sum to 1."""
+    noise = Noise(0.4, 0.2, 0.5, 0.6)
+    for first in (0.7, -0.3, 0.0):
+
+        def density(y, first=first):
+            readings = Readings(
+                np.array([first, y]),
+                np.sign([first, y]).astype(int),
+                np.ones(2, bool),
+                np.array([False, True]),
+            )
+            return math.exp(pairs(readings, np.array([0.1, 0.2]), noise).value[1])
+
+        right = quad(density, 1e-12, 6, epsabs=1e-11)[0]
+        left = quad(density, -6, -1e-12, epsabs=1e-11)[0]
+        assert right + left + density(0.0) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_pairs_without_correlation_are_singles() -> None:
+    readings, z = some_readings()
+    noise = Noise(0.7, 0.4, 0.35, 0.0)
+    assert np.array_equal(pairs(readings, z, noise).value, singles(readings, z, noise).value)
+    weak = pairs(readings, z, noise._replace(rho=1e-9)).value
+    assert weak == pytest.approx(singles(readings, z, noise).value, abs=1e-7)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.4, 0.9, -0.5])
+@pytest.mark.parametrize("kind", ["pairs", "behind"])
+def test_derivatives_of_the_densities(rho: float, kind: str) -> None:
+    readings, z = some_readings()
+
+    def value(shift, amount):
+        numbers = np.array([0.7, 0.4, math.log(0.35), math.atanh(rho)])
+        moved = z.copy()
+        if shift < 4:
+            numbers[shift] += amount
+        else:
+            moved = z + amount * np.cos(np.arange(z.size))
+        noise = Noise(numbers[0], numbers[1], math.exp(numbers[2]), math.tanh(numbers[3]))
+        compute = pairs if kind == "pairs" else behind
+        return compute(readings, moved, noise)
+
+    slopes = value(0, 0.0).slopes
+    wave = np.cos(np.arange(z.size))
+    along = slopes[:, 0] * wave
+    along[1:] += slopes[1:, 1] * wave[:-1]
+    exact = [slopes[:, 2], slopes[:, 3], slopes[:, 4], slopes[:, 5], along]
+    for shift, expected in enumerate(exact):
+        step = 1e-6
+        difference = (value(shift, step).value - value(shift, -step).value) / (2 * step)
+        assert difference == pytest.approx(expected, abs=1e-6 * (1 + np.abs(expected).max()))
+
+
+def test_score_of_all_numbers_of_two_records() -> None:
+    _, u, y, _ = record(size=300)
+    data = data_of(u, y)._replace(start=np.array([0, 140]))
+    simulator = Simulator(data, 2)
+    objective = Objective(simulator, "pairs")
+    theta = np.array([*A, 0.3, 0.2, 0.1, 0.05, -0.1, 0.2, 0.6, 0.5, -1.5, 0.4])
+    exact = objective.score(theta)
+    for index in range(theta.size):
+        step = np.zeros(theta.size)
+        step[index] = 1e-6
+        difference = (objective.value(theta + step) - objective.value(theta - step)) / 2e-6
+        assert difference == pytest.approx(exact[index], rel=2e-5, abs=1e-4)
+
+
+# --- the fit, its intervals
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fit:
+    _, u, y, _ = record(noise=0.05)
+    singles_fit = fit_zone(Simulator(data_of(u, y), 2), "singles", Limits())
+    return polished(refit(singles_fit, "pairs"))
+
+
+def test_the_fit_ends_at_a_top(fitted: Fit) -> None:
+    score = fitted.objective.score(fitted.theta)[fitted.objective.free]
+    spread = fitted.objective.spread(fitted.theta)
+    assert float(score @ spread.naive @ score) < 1e-4
+    scale = fitted.objective.data.y_scale
+    assert abs(fitted.right * scale - 0.5) < 0.02
+    assert abs(fitted.left * scale - 0.3) < 0.02
+
+
+def test_a_profile_falls_on_both_sides(fitted: Fit) -> None:
+    values = fitted.right + np.array([-0.05, 0.0, 0.05])
+    fall = profile(fitted, "right", values)
+    assert abs(fall[1]) < 1e-3
+    assert fall[0] < -1
+    assert fall[2] < -1
+
+
+def test_intervals_of_a_mean_hold_under_first_order_noise() -> None:
+    """(I1) covers as it says where independence would not."""
+    rng = np.random.default_rng(5)
+    robust, naive = 0, 0
+    for _ in range(300):
+        e = lfilter([1.0], [1.0, -0.8], rng.standard_normal(700))[100:]
+        mean = e.mean()
+        spread = sandwich((e - mean)[:, None], np.array([[e.size]], float))
+        robust += abs(mean) <= spread.half_width(np.ones(1))
+        naive += abs(mean) <= 1.96 * e.std() / math.sqrt(e.size)
+    assert 0.91 <= robust / 300 <= 0.985
+    assert naive / 300 < 0.7
+
+
+def test_cosines_are_orthonormal() -> None:
+    rows = cosines(50, 8)
+    assert rows @ rows.T == pytest.approx(np.eye(8), abs=1e-12)
+
+
+# --- the Kalman likelihood
+
+
+def test_filter_without_disturbance_is_singles() -> None:
+    """With q = 0 and a known start the filter's densities are those of (L1)."""
+    _, u, y, _ = record(size=400)
+    data = data_of(u, y)
+    objective = KalmanObjective(data, 2, 0, Limits())
+    p = np.array([*A, 0.4, 0.3, -20.0, math.log(0.1), 0.8, 0.5])
+    by_filter = objective.densities(p[None, :])[0]
+    simulator = Simulator(data, 2)
+    theta = np.array([*A, 0.4, 0.3, 0, 0, 0.8, 0.5, math.log(0.1), 0])
+    z = simulator.z(theta)
+    by_sample = singles(data.readings(), z, Noise(0.8, 0.5, 0.1, 0.0)).value
+    settled = slice(200, None)  # the filter's first state is forgotten by then
+    assert by_filter[settled] == pytest.approx(by_sample[settled], rel=2e-3, abs=2e-3)
+
+
+@pytest.mark.parametrize("model", [0, 1, 2])
+def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
+    _, u, y, _ = record(size=300, disturbance=0.3)
+    data = data_of(u, y)
+    objective = KalmanObjective(data, 2, model, Limits())
+    p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
+    densities = objective.densities(p[None, :])[0]
+    g = innovations(KalmanFit(objective, p, 0.0))
+    both = np.flatnonzero((data.side[1:] != 0) & (data.side[:-1] != 0))
+    # of two densities the difference is that of squares and of the logarithm of s
+    assert np.isfinite(densities).all()
+    assert np.abs(g[both]).max() < 100
+    assert np.all(densities[data.side != 0] <= -0.5 * g[data.side != 0] ** 2 + 10)
+
+
+# --- places of a zone
+
+
+def test_friction_family_with_c_equal_a_is_a_sensor_zone() -> None:
+    rng = np.random.default_rng(2)
+    u = steps(rng, 400)
+    lagged = np.column_stack([np.append(np.zeros(j), u[: u.size - j]) for j in (1, 2)])
+    pulses = np.eye(400, 2)
+    numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0, 0.0])
+    z = simulate(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
+    w = lfilter(np.append(0.0, B), np.append(1.0, A), u)
+    assert np.abs(z - deadzone(w, 0.3, 0.2)).max() < 1e-12
+
+
+def friction_log(seed=1, size=1200, force=0.4, Ts=0.2):
+    """A mass with Coulomb friction, its velocity measured, and noise."""
+    rng = np.random.default_rng(seed)
+    u = steps(rng, size, 5)
+    v = np.zeros(size)
+    now, h = 0.0, Ts / 40
+    for k in range(size):
+        v[k] = now
+        for _ in range(40):
+            if now == 0.0:
+                push = max(abs(u[k]) - force, 0.0) * np.sign(u[k])
+                now = h * push
+                continue
+            moved = now + h * (u[k] - now - force * np.sign(now))
+            now = 0.0 if moved * now < 0 else moved
+    return Ts * np.arange(size), u, v + 0.02 * rng.standard_normal(size)
+
+
+def test_friction_is_not_sold_as_a_zone_of_the_sensor() -> None:
+    t, u, y = friction_log()
+    answer = uz.identify(t=t, u=u, y=y, order=1)
+    assert answer.verdict == "friction"
+    assert not answer.zone
+    assert answer.right is None
+
+
+# --- answers
+
+
+@pytest.mark.parametrize("where", ["ahead", "behind"])
+def test_widths_lie_in_their_intervals(where: str) -> None:
+    t, u, y, z = record(seed=14, where=where, disturbance=0.2 if where == "ahead" else 0.0)
+    answer = uz.identify(t=t, u=u, y=y, order="1-2")
+    assert answer.verdict == "dead_zone"
+    assert answer.order == 2
+    assert answer.right.low <= 0.5 <= answer.right.high
+    assert answer.left.low <= 0.3 <= answer.left.high
+    assert answer.width.value == pytest.approx(answer.right.value + answer.left.value)
+    states = answer.states()
+    inside = np.abs(z) < 0.3
+    assert np.sqrt(np.mean((states.z - z)[inside] ** 2)) < 0.3 * np.sqrt(np.mean(z[inside] ** 2))
+
+
+def test_other_maps_are_named() -> None:
+    t, u, _, z = record(seed=6, size=1000)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(z.size)
+    zero = np.where((z > 0.5) | (z < -0.3), z, 0.0)
+    cases = {"none": z + noise, "saturation": np.clip(z, -0.5, 0.6) + noise, "jump": zero + noise}
+    for verdict, y in cases.items():
+        answer = uz.identify(t=t, u=u, y=y, order=2)
+        assert answer.verdict == verdict
+        assert answer.width is None
+        with pytest.raises(InputError, match="there is no zone"):
+            answer.scenario()
+
+
+def test_edges_that_are_given_or_never_reached() -> None:
+    t, u, y, _ = record(seed=7, left=30.0)
+    never = uz.identify(t=t, u=u, y=y, order=2)
+    assert never.verdict == "unreached"
+    assert never.left.low > 0.3
+    assert math.isinf(never.left.high)
+    assert never.right.low <= 0.5 <= never.right.high
+    one_sided = uz.identify(t=t, u=u, y=y, order=2, left=math.inf)
+    assert one_sided.verdict == "dead_zone"
+    assert one_sided.left is None
+    t, u, y, _ = record(seed=7)
+    known = uz.identify(t=t, u=u, y=y, order=2, right=0.5, place="sensor")
+    assert known.right == (0.5, 0.5, 0.5)
+    assert known.left.low <= 0.3 <= known.left.high
+    with pytest.raises(InputError, match="readings lie beyond it"):
+        uz.identify(t=t, u=u, y=y, left=math.inf)
+
+
+def test_an_offset_widens_the_centre_and_not_the_width() -> None:
+    t, u, y, _ = record(seed=8, where="behind")
+    plain = uz.identify(t=t, u=u, y=y, order=2, place="sensor")
+    wide = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset=0.1)
+    free = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset="free")
+    assert wide.width == plain.width
+    assert wide.centre.half == pytest.approx(math.hypot(plain.centre.half, 0.1))
+    assert math.isinf(free.centre.high)
+    assert free.width == plain.width
+
+
+def test_missing_readings_glitches_and_two_records() -> None:
+    t, u, y, _ = record(seed=9)
+    rng = np.random.default_rng(1)
+    holed = np.where(rng.random(y.size) < 0.2, np.nan, y)
+    holed[500] = 40.0
+    t2, u2, y2, _ = record(seed=10)
+    one = uz.identify(t=t, u=u, y=holed, order=2, place="sensor")
+    assert one.right.low <= 0.5 <= one.right.high
+    assert any("missing" in remark for remark in one.answer.remarks)
+    pandas = pytest.importorskip("pandas")
+    frames = []
+    for parts in ((t, u, y), (t2, u2, y2)):
+        frames.append(
+            pandas.DataFrame(dict(zip(("time [s]", "u [V]", "y [mm]"), parts, strict=True)))
+        )
+    both = uz.identify(frames, order=2)
+    assert both.answer.fit.objective.layout.records == 2
+    assert both.right.low <= 0.5 <= both.right.high
+    assert both.answer.evidence.grid.output_unit == "mm"
+
+
+def test_swapped_columns_give_no_widths() -> None:
+    t, u, y, _ = record(seed=11)
+    try:
+        answer = uz.identify(t=t, u=y, y=u, order=2)
+    except InputError:
+        return
+    assert answer.verdict != "dead_zone"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, u, y: (t, 0 * u + 1, y), "input is constant"),
+        (lambda t, u, y: (t, u, 0 * y), "never speaks"),
+        (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
+        (lambda t, u, y: (t, u, y * np.nan), "every one is missing"),
+        (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),
+        (lambda t, u, y: (np.sort(np.random.default_rng(0).random(t.size)), u, y), "irregular"),
+        (lambda t, u, y: (t[::-1], u, y), "does not increase"),
+        (
+            lambda t, u, y: (t, np.where(t == t[50], np.nan, u), y),
+            "sample 50: input 'u' is missing",
+        ),
+        (lambda t, u, y: (t, u[:-1], y), "as many rows"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(change, message: str) -> None:
+    t, u, y, _ = record()
+    t, u, y = change(t, u, y)
+    with pytest.raises(InputError, match=message):
+        uz.identify(t=t, u=u, y=y)
+
+
+def test_options_are_checked() -> None:
+    t, u, y, _ = record()
+    for key, value in {
+        "order": "0-3", "right": "-1", "left": "2,1", "offset": "x", "held_out": 0.9,
+        "noise": "white", "place": "moon", "threshold": -1.0,
+    }.items():  # fmt: skip
+        with pytest.raises(InputError, match=key):
+            uz.identify(t=t, u=u, y=y, **{key: value})

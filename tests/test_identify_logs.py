@@ -1,0 +1,279 @@
+"""Logs as users have them: dialects, units, gaps, columns, damage; the command, what it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.errors import FileError, InputError, UndeadzoneError
+from undeadzone.identification.grid import find_quantum, shortened, to_grid
+from undeadzone.identification.readers import log_of_arrays, read_log
+from undeadzone.scenario.reader import read
+
+ROWS = np.column_stack([0.5 * np.arange(5), [1, 2, 3, 4, 5.5], [0, 0, -0.25, 1, 2]])
+
+
+def text_of(rows, separator=",", header="t [s],u [V],y [mm]", decimal="."):
+    lines = [header.replace(",", separator)] if header else []
+    for row in rows:
+        lines.append(separator.join(f"{number:g}".replace(".", decimal) for number in row))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        text_of(ROWS),
+        "\ufeff" + text_of(ROWS),
+        text_of(ROWS, ";", decimal=","),
+        text_of(ROWS, "\t"),
+        text_of(ROWS, ";", "time (s);u[0] [V];y (mm)"),
+        "# a remark\n\n" + text_of(ROWS, header="") + "\n",
+        text_of(ROWS, " ", header=""),
+        text_of(ROWS, header="t,u,y\n[s],[V],[mm]"),
+        text_of(ROWS[:, [2, 0, 1]], header="Y [mm],Time [s],U [V]"),
+        text_of(ROWS).replace("\n", "\r\n"),
+        text_of(np.column_stack([ROWS, ROWS[:, 1]]), header="t [s],u [V],y [mm],z_true [mm]"),
+        text_of(ROWS * [1000, 1, 1], header="t [ms],u,y"),
+    ],
+)
+def test_dialects_of_csv(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    log = read_log(path)
+    assert np.array_equal(np.column_stack([log.t, log.u, log.y]), ROWS)
+    if "[mm]" in text or "(mm)" in text:
+        assert log.output_unit == "mm"
+
+
+def test_other_encodings(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(text_of(ROWS, header="t [s],u [V],y [°]").encode("cp1252"))
+    assert read_log(path).output_unit == "°"
+    path.write_bytes(text_of(ROWS).encode("utf-16"))
+    assert read_log(path).y[-1] == 2
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(FileError, match="not a text file"):
+        read_log(path)
+
+
+def test_columns_by_name_and_number(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(ROWS, header="t,torque,acceleration"))
+    with pytest.raises(FileError, match=r"no name says which column holds the readings.*--output"):
+        read_log(path)
+    with pytest.raises(FileError, match="near: torque"):
+        read_log(path, inputs="torqe", output="acceleration")
+    with pytest.raises(FileError, match="used twice"):
+        read_log(path, inputs="torque", output="torque")
+    log = read_log(path, inputs="torque", output="3")
+    assert log.inputs == ("torque",)
+    assert np.array_equal(log.y, ROWS[:, 2])
+
+
+def test_missing_readings_are_kept_and_missing_inputs_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,u,y\n0,1,2\n1,2,\n2,3,NaN\n3,4,5\n")
+    assert np.isnan(read_log(path).y).tolist() == [False, True, True, False]
+    path.write_text("t,u,y\n0,1,2\n1,,3\n2,3,4\n")
+    with pytest.raises(FileError, match="line 3: input 'u' is missing"):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no samples"),
+        ("t,u,y\n", "no samples"),
+        ("t,u,y\n0,1,2\n1,2\n", "line 3: expected 3 columns, found 2"),
+        ("t,u,y\n0,1,2\n1,x2,3\n", "line 3, column 2: expected a number"),
+        ("t,u,y\n0,1,2\n0,2,3\n", "line 3: time does not increase"),
+        ("t [parsec],u,y\n0,1,2\n1,2,3\n", "unit of time"),
+        ("1,2\n3,4\n", "3 columns are expected"),
+        ("t,u,y,y\n0,1,2,3\n1,2,3,4\n", "2 columns may be the readings"),
+        ("t,u,y\n0,1,1e60\n1,2,3\n", "beyond 1e"),
+        ("t,u,y\n0,1,2\nnan,2,3\n", "line 3: the time is missing"),
+    ],
+)
+def test_what_is_wrong_with_a_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(FileError, match=message):
+        read_log(path)
+
+
+def test_files_of_arrays(tmp_path: Path) -> None:
+    t, u, y = ROWS.T
+    np.savez(tmp_path / "log.npz", t=t, u=u, y=y)
+    savemat(tmp_path / "log.mat", {"t": t, "u": u, "y": y, "name": "x"})
+    for name in ("log.npz", "log.mat"):
+        log = read_log(tmp_path / name)
+        assert np.array_equal(np.column_stack([log.t, log.u, log.y]), ROWS)
+    np.savez(tmp_path / "bad.npz", t=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(FileError, match="cannot read"):
+        read_log(tmp_path / "bad.npz")
+    (tmp_path / "bad.mat").write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
+    with pytest.raises(FileError):
+        read_log(tmp_path / "bad.mat")
+    with pytest.raises(FileError, match="cannot read"):
+        read_log(tmp_path / "none.csv")
+
+
+def test_a_frame_with_times_of_day() -> None:
+    pandas = pytest.importorskip("pandas")
+    times = pandas.to_datetime("2024-01-01") + pandas.to_timedelta(ROWS[:, 0], unit="s")
+    log = read_log(pandas.DataFrame({"t": times, "u": ROWS[:, 1], "y": ROWS[:, 2]}))
+    assert np.allclose(log.t, ROWS[:, 0])
+
+
+# --- the grid
+
+
+def test_gaps_become_missing_readings_and_long_ones_new_records() -> None:
+    t = np.array([0, 1, 2, 5, 6, 7, 100, 101, 102.0]) * 0.1
+    grid = to_grid([log_of_arrays(t, np.arange(9.0), np.arange(9.0) + 1)])
+    assert grid.step == pytest.approx(0.1)
+    assert grid.ok.sum() == 9
+    assert grid.t.size == 11
+    assert grid.start.tolist() == [0, 8]
+    assert grid.u[3:5, 0].tolist() == [2.0, 2.0]
+
+
+def test_printed_times_with_few_digits_are_regular() -> None:
+    t = np.round(np.arange(500) / 60, 3)
+    grid = to_grid([log_of_arrays(t, np.arange(500.0), np.arange(500.0))])
+    assert grid.step == pytest.approx(1 / 60, rel=1e-4)
+    assert grid.ok.all()
+
+
+def test_resampling_keeps_readings_near_the_grid_alone() -> None:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.5, 1.5, 400))
+    log = log_of_arrays(t, np.arange(400.0), np.arange(400.0))
+    with pytest.raises(FileError, match=r"irregular step.*--resample"):
+        to_grid([log])
+    grid = to_grid([log], 1.0)
+    kept = grid.ok
+    assert 0.05 < kept.mean() < 0.5
+    nearest = np.abs(grid.t[kept, None] - log.t).min(axis=1)
+    assert nearest.max() <= 0.1 + 1e-9
+
+
+def test_quantum_and_long_logs() -> None:
+    y = np.round(np.random.default_rng(0).standard_normal(4000) / 0.1) * 0.1
+    assert find_quantum(y) == pytest.approx(0.1)
+    assert find_quantum(np.random.default_rng(0).standard_normal(4000)) == 0.0
+    grid = to_grid([log_of_arrays(0.1, np.arange(30000.0), np.arange(30000.0))])
+    assert shortened(grid).t.size == 20000
+
+
+# --- damaged files
+
+
+def damaged(rng: np.random.Generator, text: str) -> bytes:
+    """A log with a few random wounds."""
+    data = bytearray(text.encode())
+    for _ in range(rng.integers(1, 6)):
+        place = int(rng.integers(0, len(data)))
+        match rng.integers(0, 6):
+            case 0:
+                data[place] = int(rng.integers(0, 256))
+            case 1:
+                del data[place : place + int(rng.integers(1, 40))]
+            case 2:
+                data[place:place] = rng.choice([b",", b";", b"\n", b"nan", b"1e400", b'"', b"\t"])
+            case 3:
+                data[place:place] = data[place : place + 30]
+            case 4:
+                del data[place:]
+            case _:
+                data[place:place] = rng.bytes(3)
+        if not data:
+            break
+    return bytes(data)
+
+
+def test_damaged_csv_files_end_in_a_log_or_in_words(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = np.column_stack([0.1 * np.arange(40), rng.standard_normal((40, 2)).round(3)])
+    path = tmp_path / "log.csv"
+    refused = 0
+    for _ in range(1500):
+        path.write_bytes(damaged(rng, text_of(rows)))
+        try:
+            to_grid([read_log(path)])
+        except UndeadzoneError:
+            refused += 1
+    assert refused > 300
+
+
+# --- the command
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of 800 samples with a zone of 0.5 / 0.3."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.standard_normal(80), 10)
+    z = lfilter([0, 0.05, 0.03], [1, -1.6, 0.68], u) + 0.03 * rng.standard_normal(800)
+    y = np.maximum(z - 0.5, 0) + np.minimum(z + 0.3, 0)
+    path = tmp_path_factory.mktemp("logs") / "log.csv"
+    path.write_text(text_of(np.column_stack([0.05 * np.arange(800), u, y])))
+    return path
+
+
+def test_the_command_writes_a_scenario_that_runs(
+    written: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runner = CliRunner()
+    result = runner.invoke(group, ["identify", str(written), "--order", "2", "--json"])
+    assert result.exception is None, result.output
+    answer = json.loads(result.output)
+    assert answer["zone"] is True
+    assert answer["verdict"] == "dead_zone"
+    for name, truth in (("right", 0.5), ("left", 0.3), ("width", 0.8), ("centre", 0.1)):
+        value, low, high = answer[name]
+        assert low < value < high
+        assert low - 0.01 <= truth <= high + 0.01
+    assert {"order", "alternatives", "held_out"} <= answer.keys()
+    page = (tmp_path / "log-identify" / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 5
+    assert json.loads((tmp_path / "log-identify" / "identify.json").read_text())["order"] == 2
+    problem = read(tmp_path / "log.toml")
+    assert problem.simulation.step == 0.05
+    assert problem.units.output == "mm"
+    run = uz.simulate(problem)
+    assert run.diverged_at is None
+    assert abs(run.d_hat[-1, 0] - answer["right"][0]) < 0.1
+    table = runner.invoke(
+        group, ["identify", str(written), "--order", "2", "--no-figures", "--place", "sensor"]
+    )
+    for words in ("d_right", "d_left", "width", "centre", "held out", "log.toml"):
+        assert words in table.output
+
+
+def test_the_command_says_no_and_bad_input(written: Path, tmp_path: Path) -> None:
+    rows = np.loadtxt(written, delimiter=",", skiprows=1)
+    z = lfilter([0, 0.05, 0.03], [1, -1.6, 0.68], rows[:, 1])
+    rows[:, 2] = z + 0.02 * np.random.default_rng(1).standard_normal(800)
+    path = tmp_path / "none.csv"
+    path.write_text(text_of(rows))
+    runner = CliRunner()
+    arguments = ["identify", str(path), "--order", "2", "--out", str(tmp_path / "out")]
+    result = runner.invoke(group, [*arguments, "--no-figures"], standalone_mode=False)
+    assert result.return_value == 1
+    assert "NO" in result.output
+    assert not (tmp_path / "out" / "none.toml").exists()
+    with pytest.raises(InputError, match="order"):
+        runner.invoke(
+            group, [*arguments, "--order", "9"], standalone_mode=False, catch_exceptions=False
+        )
