@@ -18,6 +18,7 @@ from undeadzone.cli.common import json_line, json_text, print_pairs, print_table
 from undeadzone.ensemble.blocks import journal, table_file
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.errors import FileError, InputError
+from undeadzone.identification.readers import read_log
 from undeadzone.plants.robots import urdf_file
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
@@ -175,6 +176,7 @@ READERS = {
     "urdf": urdf_file.read,
     "design": Design.load,
     "run": Run.load,
+    "log": read_log,
     "ensemble": table_file.load,
     "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
 }
@@ -187,7 +189,7 @@ def test_only_plain_files_are_read(tmp_path: Path, kind: str) -> None:
             READERS[kind](path)
 
 
-@pytest.mark.parametrize("kind", ["scenario", "signal", "urdf", "design"])
+@pytest.mark.parametrize("kind", ["scenario", "signal", "urdf", "design", "log"])
 def test_larger_files_than_anybody_writes_are_refused(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "large"
     with open(path, "wb") as file:

@@ -14,7 +14,13 @@ from undeadzone.identification.columns import choose
 from undeadzone.identification.csv_table import read_csv
 from undeadzone.identification.log import Column, Log, make_log, split_unit
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason
+from undeadzone.support.files import (
+    LARGEST_RUN,
+    LARGEST_TABLE,
+    reason,
+    require_plain,
+    require_unpacked,
+)
 
 
 def read_log(
@@ -120,6 +126,8 @@ def _of_frame(frame: Any) -> list[Column]:
 def _of_npz(path: Path) -> list[Column]:
     """The arrays of an .npz file as columns. Raises FileError."""
     try:
+        require_plain(path, LARGEST_TABLE)
+        require_unpacked(path, LARGEST_RUN)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
@@ -135,6 +143,7 @@ def _of_mat(path: Path) -> list[Column]:
     from scipy.io.matlab import MatReadError
 
     try:
+        require_plain(path, LARGEST_TABLE)
         arrays = loadmat(path, mat_dtype=True)
     except NotImplementedError:
         raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None

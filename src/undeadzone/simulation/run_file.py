@@ -17,7 +17,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.simulation.run_columns import from_columns, to_columns, unit_of
 from undeadzone.simulation.run_info import Info
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_plain
+from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_plain, require_unpacked
 from undeadzone.support.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
@@ -60,7 +60,7 @@ def read(path: Path, signals: Iterable[str], required: Iterable[str]) -> dict[st
         if path.suffix == ".csv":
             info, columns = _read_csv(path)
             return {"info": info, **from_columns(columns, signals, required)}
-        _require_size(path)
+        require_unpacked(path, LARGEST_RUN)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in signals if name in file}
             info = msgspec.json.decode(file["info"].tobytes(), type=Info)
@@ -72,14 +72,6 @@ def read(path: Path, signals: Iterable[str], required: Iterable[str]) -> dict[st
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except NOT_A_RUN as error:
         raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
-
-
-def _require_size(path: Path) -> None:
-    """Raise ValueError for a zip file that would unpack to more than a run."""
-    with zipfile.ZipFile(path) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > LARGEST_RUN:
-        raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
 
 
 def _write_npz(path: Path, info: Info, signals: Mapping[str, Floats]) -> None:

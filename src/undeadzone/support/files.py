@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -78,6 +79,14 @@ def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> N
         largest: number of bytes that it may have; None: any.
     """
     _require_plain(os.stat(path), largest)
+
+
+def require_unpacked(path: str | os.PathLike[str], largest: int) -> None:
+    """Raise ValueError for a zip file that would unpack to more than so many bytes."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > largest:
+        raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
 
 
 def _require_plain(status: os.stat_result, largest: int | None) -> None:
