@@ -23,7 +23,7 @@ FLOORS = (
     ("controllers", "observers"),
     ("scenario",),
     ("simulation",),
-    ("arena", "ensemble", "identification", "synthesis"),
+    ("arena", "ensemble", "exports", "identification", "synthesis"),
     ("tuning",),
     ("report",),
     ("paper",),

@@ -23,6 +23,8 @@ from .errors import StepError as StepError
 from .errors import StructureError as StructureError
 from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
+from .exports.export import Exported as Exported
+from .exports.export import export as export
 from .identification.identify import identify as identify
 from .identification.result import Identified as Identified
 from .interfaces import Estimate as Estimate

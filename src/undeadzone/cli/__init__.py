@@ -14,6 +14,7 @@ from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import ended
 from undeadzone.cli.ensemble import ensemble
+from undeadzone.cli.export import export
 from undeadzone.cli.identify import identify
 from undeadzone.cli.init import init
 from undeadzone.cli.paper import paper
@@ -38,13 +39,14 @@ def group() -> None:
     undeadzone arena mine.toml        compare all methods on it
     undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone watch mine.toml < log  estimate from samples as they come
+    undeadzone export mine.toml       write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
     2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.
     """
 
 
-for command in (identify, paper, run, ensemble, tune, arena, check, design, init, watch):
+for command in (paper, run, ensemble, tune, arena, check, design, init, watch, identify, export):
     group.add_command(command)
 
 

@@ -1,0 +1,108 @@
+"""undeadzone export SCENARIO.toml"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from undeadzone.cli.common import print_json, print_pairs, print_table
+
+
+@click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
+@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.option("--to", default="c", metavar="WHAT", help="c (default), or arduino.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="DIR",
+    help="Folder for the files (default: firmware; with --check alone, none).",
+)
+@click.option("--precision", default="single", metavar="P", help="single (default) or double.")
+@click.option(
+    "--part",
+    default="observer",
+    metavar="PART",
+    help="observer (default) or observer+controller.",
+)
+@click.option(
+    "--tunable",
+    multiple=True,
+    metavar="NAME",
+    help="A number that stays a parameter, such as observer.gamma; may be repeated.",
+)
+@click.option("--name", default=None, metavar="NAME", help="What every symbol begins with.")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Build the self-test with this computer's compiler, run it, print the accuracy table.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+def export(
+    scenario: Path,
+    to: str,
+    out: Path | None,
+    precision: str,
+    part: str,
+    tunable: tuple[str, ...],
+    name: str | None,
+    check: bool,
+    as_json: bool,
+) -> int:
+    """Write a scenario's observer, and its controller if asked, as C99 for firmware.
+
+    The folder holds the code, a self-test with reference vectors as bits, Makefile, CMakeLists.txt,
+    README and manifest. Single precision is run beside double along the scenario's own run.
+    Exit code 1: the self-test or the accuracy fails; the files are written all the same.
+    A folder that is no earlier export is never replaced.
+    """
+    from undeadzone.exports.export import export as run
+    from undeadzone.scenario.reader import read
+
+    problem = read(scenario)
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = out if out is not None or check else Path("firmware")
+        folder = Path(scratch) / "firmware" if kept is None else kept
+        result = run(problem, to, folder, precision, part, tunable, name, check)
+    files = [] if kept is None else [str(path) for path in result.files]
+    if as_json:
+        print_json(result.report | {"written": files})
+    else:
+        print_pairs(_in_words(result.report, files))
+        if check and result.report["accuracy"] is not None:
+            print_table(_table(result.report["accuracy"]))
+    return 0 if result.passed else 1
+
+
+def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """What is printed of a report."""
+    sizes = report["sizes"]
+    counts = [f"{count} {word}" for word, count in report["operations"].items()]
+    pairs: dict[str, Any] = {
+        "name": f"{report['name']} ({report['part']}, {report['precision']})",
+        "hash": report["hash"],
+        "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
+        "operations": ", ".join(counts) or "none",
+    }
+    if "self_test" in report:
+        pairs["self-test"] = report["self_test"]
+    if report["refusals"]:
+        pairs["REFUSED"] = report["refusals"]
+    if files:
+        pairs["written"] = files
+    return pairs
+
+
+def _table(accuracy: dict[str, Any]) -> list[list[str]]:
+    """The accuracy as rows of text."""
+    rows = [["float against double", "largest error", "largest value"]]
+    for name, numbers in accuracy["float_against_double"].items():
+        rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])
+    rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
+    eigenvalue = accuracy["smallest_correlation_eigenvalue"]
+    if eigenvalue is not None:
+        rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", "in double"])
+    return rows

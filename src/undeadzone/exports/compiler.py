@@ -1,0 +1,91 @@
+"""The host's C compiler, where there is one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+from undeadzone.errors import InputError
+
+FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
+NAMES = ("cc", "gcc", "clang")
+
+
+def compiler() -> str | None:
+    """The command of a C compiler: $CC, else cc, gcc or clang; None where there is none."""
+    for name in (os.environ.get("CC", ""), *NAMES):
+        if name and shutil.which(name):
+            return name
+    return None
+
+
+def shared_library(sources: list[Path], out: Path) -> Path:
+    """Compile C into a shared library.
+
+    Args:
+        sources: the files.
+        out: the library to be made.
+
+    Raises:
+        InputError: there is no compiler, or it refuses.
+    """
+    command = compiler()
+    if command is None:
+        raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
+    files = [str(path) for path in sources]
+    options = [*FLAGS, "-O1", "-fPIC", "-shared", "-o", str(out)]
+    for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
+        line = [command, *extra, *options, *files, "-lm"]
+        finish = subprocess.run(line, capture_output=True, text=True)
+        if finish.returncode == 0:
+            break
+    if finish.returncode:
+        raise InputError(f"{command} refuses the exported code: {finish.stderr.strip()[:500]}")
+    return out
+
+
+def stack_bytes(folder: Path, prefix: str) -> int | None:
+    """The stack of a step by the compiler's account [bytes]; None: it gave none.
+
+    It is the largest frame of a step or its halves and those of all functions that they may call.
+
+    Args:
+        folder: where `shared_library` put its output.
+        prefix: what the names of the functions begin with.
+    """
+    frames: dict[str, int] = {}
+    for path in folder.glob("*.su"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            place, size, _ = line.split("\t")
+            name = place.rsplit(":", 1)[-1]
+            if name.startswith(f"{prefix}_"):
+                frames[name.removeprefix(f"{prefix}_")] = int(size)
+    steps = [frames.pop(name, 0) for name in ("step", "estimate", "advance")]
+    for other in ("init", "params_default"):
+        frames.pop(other, None)
+    return max(steps) + sum(frames.values()) if max(steps) else None
+
+
+def self_tested(folder: Path, name: str) -> tuple[bool, str]:
+    """(whether it passed, what it printed) of `make` and the self-test of an export.
+
+    Args:
+        folder: the export; it is left as it was but for the program, which is removed.
+        name: its prefix.
+    """
+    command = compiler()
+    if command is None:
+        return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
+    program = folder / f"{name}_test"
+    sources = [str(folder / f"{name}.c"), str(folder / f"{name}_test.c")]
+    make = [command, *FLAGS, "-O2", "-o", str(program), *sources, "-lm"]
+    try:
+        built = subprocess.run(make, capture_output=True, text=True)
+        if built.returncode:
+            return False, built.stderr.strip()[:500]
+        done = subprocess.run([str(program)], capture_output=True, text=True)
+    finally:
+        program.unlink(missing_ok=True)
+    return done.returncode == 0, done.stdout.strip()

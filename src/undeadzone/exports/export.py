@@ -1,0 +1,198 @@
+"""From a scenario to a folder of C, with the report of what it costs and how exact it is."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import undeadzone
+from undeadzone.errors import InputError
+from undeadzone.exports import accuracy, compiler, folder, parts
+from undeadzone.exports.code import Code, code
+from undeadzone.exports.expressions import LARGEST, LEAST
+from undeadzone.exports.fields import identifier
+from undeadzone.exports.instructions import operations, uses_of
+from undeadzone.exports.selftest import selftest
+from undeadzone.exports.source import Labels, Source, source
+from undeadzone.exports.vectors import chosen, continued, recorded, reference
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.support.arrays import Floats
+
+TARGETS = ("c", "arduino")
+PRECISIONS = ("single", "double")
+STEPS = 100_000  # of the comparison of float with double, at least
+NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+
+
+class Exported(NamedTuple):
+    """What an export wrote, and what it found.
+
+    Attributes:
+        files: the files written.
+        report: name, hash, sizes and the stack on this computer [bytes], operations of a step,
+            accuracy, and `refusals`: why the code should not be used, with the number; empty where
+            all is well.
+    """
+
+    files: list[Path]
+    report: dict[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing was refused."""
+        return not self.report["refusals"]
+
+
+def export(
+    scenario: Scenario,
+    to: str = "c",
+    out: str | Path = "firmware",
+    precision: str = "single",
+    part: str = "observer",
+    tunable: tuple[str, ...] = (),
+    name: str | None = None,
+    check: bool = False,
+) -> Exported:
+    """Write a scenario's observer as C99 that runs without a library.
+
+    Args:
+        scenario: a scenario with simulation.time = "sampled".
+        to: "c", or "arduino" for a library of the Arduino IDE.
+        out: folder for the files; replaced if it is an earlier export.
+        precision: "single" for float, or "double".
+        part: "observer", or "observer+controller".
+        tunable: numbers that stay parameters of the code, such as "observer.gamma".
+        name: what every symbol begins with; default: made of the scenario's title.
+        check: also build the self-test with this computer's compiler and run it ("c" only).
+
+    Returns:
+        The files, and a report. Accuracy is measured where there is a C compiler; single
+        precision that was not measured counts as refused.
+
+    Raises:
+        InputError: a scenario that cannot be exported, or an unknown option.
+        FileError: the folder is something else, or cannot be written.
+    """
+    _require("to", to, TARGETS)
+    _require("precision", precision, PRECISIONS)
+    prefix = _prefix(name, scenario.title)
+    folder.require_replaceable(Path(out))
+    problem = resolve_scenario(scenario)
+    step = parts.build(problem, part, tuple(tunable))
+    double = code(step, single=False)
+    printed = code(step, single=True) if precision == "single" else double
+    text = source(printed, Labels(prefix, scenario.title, part))
+    rows = recorded(continued(scenario, STEPS), step)
+    report = _report(printed, text, scenario, prefix, part, tuple(tunable))
+    report |= _measured(double, printed, text, rows)
+    files = {f"{prefix}.h": text.header, f"{prefix}.c": text.code}
+    if text.math:
+        files[f"{prefix}_math.h"] = text.math
+    if to == "arduino":
+        files = {f"src/{path}": content for path, content in files.items()}
+        report["files"] = sorted([*files, *folder.arduino_files(report | {"files": []})])
+        files |= folder.arduino_files(report)
+    else:
+        vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
+        files[f"{prefix}_test.c"] = selftest(printed, prefix, vectors)
+        report["files"] = sorted([*files, *folder.build_files(report | {"files": []}, False)])
+        files |= folder.build_files(report, bool(text.math))
+    written = folder.write_folder(files, Path(out))
+    if check and to == "c":
+        passed, said = compiler.self_tested(Path(out), prefix)
+        report["self_test"] = said
+        if not passed:
+            report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
+    return Exported(written, report)
+
+
+def _require(key: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise InputError for a word that is not known."""
+    if value not in known:
+        raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
+
+
+def _prefix(name: str | None, title: str) -> str:
+    """What every symbol begins with. Raises InputError for a name that C cannot use."""
+    prefix = identifier(title)[:24].strip("_") if name is None else name
+    if not NAME.fullmatch(prefix) or identifier(prefix) != prefix:
+        raise InputError(
+            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}"
+        )
+    return prefix
+
+
+def _report(
+    printed: Code,
+    text: Source,
+    scenario: Scenario,
+    prefix: str,
+    part: str,
+    tunable: tuple[str, ...],
+) -> dict[str, Any]:
+    """What is known of an export before anything runs."""
+    step = printed.step
+    bytes_each = 4 if printed.single else 8
+    carried = 0 if printed.phases is None else printed.phases.carried
+    sizes = {"state": bytes_each * (step.start.size + carried)}
+    for word, fields in (("in", step.inputs), ("out", step.outputs), ("params", step.params)):
+        sizes[word] = bytes_each * sum(field.size for field in fields)
+    return {
+        "name": prefix,
+        "title": scenario.title,
+        "version": undeadzone.__version__,
+        "hash": printed.hash,
+        "part": part,
+        "precision": "single" if printed.single else "double",
+        "step": step.Ts,
+        "tunable": list(tunable),
+        "two_phase": printed.phases is not None,
+        "sizes": sizes,
+        "operations": operations(printed.graph),
+        "functions": text.functions,
+        "replaced_constants": replaced_constants(printed),
+    }
+
+
+def replaced_constants(printed: Code) -> list[str]:
+    """The numbers of the graph that float cannot hold, and what stands for them."""
+    if not printed.single:
+        return []
+    uses = uses_of(printed.graph)
+    texts = set()
+    for place, node in enumerate(printed.graph.nodes):
+        if not uses[place] or node.operands or not _is_number(node.text):
+            continue
+        size = abs(float(node.text))
+        if size > LARGEST:
+            texts.add(f"{node.text}: FLT_MAX")
+        if 0 < size < LEAST:
+            texts.add(f"{node.text}: FLT_MIN")
+    return sorted(texts)
+
+
+def _is_number(text: str) -> bool:
+    """Whether the text of a node is a number's, not an input's."""
+    return not text[:1].isalpha() or text in ("inf", "nan")
+
+
+def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
+    """The accuracy, and what it refuses."""
+    if compiler.compiler() is None:
+        message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
+        refusals = [message] if printed.single else []
+        return {"accuracy": None, "stack": None, "refusals": refusals}
+    single = printed if printed.single else None
+    result = accuracy.measure(double, single, rows, bool(text.functions))
+    table = {row.name: {"error": row.error, "size": row.size} for row in result.rows}
+    measured = {
+        "machine": result.machine,
+        "machine_bar": result.machine_bar,
+        "steps": result.steps,
+        "float_against_double": table,
+        "sides_differ": result.sides,
+        "smallest_correlation_eigenvalue": result.eigenvalue,
+    }
+    return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}

@@ -1,0 +1,136 @@
+"""What the structs of an export hold: names, sizes, units and meanings of the numbers of a step."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.interfaces import Estimate
+from undeadzone.scenario.schema import Units
+from undeadzone.support import tree
+
+_RESERVED = """
+auto break case char const continue default do double else enum extern float for goto if inline
+int long register restrict return short signed sizeof static struct switch typedef union
+unsigned void volatile while bool true false class new delete this and or not
+"""
+_KEYWORDS = frozenset(_RESERVED.split())
+
+
+class Field(NamedTuple):
+    """An array in a struct.
+
+    Attributes:
+        name: its name in C.
+        size: how many numbers it holds.
+        meaning: what they are, with their unit.
+    """
+
+    name: str
+    size: int
+    meaning: str
+
+
+def identifier(text: str) -> str:
+    """A name for C made of any text: letters, digits and single underscores, in lower case."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
+    if not name:
+        return "observer"
+    return f"n{name}" if name[0].isdigit() or name in _KEYWORDS else name
+
+
+def state_fields(state: Any, drop: str = "") -> list[Field]:
+    """The fields of a state, named after its tree.
+
+    Args:
+        state: tree of NumPy arrays.
+        drop: a prefix of the names in the tree to be left out.
+    """
+    fields: list[Field] = []
+    for name, leaf in tree.leaves(state):
+        size = int(np.size(leaf))
+        if not size:
+            continue
+        short = name.removeprefix(drop).strip(".")
+        base = _member(short) if short else "memory"
+        fields.append(Field(_unused(base, fields), size, _state_meaning(short)))
+    return fields
+
+
+def _member(name: str) -> str:
+    """The name of a field in C; capitals are kept, as W and w may differ."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return f"n{plain}" if plain[0].isdigit() or plain in _KEYWORDS else plain
+
+
+def _unused(base: str, fields: list[Field]) -> str:
+    """A name that no field has yet."""
+    taken = {field.name for field in fields}
+    name, count = base, 2
+    while name in taken:
+        name, count = f"{base}_{count}", count + 1
+    return name
+
+
+_MEANINGS = {
+    "held": "the last finite input",
+    "mean": "mean of the belief",
+    "cov": "covariances of the belief, upper triangle column by column",
+    "x": "estimated state",
+    "right": "estimated right width",
+    "left": "estimated left width",
+    "W": "weights of the approximation",
+}
+
+
+def _state_meaning(name: str) -> str:
+    """What is known of a part of the state by the end of its name."""
+    return _MEANINGS.get(name.rsplit(".", 1)[-1], "memory of the method")
+
+
+def estimate_meanings(units: Units) -> dict[str, str]:
+    """What each field of an estimate means, with its unit."""
+    output = units.output
+    states = units.state if isinstance(units.state, str) else ", ".join(units.state)
+    return {
+        "x": f"estimated state [{states}]",
+        "z": f"estimated output behind the dead zone [{output}]",
+        "right": f"estimated right width of the dead zone [{output}]",
+        "left": f"estimated left width of the dead zone [{output}]",
+        "z_inverse": f"reading with the dead zone undone [{output}]",
+        "innovation": f"what the reading adds to the prediction [{output}]",
+        "x_std": f"standard deviations of x [{states}]",
+        "right_std": f"standard deviation of right [{output}]",
+        "left_std": f"standard deviation of left [{output}]",
+        "width_std": f"standard deviation of right + left [{output}]",
+        "innovation_std": f"standard deviation of the innovation [{output}]",
+        "w": f"what the model leaves out, x' = f(x, u) + w [({states})/s]",
+        "theta": "estimated parameters of the model",
+        "theta_std": "standard deviations of theta",
+    }
+
+
+def estimate_fields(sizes: Estimate, units: Units) -> list[Field]:
+    """The fields of an estimate that are not empty.
+
+    Args:
+        sizes: arrays of the sizes of its fields.
+        units: names of the scenario's units.
+    """
+    meanings = estimate_meanings(units)
+    fields: list[Field] = []
+    for name, part in zip(Estimate._fields, sizes, strict=True):
+        if np.size(part):
+            fields.append(Field(name, int(np.size(part)), meanings[name]))
+    return fields
+
+
+def members(fields: list[Field]) -> list[tuple[str, int]]:
+    """(name of the field, entry) of every number, in order."""
+    places: list[tuple[str, int]] = []
+    for field in fields:
+        for entry in range(field.size):
+            places.append((field.name, entry))
+    return places

@@ -1,0 +1,217 @@
+"""The files around the C, and the folder that takes them all or none."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from undeadzone.errors import FileError
+from undeadzone.support.files import reason
+
+GENERATOR = "undeadzone export"
+MANIFEST = "manifest.json"
+
+MAKEFILE = """# `make` builds {name}_test, which compares every bit with the reference: exit code 0.
+CFLAGS = -O2 -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections -Wall
+{name}_test: {name}.c {name}.h {math}{name}_test.c
+\t$(CC) $(CFLAGS) -o $@ {name}.c {name}_test.c -lm
+"""
+
+CMAKE = """cmake_minimum_required(VERSION 3.10)
+project({name} C)
+add_library({name} STATIC {name}.c)
+target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+target_compile_options({name} PRIVATE
+  -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections)
+"""
+
+PROPERTIES = """name={name}
+version=1.0.0
+author=undeadzone export
+maintainer=undeadzone export
+sentence={title}
+paragraph=An observer that sees through a sensor's dead zone, as C99 without a runtime.
+category=Signal Input/Output
+url=https://www.arduino.cc
+architectures=*
+includes={name}.h
+"""
+
+SKETCH = """// Reads a sensor on A0 at the sample time and prints what lies behind its dead zone.
+#include <{name}.h>
+
+static {name}_state state;
+static {name}_in in;
+static {name}_out out;
+static unsigned long next_sample;
+{params_declared}
+void setup() {{
+  Serial.begin(115200);
+{params_default}  {name}_init(&state);
+  next_sample = micros();
+}}
+
+void loop() {{
+  if ((long)(micros() - next_sample) < 0) {{
+    return;
+  }}
+  next_sample += (unsigned long)({upper}_STEP * 1e6f + 0.5f);
+  in.y[0] = analogRead(A0);  // scale it to the unit in the header; fill all of `in`
+  {name}_step(&state, {params}&in, &out);
+  Serial.println(out.z[0]);
+}}
+"""
+
+
+def readme(report: dict[str, Any], arduino: bool = False) -> str:
+    """The README of an export.
+
+    Args:
+        report: what the manifest holds.
+        arduino: whether it is an Arduino library, which has no self-test beside it.
+    """
+    name, sizes = report["name"], report["sizes"]
+    counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
+    build = f"Run `make && ./{name}_test`: exit code 0 means that every bit agrees."
+    if arduino:
+        build = "Copy this folder into the libraries folder of the Arduino IDE."
+    phases = ""
+    if report["two_phase"]:
+        phases = f"""
+Where u is computed from the estimate, call the halves instead; they give the same bits:
+
+    {name}_estimate(&state, {_params(report)}&in, &out);   /* reads in.y */
+    {name}_advance(&state, {_params(report)}&in);          /* reads in.u */
+"""
+    return f"""# {name}: {report["title"]}
+
+{report["part"]} in {report["precision"]} precision, written by undeadzone {report["version"]}.
+Hash {report["hash"]}. The header names the unit of every field.
+
+## Build
+
+{build}
+Compile with `-std=c99 -ffp-contract=off` and never with `-ffast-math`. There is no heap, no
+recursion, no loop, no static that changes; any number of instances may run, in interrupts too.
+The step and its halves stand beside each other: `-ffunction-sections` and the linker's
+`--gc-sections` keep what is called.
+
+## Call
+
+    {name}_init(&state);                     /* once */
+    {name}_step(&state, {_params(report)}&in, &out);       /* every {report["step"]:g} s */
+
+A reading in `in.y` that is not finite counts as missing.
+{phases}
+## Cost
+
+Bytes: state {sizes["state"]}, in {sizes["in"]}, out {sizes["out"]}.
+One step takes at most these operations, whatever the data: {counts}.
+
+## What may not be changed
+
+The files are one whole: the self-test and the hash belong to exactly this code. Change the scenario
+and export again.
+"""
+
+
+def _params(report: dict[str, Any]) -> str:
+    return "&params, " if report["tunable"] else ""
+
+
+def build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
+    """The texts of Makefile, CMakeLists.txt, README.md and manifest.json, by name."""
+    name = report["name"]
+    header = f"{name}_math.h " if math else ""
+    return {
+        "Makefile": MAKEFILE.format(name=name, math=header),
+        "CMakeLists.txt": CMAKE.format(name=name),
+        "README.md": readme(report),
+        MANIFEST: manifest(report),
+    }
+
+
+def arduino_files(report: dict[str, Any]) -> dict[str, str]:
+    """The texts around the C of an Arduino library, by name."""
+    name = report["name"]
+    declared, default = "", ""
+    if report["tunable"]:
+        declared = f"static {name}_params params;\n"
+        default = f"  {name}_params_default(&params);\n"
+    sketch = SKETCH.format(
+        name=name,
+        upper=name.upper(),
+        params=_params(report),
+        params_declared=declared,
+        params_default=default,
+    )
+    title = " ".join(str(report["title"]).split())
+    return {
+        "library.properties": PROPERTIES.format(name=name, title=title),
+        f"examples/{name}_example/{name}_example.ino": sketch,
+        "README.md": readme(report, arduino=True),
+        MANIFEST: manifest(report),
+    }
+
+
+def manifest(report: dict[str, Any]) -> str:
+    """The text of the manifest."""
+    return json.dumps({"generator": GENERATOR} | report, indent=2) + "\n"
+
+
+def require_replaceable(out: Path) -> None:
+    """Raise FileError unless a folder is absent, empty or an earlier export."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise FileError(f"{out}: is a file; give another folder")
+    try:
+        if not any(out.iterdir()):
+            return
+        content = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+        ours = isinstance(content, dict) and content.get("generator") == GENERATOR
+    except (OSError, ValueError):
+        ours = False
+    if not ours:
+        raise FileError(
+            f"{out}: holds no {MANIFEST} of `{GENERATOR}`, so it is not replaced; "
+            "give another folder or remove this one"
+        )
+
+
+def write_folder(files: dict[str, str], out: Path) -> list[Path]:
+    """Write files into a new folder that takes the name `out` once it is whole.
+
+    Args:
+        files: texts by their paths inside the folder.
+        out: the folder; an earlier export there is replaced.
+
+    Returns:
+        The paths written.
+
+    Raises:
+        FileError: it cannot be written, or `out` is something else.
+    """
+    require_replaceable(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as name:
+            fresh = Path(name) / "new"
+            for path, text in files.items():
+                (fresh / path).parent.mkdir(parents=True, exist_ok=True)
+                (fresh / path).write_text(text, encoding="utf-8")
+            if out.exists():
+                os.replace(out, Path(name) / "old")
+            os.replace(fresh, out)
+    except (OSError, ValueError) as error:
+        raise FileError(f"{out}: cannot write: {reason(error)}") from None
+    return [out / path for path in files]
+
+
+def remove(out: Path) -> None:
+    """Remove a folder."""
+    shutil.rmtree(out, ignore_errors=True)

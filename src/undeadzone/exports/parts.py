@@ -1,0 +1,253 @@
+"""The step that is exported, as one function: the observer alone, or with its controller."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.exports.fields import Field, estimate_fields, state_fields
+from undeadzone.exports.tunable import folded, require_used
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate, Observer, Reading, graph_of
+from undeadzone.scenario.problem import Problem
+from undeadzone.scenario.schema import Units
+from undeadzone.sensor import present, side
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+PARTS = ("observer", "observer+controller")
+
+
+class Step(NamedTuple):
+    """One sample of what is exported.
+
+    Attributes:
+        function: step(s, w, p) -> (next, out), the numbers that are not tunable folded in.
+        start: the state at t = 0.
+        state, inputs, outputs, params: the fields of the structs; params are the tunable numbers.
+        defaults: values of the tunable numbers.
+        readings: how many entries of w are readings; they come first.
+        acting: the entries of w that are inputs u of the plant; none with a controller.
+        Ts: sample time [s].
+    """
+
+    function: ca.Function
+    start: Floats
+    state: list[Field]
+    inputs: list[Field]
+    outputs: list[Field]
+    params: list[Field]
+    defaults: Floats
+    readings: int
+    acting: list[int]
+    Ts: float
+
+
+class _Numbers(NamedTuple):
+    """Every number of the step that could be tuned; the field names stand in `--tunable`."""
+
+    observer: Any
+    sensor: Any
+    controller: Any
+
+
+class _Sensor(NamedTuple):
+    """Numbers of the sensor that the step uses: the silence threshold (p)."""
+
+    threshold: Any
+
+
+class _ObserverMemory(NamedTuple):
+    """The observer's state and the input that was last finite (m)."""
+
+    observer: Any
+    held: Any
+
+
+class _LoopMemory(NamedTuple):
+    """The states of observer and controller."""
+
+    observer: Any
+    controller: Any
+
+
+def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
+    """The step of a problem.
+
+    Args:
+        problem: the checked parts of a sampled scenario.
+        part: "observer", or "observer+controller".
+        tunable: numbers that stay parameters, such as "observer.gamma" or "sensor.threshold".
+
+    Returns:
+        The step.
+
+    Raises:
+        InputError: a continuous scenario, an observer without a graph, an unknown part or number.
+    """
+    if problem.model.Ts is None:
+        raise InputError(
+            'simulation.time: "continuous" cannot be exported, a controller chip takes samples; '
+            'set simulation.time = "sampled"'
+        )
+    if part not in PARTS:
+        raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")
+    observer = graph_of(problem.observer)
+    controller = problem.controller if part != "observer" else None
+    numbers = _Numbers(
+        observer.params,
+        _Sensor(problem.sensor.threshold),
+        None if controller is None else controller.params,
+    )
+    column, params, defaults = folded(numbers, tunable)
+    step = _observer(problem, observer, numbers, column)
+    if controller is not None:
+        step = _loop(problem, observer, controller, numbers, column)
+    function = ca.Function(
+        "step",
+        [step.state, step.inputs, params.symbols],
+        [step.following, step.out],
+        ["s", "w", "p"],
+        ["next", "out"],
+        {"cse": True},
+    )
+    require_used(ca.vertcat(step.following, step.out), params, tunable)
+    return Step(
+        function,
+        step.start,
+        step.state_fields,
+        step.input_fields,
+        step.output_fields,
+        params.fields,
+        defaults,
+        problem.model.p,
+        step.acting,
+        problem.model.Ts,
+    )
+
+
+class _Traced(NamedTuple):
+    """A step as expressions: columns, and the fields that they consist of."""
+
+    state: ca.SX
+    inputs: ca.SX
+    following: ca.SX
+    out: ca.SX
+    start: Floats
+    state_fields: list[Field]
+    input_fields: list[Field]
+    output_fields: list[Field]
+    acting: list[int]
+
+
+def _reading(y: ca.SX, threshold: Any) -> Reading:
+    """A reading that is NaN where it is missing."""
+    seen = ca.if_else(present(y), y, np.nan)
+    return Reading(seen, side(seen, threshold))
+
+
+def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
+    """The observer alone; an input that is not finite is the last one."""
+    model, units = problem.model, problem.scenario.units
+    params: _Numbers = tree.unpack(numbers, column)
+    memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
+    s_column, s = tree.symbols(memory, "s")
+    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
+    used = ca.if_else(present(u), u, s.held)
+    reading = _reading(y, params.sensor.threshold)
+    after, estimate = observer.step(params.observer, s.observer, used, reading)
+    fields = [*_estimated(estimate, units), Field("side", model.p, "measured side: +1, -1, 0")]
+    return _Traced(
+        s_column,
+        ca.vertcat(y, u),
+        tree.stack(_ObserverMemory(after, used)),
+        tree.stack((estimate, reading.side)),
+        tree.pack(memory),
+        state_fields(memory, "observer"),
+        [_y_field(model.p), Field("u", model.m, f"input until the next sample [{units.input}]")],
+        fields,
+        list(range(model.p, model.p + model.m)),
+    )
+
+
+def _loop(
+    problem: Problem,
+    observer: Observer,
+    controller: Controller,
+    numbers: _Numbers,
+    column: ca.SX,
+) -> _Traced:
+    """Observer and controller; u is limited as the plant's drives are."""
+    model, units = problem.model, problem.scenario.units
+    params: _Numbers = tree.unpack(numbers, column)
+    memory = _LoopMemory(observer.init(observer.params), controller.init(controller.params))
+    s_column, s = tree.symbols(memory, "s")
+    y = ca.SX.sym("y", model.p)
+    like = Target(
+        np.zeros(len(problem.tracked)),
+        np.zeros(model.n),
+        np.zeros(model.m),
+        np.zeros(controller.planned),
+    )
+    t_column, target = tree.symbols(like, "target")
+    reading = _reading(y, params.sensor.threshold)
+    unused = ca.SX.sym("unused", model.m)
+    _, estimate = observer.step(params.observer, s.observer, unused, reading)
+    moved, u = controller.step(params.controller, s.controller, estimate, target)
+    u = _limited(u, problem.plant.limit)
+    after, _ = observer.step(params.observer, s.observer, u, reading)
+    fields = [
+        Field("u", model.m, f"input until the next sample [{units.input}]"),
+        *_estimated(estimate, units),
+        Field("side", model.p, "measured side: +1, -1, 0"),
+    ]
+    return _Traced(
+        s_column,
+        ca.vertcat(y, t_column),
+        tree.stack(_LoopMemory(after, moved)),
+        tree.stack((u, estimate, reading.side)),
+        tree.pack(memory),
+        state_fields(memory),
+        [_y_field(model.p), *_target_fields(like, units)],
+        fields,
+        [],
+    )
+
+
+def _y_field(size: int) -> Field:
+    return Field("y", size, "readings of the sensor; one that is not finite is missing")
+
+
+def _target_fields(like: Target, units: Units) -> list[Field]:
+    """The fields of what the controller should follow."""
+    meanings = {
+        "r": f"reference of the tracked outputs [{units.output}]",
+        "x_ref": "state that belongs to it",
+        "u_ff": f"input that belongs to it [{units.input}]",
+        "plan": "numbers that the controller computed ahead",
+    }
+    fields: list[Field] = []
+    for name, part in zip(Target._fields, like, strict=True):
+        if np.size(part):
+            fields.append(Field(name, int(np.size(part)), meanings[name]))
+    return fields
+
+
+def _estimated(estimate: Estimate, units: Units) -> list[Field]:
+    """The fields of an estimate."""
+    sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
+    return estimate_fields(sizes, units)
+
+
+def _limited(u: ca.SX, limit: Floats | None) -> ca.SX:
+    """An input within the limits of the drives, where there are any."""
+    if limit is None:
+        return u
+    entries = []
+    for k, most in enumerate(np.broadcast_to(limit, (u.shape[0],))):
+        entry = u[k]
+        entries.append(ca.fmax(ca.fmin(entry, most), -most) if np.isfinite(most) else entry)
+    return ca.vertcat(*entries)

@@ -1,0 +1,294 @@
+"""The C of an export: its header, its code, and the elementary functions that it uses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import undeadzone
+from undeadzone.engine.graph import Graph
+from undeadzone.exports import elementary
+from undeadzone.exports.code import Code
+from undeadzone.exports.expressions import Style, literal
+from undeadzone.exports.fields import Field, members
+from undeadzone.exports.instructions import uses_of
+from undeadzone.exports.labels import meanings
+from undeadzone.exports.math_header import math_header
+from undeadzone.exports.statements import INDENT, Body, Names, body
+
+
+class Labels(NamedTuple):
+    """The words of an export that its files share.
+
+    Attributes:
+        prefix: what every symbol begins with.
+        title: of the scenario.
+        part: "observer" or "observer+controller".
+    """
+
+    prefix: str
+    title: str
+    part: str
+
+
+class Source(NamedTuple):
+    """The text of the C files.
+
+    Attributes:
+        header: the interface.
+        code: init and step.
+        math: the elementary functions; empty where none is used.
+        functions: the names of those.
+    """
+
+    header: str
+    code: str
+    math: str
+    functions: list[str]
+
+
+def source(code: Code, labels: Labels) -> Source:
+    """The C of an export."""
+    style = Style(code.single, labels.prefix)
+    bodies = _bodies(code, style)
+    used: set[str] = set()
+    for part in bodies.values():
+        used |= part.functions
+    functions = elementary.needed(used)
+    math = math_header(functions, used, style) if used else ""
+    return Source(
+        _header(code, labels, style),
+        _code(code, labels, style, bodies, bool(math)),
+        math,
+        functions,
+    )
+
+
+def _bodies(code: Code, style: Style) -> dict[str, Body]:
+    """The statements of each function of a step."""
+    step = code.step
+    stored = [f"state->{name}[{k}]" for name, k in members(step.state)]
+    following = [f"next_{name}_{k}" for name, k in members(step.state)]
+    out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
+    shown = [f"{name}_{k}" for name, k in members(step.outputs)]
+    inputs = _inputs(code)
+    names = Names(inputs, [stored, out], [following, shown], meanings(code.graph, step, 1))
+    bodies = {"step": body(code.graph, style, names)}
+    if code.phases is not None:
+        carry = [f"state->carry[{k}]" for k in range(code.phases.carried)]
+        local = [f"carry_{k}" for k in range(code.phases.carried)]
+        first, second = code.phases.estimate, code.phases.advance
+        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0))
+        bodies["estimate"] = body(first, style, names)
+        names = Names(inputs, [stored], [following], meanings(second, step, None))
+        bodies["advance"] = body(second, style, names)
+    return {name: _with_states(part, code, name) for name, part in bodies.items()}
+
+
+def _inputs(code: Code) -> dict[str, str]:
+    """The C expression of each entry of the inputs; states are read into locals first."""
+    step = code.step
+    inputs: dict[str, str] = {}
+    for entry, (name, k) in enumerate(members(step.state)):
+        inputs[f"s{entry}"] = f"{name}_was_{k}"
+    for entry, (name, k) in enumerate(members(step.inputs)):
+        inputs[f"w{entry}"] = f"in->{name}[{k}]"
+    for entry, (name, k) in enumerate(members(step.params)):
+        inputs[f"p{entry}"] = f"params->{name}[{k}]"
+    if code.phases is not None:
+        for entry in range(code.phases.carried):
+            inputs[f"c{entry}"] = f"state->carry[{entry}]"
+    return inputs
+
+
+def _with_states(part: Body, code: Code, name: str) -> Body:
+    """A body that first reads the states that it uses, as results overwrite them."""
+    graph = code.graph
+    if code.phases is not None and name != "step":
+        graph = code.phases.estimate if name == "estimate" else code.phases.advance
+    used = _used_inputs(graph)
+    real = "float" if code.single else "double"
+    reads: list[str] = []
+    for entry, (field, k) in enumerate(members(code.step.state)):
+        if f"s{entry}" in used:
+            reads.append(f"{INDENT}const {real} {field}_was_{k} = state->{field}[{k}];")
+    return Body([*reads, "", *part.lines] if reads else part.lines, part.functions)
+
+
+def _used_inputs(graph: Graph) -> set[str]:
+    """The texts of the input entries on which results depend."""
+    uses = uses_of(graph)
+    texts = set()
+    for place, node in enumerate(graph.nodes):
+        if uses[place] and not node.operands:
+            texts.add(node.text)
+    return texts
+
+
+def _header(code: Code, labels: Labels, style: Style) -> str:
+    """The text of the header."""
+    step, prefix = code.step, labels.prefix
+    upper = prefix.upper()
+    carry = []
+    if code.phases is not None and code.phases.carried:
+        meaning = "from estimate to advance; not part of the memory"
+        carry = [Field("carry", code.phases.carried, meaning)]
+    structs = [
+        _struct(
+            f"{prefix}_state",
+            "What is remembered from sample to sample.",
+            step.state + carry,
+            style,
+        ),
+        _struct(f"{prefix}_in", "One sample.", step.inputs, style),
+        _struct(f"{prefix}_out", "What is known at this sample.", step.outputs, style),
+    ]
+    if step.params:
+        warning = "Tunable numbers. Whoever changes them leaves what was proved of the design."
+        structs.append(_struct(f"{prefix}_params", warning, step.params, style))
+    lines = [
+        "/**",
+        f" * @file {prefix}.h",
+        f" * {_plain(labels.title)}: {labels.part}, {style.real}.",
+        f" * Written by undeadzone {undeadzone.__version__}; do not edit.",
+        " */",
+        f"#ifndef {upper}_H",
+        f"#define {upper}_H",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        f"#define {upper}_STEP {literal(step.Ts, code.single)} /**< sample time [s] */",
+        f'#define {upper}_HASH "{code.hash}" /**< of the graph, its numbers and the precision */',
+        "",
+        *structs,
+        *_prototypes(code, labels),
+        "#ifdef __cplusplus",
+        "}",
+        "#endif",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """A text that may stand in a comment."""
+    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").split()).replace("\\", "/")
+
+
+def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
+    """The definition of a struct, with a blank line after it."""
+    lines = [f"/** {meaning} */", "typedef struct", "{"]
+    for field in fields:
+        lines.append(
+            f"{INDENT}{style.real} {field.name}[{field.size}]; /**< {_plain(field.meaning)} */"
+        )
+    return "\n".join([*lines, f"}} {name};", ""])
+
+
+def signatures(code: Code, prefix: str) -> dict[str, str]:
+    """The declarations of the functions of an export, without semicolons."""
+    params = f", const {prefix}_params *params" if code.step.params else ""
+    state = f"{prefix}_state *state"
+    sample = f"const {prefix}_in *in"
+    out = f"{prefix}_out *out"
+    texts = {}
+    if code.step.params:
+        texts["params_default"] = f"void {prefix}_params_default({prefix}_params *params)"
+    texts["init"] = f"void {prefix}_init({state})"
+    texts["step"] = f"void {prefix}_step({state}{params}, {sample}, {out})"
+    if code.phases is not None:
+        texts["estimate"] = f"void {prefix}_estimate({state}{params}, {sample}, {out})"
+        texts["advance"] = f"void {prefix}_advance({state}{params}, {sample})"
+    return texts
+
+
+_MEANINGS = {
+    "params_default": "The numbers of the design.",
+    "init": "Start anew.",
+    "step": "One sample: the estimate from this reading and all before it, then on to the next.",
+    "estimate": "The first half of a step: out, which does not depend on in->u. May be repeated.",
+    "advance": "The second half, once in->u is known; both together give the bits of a step.",
+}
+
+
+def _prototypes(code: Code, labels: Labels) -> list[str]:
+    """The declarations, each with its meaning and a blank line after it."""
+    lines: list[str] = []
+    for name, text in signatures(code, labels.prefix).items():
+        lines += [f"/** {_MEANINGS[name]} */", f"{text};", ""]
+    return lines
+
+
+def _code(
+    code: Code, labels: Labels, style: Style, bodies: dict[str, Body], with_math: bool
+) -> str:
+    """The text of the code."""
+    prefix, step = labels.prefix, code.step
+    start = _assignments("state", step.state, [float(v) for v in step.start], style)
+    if code.phases is not None:
+        for k in range(code.phases.carried):
+            start.append(f"{INDENT}state->carry[{k}] = {literal(0.0, code.single)};")
+    lines = [
+        f"/* {_plain(labels.title)}: {labels.part}, {style.real}.",
+        f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
+        *GUARDS,
+        f'#include "{prefix}.h"',
+    ]
+    if with_math:
+        lines.append(f'#include "{prefix}_math.h"')
+    lines_of_bodies = list(start)
+    for part in bodies.values():
+        lines_of_bodies += part.lines
+    text = "\n".join(lines_of_bodies)
+    if "FLT_M" in text or "DBL_M" in text:
+        lines.append("#include <float.h>")
+    if any(word in text for word in ("NAN", "sqrt", "fmod", "remainder", "copysign")):
+        lines.append("#include <math.h>")
+    if "bool " in text or "true" in text or "false" in text:
+        lines.append("#include <stdbool.h>")
+    lines.append("")
+    texts = signatures(code, prefix)
+    if step.params:
+        values = [float(value) for value in step.defaults]
+        defaults = _assignments("params", step.params, values, style)
+        lines += [texts["params_default"], "{", *defaults, "}", ""]
+    lines += [texts["init"], "{", *start, "}"]
+    for name, part in bodies.items():
+        lines += ["", texts[name], "{", *_unread(part, name, step.params != []), *part.lines, "}"]
+    return "\n".join([*lines, ""])
+
+
+GUARDS = [
+    "",
+    "#if defined(__FAST_MATH__)",
+    '#error "compile without -ffast-math: it changes what this code computes"',
+    "#endif",
+    "#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2)",
+    '#error "this compiler computes in long double (x87); use -msse2 -mfpmath=sse"',
+    "#endif",
+    "#if defined(__clang__)",
+    "#pragma STDC FP_CONTRACT OFF",
+    "#elif defined(__GNUC__)",
+    '#pragma GCC optimize("fp-contract=off")',
+    "#endif",
+    "",
+]
+
+
+def _unread(part: Body, name: str, params: bool) -> list[str]:
+    """Statements for arguments that a body happens not to read."""
+    text = "\n".join(part.lines)
+    arguments = ["in->", "params->"] if params else ["in->"]
+    missing = [word.removesuffix("->") for word in arguments if word not in text]
+    return [f"{INDENT}(void){word};" for word in missing]
+
+
+def _assignments(target: str, fields: list[Field], values: list[float], style: Style) -> list[str]:
+    """Statements that store numbers."""
+    lines = []
+    for (name, k), value in zip(members(fields), values, strict=True):
+        lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.single)};")
+    return lines

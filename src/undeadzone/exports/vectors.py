@@ -1,0 +1,147 @@
+"""Inputs from the scenario's own run, and the bits that must come of some of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.engine import interpret
+from undeadzone.errors import InputError
+from undeadzone.exports import elementary
+from undeadzone.exports.code import Code
+from undeadzone.exports.fields import members
+from undeadzone.exports.parts import Step
+from undeadzone.exports.replica import arithmetic, replica
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.simulate import named, prepare
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
+SAMPLES = 96  # of a run, in the self-test
+OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
+
+
+class Vectors(NamedTuple):
+    """Reference vectors of the self-test, as bits.
+
+    Attributes:
+        inputs: words of each sample's inputs (samples x inputs).
+        outputs: words of each sample's outputs (samples x outputs).
+        states: checksum of the memory after each sample (samples).
+    """
+
+    inputs: Any
+    outputs: Any
+    states: list[int]
+
+
+def continued(scenario: Scenario, steps: int) -> Problem:
+    """The checked parts of a scenario whose run lasts for a number of steps at least.
+
+    Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
+    """
+    simulation = scenario.simulation
+    duration = max(simulation.duration, steps * simulation.step)
+    longer = msgspec.structs.replace(simulation, duration=duration)
+    try:
+        return resolve_scenario(msgspec.structs.replace(scenario, simulation=longer))
+    except InputError:
+        return resolve_scenario(scenario)
+
+
+def recorded(problem: Problem, step: Step) -> Floats:
+    """The inputs of a step along a run, up to where it diverges.
+
+    Args:
+        problem: the checked parts of a sampled scenario.
+        step: the step; it decides whether u or the target of the controller is an input.
+
+    Returns:
+        A row of readings, then of the other inputs, for each sample.
+    """
+    rows = _recorded(problem, step)
+    diverged = (np.abs(rows) > DIVERGED).any(axis=1) | np.isnan(rows[:, step.readings :]).any(
+        axis=1
+    )
+    return rows[: int(diverged.argmax())] if diverged.any() else rows
+
+
+def _recorded(problem: Problem, step: Step) -> Floats:
+    """The inputs of a step along a run."""
+    loop, state, exogenous = prepare(problem)
+    outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    signals = named(loop, outputs)
+    if step.acting:
+        return np.hstack([signals.y, signals.u])
+    places = tree.slices(loop.instant).target
+    return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
+
+
+def chosen(rows: Floats, readings: int) -> Floats:
+    """Samples for the self-test: some of a run, missing values, and readings far outside.
+
+    Args:
+        rows: the inputs along a run.
+        readings: how many of the columns are readings; they come first.
+    """
+    picked = rows[np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(int)].copy()
+    for output in range(readings):
+        picked[(7 + 11 * output) % len(picked), output] = np.nan
+    seen = np.abs(np.nan_to_num(rows[:, :readings]))
+    size = np.maximum(seen.max(axis=0), 1.0)
+    extremes = np.repeat(picked[-1:], 4, axis=0)
+    extremes[:, :readings] = np.outer([3.0, -3.0, 0.0, 1e-3], size)
+    return np.vstack([picked, extremes, picked[:8]])
+
+
+def reference(code: Code, rows: Floats) -> Vectors:
+    """The bits of outputs and memory along inputs, computed without a compiler.
+
+    Args:
+        code: what is printed.
+        rows: inputs, a row for each sample.
+    """
+    kind = arithmetic(code.single)
+    evaluate = replica(code.graph, code.single, elementary.python(code.single))
+    rows = rows.astype(kind.real)
+    state = code.step.start.astype(kind.real)
+    params = code.step.defaults.astype(kind.real)
+    outputs, states = [], []
+    with np.errstate(all="ignore"):
+        for row in rows:
+            following, out = evaluate(_entries(state, row, params))
+            state = np.array(following, kind.real)
+            outputs.append(np.array(out, kind.real))
+            states.append(checksum(state, code.single))
+    table = np.array(outputs).reshape(len(rows), len(members(code.step.outputs)))
+    return Vectors(words(rows, code.single), words(table, code.single), states)
+
+
+def _entries(state: Any, row: Any, params: Any) -> dict[str, Any]:
+    """The entries of a step's inputs by their texts in the graph."""
+    entries = {f"s{k}": value for k, value in enumerate(state)}
+    entries |= {f"w{k}": value for k, value in enumerate(row)}
+    return entries | {f"p{k}": value for k, value in enumerate(params)}
+
+
+def words(values: Any, single: bool) -> Any:
+    """The bits of numbers; every NaN has the same."""
+    kind = arithmetic(single)
+    table = np.ascontiguousarray(values, kind.real)
+    bits = table.view(kind.word).copy()
+    bits[np.isnan(table)] = kind.word(0x7FC00000 if single else 0x7FF8000000000000)
+    return bits
+
+
+def checksum(values: Any, single: bool) -> int:
+    """The checksum of numbers by their bits, 32 of them at a time, lower ones first."""
+    total = OFFSET
+    for word in words(values, single).tolist():
+        parts = (word,) if single else (word & 0xFFFFFFFF, word >> 32)
+        for part in parts:
+            total = ((total ^ part) * PRIME) & 0xFFFFFFFF
+    return total

@@ -1,0 +1,437 @@
+"""`uz.export` from end to end: every method that is a graph, the folder, self-test, refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import undeadzone as uz
+from scenes import scene
+from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
+from undeadzone.errors import FileError, InputError
+from undeadzone.exports import accuracy, compiler, export, parts, vectors
+from undeadzone.exports.code import code
+from undeadzone.exports.instructions import uses_of
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
+
+FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
+WARNINGS = [
+    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror",
+]  # fmt: skip
+LEVELS = (["-O0"], ["-O2"], ["-O3", "-march=native"])
+EXPORTED = [
+    name for name, (times, _) in OBSERVERS.items() if "sampled" in times and name != "full_state"
+]
+DRIVEN = [name for name, (times, _) in CONTROLLERS.items() if "sampled" in times]
+BIG = {"censored"}
+
+
+@pytest.fixture(autouse=True)
+def shorter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of 600 steps: what 100 000 steps show is tested once, below."""
+    monkeypatch.setattr(export, "STEPS", 600)
+
+
+def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedProcess[str]:
+    """The self-test compiled with options, and run."""
+    program = folder / "program"
+    sources = [str(folder / f"{name}.c"), str(folder / f"{name}_test.c")]
+    subprocess.run(["gcc", *FLAGS, *options, "-o", str(program), *sources, "-lm"], check=True)
+    return subprocess.run([str(program)], capture_output=True, text=True)
+
+
+def certified(**changes: Any) -> Scenario:
+    """The paper's example, sampled."""
+    return scene(simulation={"time": "sampled"}, **changes)
+
+
+def test_the_options_of_deploy_md_are_those_of_the_function(tmp_path: Path) -> None:
+    done = uz.export(certified(), to="c", out=tmp_path / "fw", precision="single", part="observer",
+                     tunable=("observer.gamma",), name="joint")  # fmt: skip
+    assert sorted(path.name for path in done.files) == sorted(
+        path.name for path in (tmp_path / "fw").iterdir()
+    )
+    assert {path.name for path in done.files} == {
+        "joint.h", "joint.c", "joint_test.c", "Makefile", "CMakeLists.txt", "README.md",
+        "manifest.json",
+    }  # fmt: skip
+    assert done.passed
+    assert 0 < done.report["stack"] < 500
+    manifest = json.loads((tmp_path / "fw" / "manifest.json").read_text())
+    assert sorted(manifest["files"]) == sorted(path.name for path in done.files)
+    assert manifest["hash"] == done.report["hash"]
+    assert done.report["hash"] in (tmp_path / "fw" / "joint.h").read_text()
+
+
+CASES = [(observer, precision) for precision in export.PRECISIONS for observer in EXPORTED]
+CASES = [case for case in CASES if case[0] != "auto"]  # here the graph of censored, see below
+
+
+@pytest.mark.parametrize(("observer", "precision"), CASES)
+def test_every_observer(observer: str, precision: str, tmp_path: Path) -> None:
+    scenario = small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
+    done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
+    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert done.report["refusals"] == []
+    result = built(tmp_path / "fw", "o", ["-O0" if observer in BIG else "-O1", *WARNINGS])
+    assert result.returncode == 0, result.stdout
+
+
+def test_auto_is_exported_as_what_it_chooses() -> None:
+    hashes = set()
+    for method in ("auto", "censored"):
+        scenario = small("sampled", observer={"method": method, "right": [0.1, 1.0]})
+        hashes.add(code(parts.build(resolve_scenario(scenario)), True).hash)
+    assert len(hashes) == 1
+
+
+@pytest.mark.parametrize("controller", DRIVEN)
+def test_every_controller(controller: str, tmp_path: Path) -> None:
+    scenario = small("sampled", controller={"method": controller} | CONTROLLERS[controller][1])
+    done = uz.export(scenario, out=tmp_path / "fw", part="observer+controller", name="c")
+    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert not done.report["two_phase"]
+    assert built(tmp_path / "fw", "c", ["-O1", *WARNINGS]).returncode == 0
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("method", ["certified", "extended"])
+def test_the_same_bits_at_every_level_of_optimisation(
+    method: str, precision: str, tmp_path: Path
+) -> None:
+    scenario = small("sampled", observer={"method": method} | OBSERVERS[method][1])
+    uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
+    for options in LEVELS:
+        assert built(tmp_path / "fw", "o", [*options, *WARNINGS]).returncode == 0, options
+
+
+def test_make_builds_the_self_test_and_it_passes(tmp_path: Path) -> None:
+    uz.export(certified(), out=tmp_path / "fw", name="joint")
+    subprocess.run(["make", "-s", "-C", str(tmp_path / "fw"), "CC=gcc"], check=True)
+    result = subprocess.run([str(tmp_path / "fw" / "joint_test")], capture_output=True, text=True)
+    assert (result.returncode, "every bit agrees" in result.stdout) == (0, True)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
+        {"plant": PENDULUM, "observer": {"method": "certified", "L": [1.0, 0.0]},
+         "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
+         "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1}},
+        {"sensor": {"kind": "jump", "noise": 0.05}},
+        {"sensor": {"dropout": 0.2, "quantum": 0.01}},
+    ],
+    ids=["two outputs", "nonlinear", "jump", "dropout"],
+)  # fmt: skip
+@pytest.mark.parametrize("part", parts.PARTS)
+def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_path: Path) -> None:
+    done = uz.export(
+        small("sampled", **changes), out=tmp_path / "fw", part=part, name="o", check=True
+    )
+    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert "every bit agrees" in done.report["self_test"]
+
+
+def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
+    scenario = certified()
+    problem = resolve_scenario(scenario)
+    step = parts.build(problem)
+    rows = vectors.recorded(problem, step)
+    rows[37, 0] = np.nan
+    values = accuracy.Compiled(code(step, False), tmp_path)(rows)
+    online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
+    places = accuracy.places_of(step.outputs)
+    for k, row in enumerate(rows):
+        estimate = online.update(row[:1], row[1:])
+        for name in ("x", "z", "right", "left", "z_inverse", "innovation"):
+            assert (values[k, places[name]] == getattr(estimate, name)).all(), (k, name)
+        assert (values[k, places["side"]] == online.side).all()
+
+
+def test_observer_and_controller_give_the_input_of_the_loop(tmp_path: Path) -> None:
+    problem = resolve_scenario(certified())
+    step = parts.build(problem, "observer+controller")
+    rows = vectors.recorded(problem, step)
+    alone = parts.build(problem)
+    expected = vectors.recorded(problem, alone)[:, 1]
+    values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
+    assert np.abs(values - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_a_drive_limit_limits_u(tmp_path: Path) -> None:
+    problem = resolve_scenario(certified())
+    limited = problem._replace(plant=problem.plant._replace(limit=np.array([0.5])))
+    step = parts.build(limited, "observer+controller")
+    rows = vectors.recorded(problem, parts.build(problem, "observer+controller"))
+    values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
+    assert np.abs(values).max() == 0.5
+
+
+def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
+    names = ("observer.gamma", "sensor.threshold")
+    done = uz.export(certified(), out=tmp_path / "fw", tunable=names, name="joint", check=True)
+    text = (tmp_path / "fw" / "joint.h").read_text()
+    assert "float observer_gamma[1];" in text
+    assert "float sensor_threshold[1];" in text
+    assert "leaves what was proved" in text
+    assert done.passed
+    problem = resolve_scenario(certified(sensor={"threshold": 0.3}))
+    step = parts.build(resolve_scenario(certified()), tunable=("sensor.threshold",))
+    rows = vectors.recorded(problem, step)
+    expected = accuracy.Compiled(code(parts.build(problem), False), tmp_path)(rows)
+    tuned = accuracy.Compiled(code(step._replace(defaults=np.array([0.3])), False), tmp_path / "fw")
+    assert (tuned(rows) == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tunable": ("observer.gama",)}, "did you mean observer.gamma"),
+        ({"tunable": ("observer.left0",)}, "changes nothing"),
+        ({"to": "fmu9"}, "to: expected one of c, arduino"),
+        ({"precision": "half"}, "precision: expected one of"),
+        ({"part": "controller"}, "part: expected one of"),
+        ({"name": "Arm"}, "name: expected a letter"),
+        ({"name": "int"}, "name: expected a letter"),
+        ({"name": "a b"}, "name: expected a letter"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        uz.export(certified(), out=tmp_path / "fw", **changes)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_continuous_scenarios_and_observers_in_python_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'set simulation\.time = "sampled"'):
+        uz.export(scene(), out=tmp_path / "fw")
+    for observer in ({"method": "moving_horizon"}, {"method": "full_state"}):
+        options = (
+            observer | {"right": [0.1, 1.0]} if observer["method"] != "full_state" else observer
+        )
+        with pytest.raises(InputError, match=r"observer\.method"):
+            uz.export(small("sampled", observer=options), out=tmp_path / "fw")
+
+
+def test_a_folder_is_replaced_only_if_it_is_an_export(tmp_path: Path) -> None:
+    out = tmp_path / "fw"
+    uz.export(certified(), out=out, name="joint", precision="double")
+    uz.export(certified(), out=out, name="other", precision="double")
+    assert not (out / "joint.c").exists()
+    (out / "manifest.json").write_text("{}")
+    before = sorted(path.name for path in out.iterdir())
+    with pytest.raises(FileError, match="is not replaced"):
+        uz.export(certified(), out=out, name="third", precision="double")
+    assert sorted(path.name for path in out.iterdir()) == before
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(FileError, match="is a file"):
+        uz.export(certified(), out=file)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "fw"]
+
+
+def test_a_flipped_sign_fails_the_self_test(tmp_path: Path) -> None:
+    out = tmp_path / "fw"
+    uz.export(certified(), out=out, name="joint")
+    path = out / "joint.c"
+    text = path.read_text()
+    start, end = text.index("joint_step("), text.index("joint_estimate(")
+    signs = [match.start() for match in re.finditer(r" [+-] ", text[start:end])]
+    assert len(signs) > 8
+    for sign in signs:
+        place = start + sign + 1
+        flipped = "-" if text[place] == "+" else "+"
+        path.write_text(text[:place] + flipped + text[place + 1 :])
+        assert built(out, "joint", ["-O1"]).returncode == 1, text[place - 60 : place + 40]
+
+
+def test_careless_options_fail_loudly_or_change_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "fw"
+    uz.export(certified(), out=out, name="joint")
+    sources = [str(out / "joint.c"), str(out / "joint_test.c")]
+    fast = ["gcc", *FLAGS, "-O2", "-ffast-math", "-o", str(out / "p"), *sources]
+    refused = subprocess.run(fast, capture_output=True, text=True)
+    assert refused.returncode != 0
+    assert "compile without -ffast-math" in refused.stderr
+    for options in (["-ffinite-math-only"], ["-std=gnu11", "-march=native", "-ffp-contract=fast"]):
+        assert built(out, "joint", ["-O2", *options]).returncode == 0, options
+
+
+def test_nothing_is_undefined(tmp_path: Path) -> None:
+    """gcc's sanitizer stays silent, conversions of numbers to integers included."""
+    scenario = small("sampled", observer={"method": "extended"} | OBSERVERS["extended"][1])
+    uz.export(scenario, out=tmp_path / "fw", name="o")
+    checks = ["-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    assert built(tmp_path / "fw", "o", ["-O1", *checks]).returncode == 0
+
+
+def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
+    scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
+    printed = code(parts.build(resolve_scenario(scenario)), True)
+    assert export.replaced_constants(printed) == [
+        "-1e+300: FLT_MAX",
+        "1e+300: FLT_MAX",
+        "1e-300: FLT_MIN",
+    ]
+    uses = uses_of(printed.graph)
+    texts = {node.text for place, node in enumerate(printed.graph.nodes) if uses[place]}
+    assert "nan" not in texts
+
+
+def test_the_object_holds_no_data_and_calls_no_library(tmp_path: Path) -> None:
+    uz.export(small("sampled", observer={"method": "extended"} | OBSERVERS["extended"][1]),
+              out=tmp_path / "fw", name="o")  # fmt: skip
+    target = tmp_path / "o.o"
+    subprocess.run(
+        ["gcc", *FLAGS, "-O2", "-c", "-o", str(target), str(tmp_path / "fw" / "o.c")], check=True
+    )
+    symbols = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
+    kinds = {line.split()[-2] for line in symbols.splitlines()}
+    assert not kinds & {"U", "D", "B", "d", "b"}, symbols
+
+
+def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> None:
+    """A width that moves by less than float's last digit at each sample stands still in float."""
+    slow = {"method": "certified", "gamma": 1e-3, "widths0": [3.99, 3.99]}
+    scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
+    step = parts.build(resolve_scenario(scenario))
+    rows = np.tile([5.0, 0.0], (100_000, 1))
+    result = accuracy.measure(code(step, False), code(step, True), rows, False)
+    assert len(result.refusals) == 1
+    assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
+
+
+def test_a_refusal_keeps_the_files_and_exits_with_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(accuracy, "SHARE_OF_WIDTH", 0.0)
+    done = uz.export(certified(), out=tmp_path / "fw", name="joint")
+    assert not done.passed
+    assert "float is not enough: right" in done.report["refusals"][0]
+    assert (tmp_path / "fw" / "joint.c").exists()
+
+
+def test_without_a_compiler_float_counts_as_unmeasured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "compiler", lambda: None)
+    done = uz.export(certified(), out=tmp_path / "fw", name="joint")
+    assert not done.passed
+    assert "was not measured" in done.report["refusals"][0]
+    assert (tmp_path / "fw" / "joint_test.c").exists()
+    assert uz.export(certified(), out=tmp_path / "fw", name="joint", precision="double").passed
+
+
+def test_two_uncoupled_groups_have_a_smaller_triangle() -> None:
+    full = accuracy.smallest_eigenvalue(
+        [vectors_field("mean", 2), vectors_field("cov", 3)], [0, 0, 1, 0.5, 1]
+    )
+    apart = accuracy.smallest_eigenvalue(
+        [vectors_field("mean", 2), vectors_field("cov", 2)], [0, 0, 4, 9]
+    )
+    assert full == pytest.approx(0.5)
+    assert apart == pytest.approx(1.0)
+
+
+def vectors_field(name: str, size: int) -> Any:
+    return parts.Field(name, size, "")
+
+
+def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
+    done = uz.export(
+        certified(title='Arm */ "joint"\n'), to="arduino", out=tmp_path / "lib", name="joint"
+    )
+    files = {str(path.relative_to(tmp_path / "lib")) for path in done.files}
+    assert files == {
+        "library.properties", "src/joint.h", "src/joint.c",
+        "examples/joint_example/joint_example.ino", "README.md", "manifest.json",
+    }  # fmt: skip
+    sketch = tmp_path / "sketch.cpp"
+    text = (tmp_path / "lib" / "examples" / "joint_example" / "joint_example.ino").read_text()
+    sketch.write_text(ARDUINO + text)
+    command = [
+        "g++",
+        "-Wall",
+        "-Werror",
+        "-fsyntax-only",
+        "-I",
+        str(tmp_path / "lib" / "src"),
+        str(sketch),
+    ]
+    subprocess.run(command, check=True)
+
+
+ARDUINO = """
+struct Port { void begin(long); void println(float); };
+extern Port Serial; extern int A0; int analogRead(int); unsigned long micros();
+"""
+
+
+def test_the_same_scenario_gives_the_same_files(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        uz.export(certified(), out=tmp_path / name, name="joint")
+    for path in sorted((tmp_path / "one").iterdir()):
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
+    changed = uz.export(
+        certified(observer={"method": "certified", "gamma": 9.0}),
+        out=tmp_path / "one",
+        name="joint",
+    )
+    other = json.loads((tmp_path / "two" / "manifest.json").read_text())
+    assert changed.report["hash"] != other["hash"]
+
+
+def test_no_path_of_this_machine_is_in_a_file(tmp_path: Path) -> None:
+    uz.export(certified(), out=tmp_path / "fw", name="joint")
+    for path in (tmp_path / "fw").iterdir():
+        text = path.read_text()
+        assert str(tmp_path) not in text
+        assert os.getcwd() not in text
+
+
+def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 000 steps of `certified`: the widths stay within 1e-4 (measured: 1.8e-5)."""
+    monkeypatch.setattr(export, "STEPS", 100_000)
+    report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
+    assert report["steps"] >= 100_000
+    assert report["machine"] == 0
+    for name in ("right", "left"):
+        assert report["float_against_double"][name]["error"] < 1e-4
+
+
+def test_a_run_that_ends_by_itself_is_not_continued() -> None:
+    scenario = certified()
+    longer = vectors.continued(scenario, 5000)
+    assert longer.steps == 5000
+    assert vectors.continued(scenario, 10).steps == resolve_scenario(scenario).steps
+    huge = vectors.continued(scenario, 10**9)
+    assert huge.steps == resolve_scenario(scenario).steps
+
+
+@pytest.mark.parametrize("controller", [False, True])
+def test_cppcheck_finds_nothing_in_certified(controller: bool, tmp_path: Path) -> None:
+    """Its checks, and its MISRA add-on but for 2.5: the step and the hash are for the user."""
+    if shutil.which("cppcheck") is None:
+        if "emulator" in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
+            pytest.fail("not installed: cppcheck")
+        pytest.skip("not installed: cppcheck")
+    part = parts.PARTS[int(controller)]
+    uz.export(certified(), out=tmp_path / "fw", name="joint", part=part)
+    source = str(tmp_path / "fw" / "joint.c")
+    options = ["--std=c99", "--enable=warning,style,portability", "--addon=misra"]
+    hushed = ["--suppress=missingIncludeSystem", "--suppress=misra-c2012-2.5"]
+    command = ["cppcheck", "-q", *options, *hushed, "--error-exitcode=1", source]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr

@@ -1,0 +1,91 @@
+"""`undeadzone export`: options, exit codes, what it prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from undeadzone.cli.export import export as command
+from undeadzone.errors import InputError
+from undeadzone.exports import accuracy, export
+
+SCENARIO = """
+title = "Arm joint"
+plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]], x0 = [0.5, 0.0] }
+sensor = { right = 1.0, left = 1.0 }
+reference = { kind = "sine", amplitude = 5.0, frequency = 1.0 }
+observer = { method = "certified", L = [1.0, 1.5], gamma = 10.0 }
+controller = { method = "state_feedback", alpha = 10.0 }
+simulation = { time = "sampled", duration = 2.0, step = 1e-3 }
+"""
+
+
+@pytest.fixture(autouse=True)
+def shorter(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text(SCENARIO)
+
+
+def called(*arguments: str) -> tuple[int, Result]:
+    """(the exit code, the result) of the command, as `main` takes it."""
+    result = CliRunner().invoke(command, ["arm.toml", *arguments], standalone_mode=False)
+    if result.exception is not None:
+        raise result.exception
+    return int(result.return_value), result
+
+
+def test_it_writes_firmware_and_says_what_it_costs(tmp_path: Path) -> None:
+    code, result = called()
+    assert code == 0
+    assert (tmp_path / "firmware" / "arm_joint.c").exists()
+    assert "arm_joint (observer, single)" in result.stdout
+    assert "15 add" in result.stdout
+
+
+def test_check_alone_builds_and_runs_and_leaves_nothing(tmp_path: Path) -> None:
+    code, result = called("--check")
+    assert code == 0
+    assert "every bit agrees" in result.stdout
+    assert "float against double" in result.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml"]
+
+
+def test_json_is_the_report(tmp_path: Path) -> None:
+    code, result = called("--json", "--out", "fw", "--tunable", "observer.gamma", "--name", "knee")
+    report: dict[str, Any] = json.loads(result.stdout)
+    assert code == 0
+    assert report["sizes"]["params"] == 4
+    assert report["operations"]["multiply"] == 9
+    assert report["accuracy"]["machine"] == 0
+    assert len(report["hash"]) == 16
+    assert "fw/knee.c" in report["written"]
+
+
+def test_exit_code_1_where_float_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy, "SHARE_OF_WIDTH", 0.0)
+    code, result = called("--out", "fw")
+    assert code == 1
+    assert "REFUSED" in result.stdout
+    assert Path("fw/arm_joint.c").exists()
+    assert called("--out", "fw", "--precision", "double")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--to", "fmu9"),
+        ("--precision", "half"),
+        ("--tunable", "observer.nothing"),
+        ("--name", "9lives"),
+        ("--out", "arm.toml"),
+    ],
+    ids=str,
+)
+def test_bad_options_are_input_errors(options: tuple[str, ...]) -> None:
+    with pytest.raises(InputError):
+        called(*options)

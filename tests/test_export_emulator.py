@@ -1,0 +1,104 @@
+"""The exported C on an emulated Cortex-M4F: the bits of this computer, instructions, stack."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import undeadzone as uz
+from scenes import scene
+from test_engines import OBSERVERS, small
+from undeadzone.exports import compiler, export
+from undeadzone.scenario.schema import Scenario
+
+HERE = Path(__file__).parent / "emulator"
+TOOLS = {
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi, libnewlib-arm-none-eabi",
+    "qemu-system-arm": "qemu-system-arm",
+}
+CORE = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+FLAGS = ["-O2", "-std=c99", "-fno-math-errno", "-ffunction-sections", "-fdata-sections"]
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
+CASES = ("certified", "censored", "extended")
+
+
+@pytest.fixture(autouse=True)
+def tools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip by the names of Debian's packages; fail where UNDEADZONE_REQUIRE names the emulator."""
+    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(compiler, "compiler", lambda: None)  # accuracy is measured elsewhere
+    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+    if not missing:
+        return
+    message = f"not installed: {', '.join(missing)}"
+    if "emulator" in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
+        pytest.fail(message)
+    pytest.skip(message)
+
+
+def case(name: str) -> Scenario:
+    if name == "certified":
+        return scene(simulation={"time": "sampled"})
+    return small("sampled", observer={"method": name} | OBSERVERS[name][1])
+
+
+def emulated(
+    folder: Path, sources: list[Path], options: list[str]
+) -> subprocess.CompletedProcess[str]:
+    """A program for the M4, run in the emulator."""
+    program = folder / "program.elf"
+    link = ["-T", str(HERE / "memory.ld"), "-nostartfiles", "--specs=rdimon.specs"]
+    files = [str(HERE / "start.c"), *map(str, sources)]
+    command = ["arm-none-eabi-gcc", *CORE, *FLAGS, *options, "-I", str(folder), *link]
+    command += ["-Wl,--gc-sections", "-o", str(program), *files, "-lm"]
+    subprocess.run(command, check=True)
+    board = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-icount", "shift=0",
+             "-semihosting-config", "enable=on,target=native", "-kernel", str(program)]  # fmt: skip
+    return subprocess.run(
+        board, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120
+    )
+
+
+@pytest.mark.parametrize("precision", export.PRECISIONS)
+@pytest.mark.parametrize("name", CASES)
+def test_the_same_bits_as_on_this_computer(name: str, precision: str, tmp_path: Path) -> None:
+    """The self-test holds the bits; on the M4 it must pass as it does here."""
+    uz.export(case(name), out=tmp_path / "fw", precision=precision, name="o")
+    sources = [tmp_path / "fw" / "o.c", tmp_path / "fw" / "o_test.c"]
+    result = emulated(tmp_path / "fw", sources, ["-ffp-contract=off"])
+    assert (result.returncode, "every bit agrees" in result.stdout) == (0, True), result.stdout
+
+
+def test_options_of_an_IDE_that_would_contract_change_nothing(tmp_path: Path) -> None:
+    uz.export(case("extended"), out=tmp_path / "fw", name="o")
+    sources = [tmp_path / "fw" / "o.c", tmp_path / "fw" / "o_test.c"]
+    result = emulated(tmp_path / "fw", sources, ["-std=gnu11", "-Os", "-ffp-contract=fast"])
+    assert (result.returncode, "every bit agrees" in result.stdout) == (0, True), result.stdout
+
+
+# Ceilings, 10 % above what was measured: instructions of a step (not cycles: the emulator knows no
+# wait states) with the loop that calls it, and bytes of stack.
+COUNTED = {"certified": (132, 100), "censored": (14_700, 1_300), "extended": (1_925, 320)}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_instructions_stack_warnings_and_libraries(name: str, tmp_path: Path) -> None:
+    uz.export(case(name), out=tmp_path / "fw", name="o")
+    target = tmp_path / "o.o"
+    options = [*CORE, *FLAGS, *WARNINGS, "-ffp-contract=off", "-c", "-o", str(target)]
+    subprocess.run(["arm-none-eabi-gcc", *options, str(tmp_path / "fw" / "o.c")], check=True)
+    nm = ["arm-none-eabi-nm", "-u", str(target)]
+    assert subprocess.run(nm, capture_output=True, text=True, check=True).stdout == ""
+    result = emulated(tmp_path / "fw", [target, HERE / "count.c"], [])
+    counts = re.fullmatch(r"mean (\d+) most (\d+) stack (\d+)\s*", result.stdout)
+    assert counts, result.stdout + result.stderr
+    mean, most, stack = map(int, counts.groups())
+    instructions, bytes_of_stack = COUNTED[name]
+    assert most >= mean
+    assert most <= instructions, (mean, most, stack)
+    assert stack <= bytes_of_stack, (mean, most, stack)
