@@ -18,6 +18,7 @@ from undeadzone.cli.common import json_line, json_text, print_pairs, print_table
 from undeadzone.ensemble.blocks import journal, table_file
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.errors import FileError, InputError
+from undeadzone.exports.source import _plain as commented
 from undeadzone.identification.readers import read_log
 from undeadzone.plants.robots import urdf_file
 from undeadzone.report.html import page, table
@@ -136,6 +137,15 @@ def test_a_title_forges_no_line_of_a_run(tmp_path: Path) -> None:
     for name in ("run.csv", "report.html"):
         assert not steers((tmp_path / "out" / name).read_text(encoding="utf-8"))
     assert Run.load(tmp_path / "out" / "run.csv").info.title == FORGED
+
+
+@given(st.text(alphabet="*/\\? x\n\x1b"))
+def test_nothing_ends_a_comment_of_exported_code(text: str) -> None:
+    comment = commented(text)
+    assert "*/" not in comment
+    assert "/*" not in comment
+    assert "\\" not in comment
+    assert not steers(comment)
 
 
 def test_json_has_no_bare_nan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -286,7 +296,7 @@ def test_a_confined_scenario_keeps_the_files_inside(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "check", "design", "ensemble", "tune", "watch", "arena"]
+    "command", ["run", "check", "design", "ensemble", "tune", "watch", "arena", "export"]
 )
 def test_every_command_that_reads_a_scenario_can_be_confined(tmp_path: Path, command: str) -> None:
     mine = scenario(tmp_path, names("/etc/passwd")["observer.design"])
