@@ -1,13 +1,13 @@
-"""An ensemble on a Dask cluster: the same bits whatever workers do, one clear line if they fail."""
+"""An ensemble on a Dask cluster: the same bits whatever workers do, one clear line if they fail.
+
+Workers on this computer, without Dask, are tested in test_local_workers.py.
+"""
 
 from __future__ import annotations
 
 import functools
 import http.server
 import logging
-import os
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.jobs import sines
 
-from undeadzone.ensemble.blocks import dask_cluster, journal, run_blocks
+from undeadzone.ensemble.blocks import batches, dask_cluster, journal, run_blocks
 from undeadzone.errors import ClusterError, InputError
 
 ROOT = Path(__file__).parents[1]
@@ -47,18 +47,6 @@ def whole(tmp_path: Path) -> bytes:
     store = run_blocks.run(functools.partial(sines, 605), tmp_path / "whole.partial")
     store.close()
     return store.path.read_bytes()
-
-
-def test_local_workers_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
-    told: list[int] = []
-    store = run_blocks.run(
-        functools.partial(sines, 605, 0.002),
-        tmp_path / "runs.partial",
-        workers=2,
-        progress=told.append,
-    )
-    assert store.path.read_bytes() == whole
-    assert sum(told) == 605
 
 
 def test_a_cluster_continues_what_one_process_began(
@@ -108,12 +96,12 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
 def test_no_more_is_computed_than_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
-    monkeypatch.setattr(dask_cluster, "LONGEST", 0.0)
+    monkeypatch.setattr(batches, "LONGEST", 0.0)
     make = functools.partial(sines, 1000, 0.0, tmp_path)
     blocks = dask_cluster.results(make, range(100), cluster=dask.scheduler_address)
     next(blocks)
     time.sleep(0.5)
-    assert len(list(tmp_path.iterdir())) <= 4 * dask_cluster.AHEAD
+    assert len(list(tmp_path.iterdir())) <= 4 * batches.AHEAD
     assert len(list(blocks)) == 99
 
 
@@ -121,15 +109,15 @@ def test_no_more_is_computed_than_is_taken(
 def test_batches_are_neither_too_short_nor_too_large_and_end_together(
     seconds: float, size: int, left: int, threads: int
 ) -> None:
-    blocks = dask_cluster.batch_size(seconds, size, left, threads)
-    longest, shortest = dask_cluster.LONGEST * (1 + 1e-9), dask_cluster.SHORTEST * (1 + 1e-9)
+    blocks = batches.batch_size(seconds, size, left, threads)
+    longest, shortest = batches.LONGEST * (1 + 1e-9), batches.SHORTEST * (1 + 1e-9)
     if blocks > 1:
         assert blocks * seconds <= longest
-        assert blocks * size <= dask_cluster.LARGEST
-        assert blocks * seconds <= shortest or blocks * threads * dask_cluster.AHEAD <= left
+        assert blocks * size <= batches.LARGEST
+        assert blocks * seconds <= shortest or blocks * threads * batches.AHEAD <= left
     more = blocks + 1
-    long_enough = more * seconds * (1 + 1e-9) > dask_cluster.SHORTEST
-    assert long_enough or more * size > dask_cluster.LARGEST
+    long_enough = more * seconds * (1 + 1e-9) > batches.SHORTEST
+    assert long_enough or more * size > batches.LARGEST
 
 
 def test_workers_with_other_versions_are_refused(
@@ -162,7 +150,7 @@ def test_a_module_that_workers_cannot_import(
 
 
 def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_cluster, "PATIENCE", 0.3)
+    monkeypatch.setattr(batches, "PATIENCE", 0.3)
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     words = r"no worker is there; start some \(dask worker tcp://"
     with local(0) as empty, pytest.raises(ClusterError, match=words):
@@ -205,52 +193,10 @@ def test_a_server_that_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.Monke
         server.shutdown()
 
 
-@pytest.mark.parametrize("options", [{"workers": 0}, {"workers": 2, "cluster": "127.0.0.1:9"}])
-def test_wrong_numbers_of_workers(tmp_path: Path, options: dict[str, int]) -> None:
-    words = (
-        "workers, cluster: expected a number of local processes, 1 or more, or an address; found "
-    )
-    with pytest.raises(InputError, match=words):
-        run_blocks.run(functools.partial(sines, 605), tmp_path / "runs.partial", **options)
-
-
 def test_without_distributed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = r"the package distributed is missing; pip install 'undeadzone\[dask\]'"
     with pytest.raises(InputError, match=words):
-        run_blocks.run(functools.partial(sines, 605), tmp_path / "runs.partial", workers=2)
-
-
-INTERRUPTIBLE = """
-import functools, pathlib, sys
-from tests.jobs import say, sines
-from undeadzone.ensemble.blocks import run_blocks
-
-if __name__ == "__main__":
-    make, path = functools.partial(sines, 605, 0.05), pathlib.Path(sys.argv[1])
-    try:
-        run_blocks.run(make, path, workers=1, progress=say)
-    except KeyboardInterrupt as error:
-        say(error)
-"""
-
-
-def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
-    path = tmp_path / "runs.partial"
-    command = [sys.executable, "-c", INTERRUPTIBLE, str(path)]
-    with subprocess.Popen(
-        command,
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as running:
-        assert running.stdout is not None
-        running.stdout.readline()
-        os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the whole group
-        said, noise = running.communicate()
-    assert "of 605 runs are kept in" in said
-    assert noise == ""
-    run_blocks.run(functools.partial(sines, 605), path, resume=True).close()
-    assert path.read_bytes() == whole
+        run_blocks.run(
+            functools.partial(sines, 605), tmp_path / "runs.partial", cluster="tcp://127.0.0.1:9"
+        )

@@ -647,14 +647,3 @@ def test_a_folder_that_cannot_be_written_is_done_without(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "file" / "kernels"))
     assert doubled() == (6.0, False)
-
-
-def test_where_kernels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", "here")
-    assert cache.folder() == Path("here")
-    monkeypatch.delenv("UNDEADZONE_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", "/there")
-    assert cache.folder() == Path("/there/undeadzone")
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", "/home/someone")
-    assert cache.folder() == Path("/home/someone/.cache/undeadzone")

@@ -6,6 +6,7 @@ nothing done is lost.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -509,7 +510,9 @@ except KeyboardInterrupt as error:
 def interrupted(study: Path, path: Path, blocks: int, how: signal.Signals) -> str:
     """What an ensemble that gets a signal after so many reports of progress says."""
     command = [sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+    # Not ignored, even if this process runs in the background: Python looks when it starts.
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heard) as running:
         assert running.stdout is not None
         for _ in range(blocks):
             running.stdout.readline()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from undeadzone.errors import InputError
-from undeadzone.plants.formulas import evaluate
+from undeadzone.plants.formulas import _FUNCTIONS, evaluate
 
 NUMPY_NAMES = {
     name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")
@@ -82,6 +82,17 @@ def test_names_of_the_plant_hide_constants() -> None:
         ("angle > 0", "only numbers, names"),
         ("sin(angle, angle)", "wrong number of arguments"),
         ("sin()", "wrong number of arguments"),
+        ("atan2(1)", "wrong number of arguments"),
+        ("atan2(angle)", "wrong number of arguments"),
+        ("atan2(1, 2, 3)", "wrong number of arguments"),
+        ("min(angle)", "wrong number of arguments"),
+        ("(1).__class__", "only numbers, names"),
+        ("f'{angle}'", "only numbers, names"),
+        ("abs(*angle)", "only numbers, names"),
+        ("angle[0]", "only numbers, names"),
+        ("(yield)", "cannot be read|only numbers, names"),
+        ("eval('1')", "unknown name 'eval'"),
+        ("angle(1)", "unknown name 'angle'"),
         ("sin(x=angle)", "only numbers, names"),
         ("1 +", "cannot be read"),
         ("", "cannot be read"),
@@ -101,6 +112,25 @@ def test_what_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=f"(?s)^plant.f.0.: .*{words}") as error:
         evaluate("plant.f[0]", text, {"angle": ca.SX.sym("angle")})
     assert len(str(error.value)) < 300
+
+
+def test_what_python_would_warn_of_is_not_printed(recwarn: pytest.WarningsRecorder) -> None:
+    with pytest.raises(InputError):
+        evaluate("f", "abs(1)if 1else 2", {})
+    assert not list(recwarn)
+
+
+ARGUMENTS = ("1", "angle", "-2.5", "0")
+
+
+@pytest.mark.parametrize("name", _FUNCTIONS)
+@pytest.mark.parametrize("count", range(4))
+def test_functions_of_any_number_of_arguments(name: str, count: int) -> None:
+    for first in ARGUMENTS:
+        text = f"{name}({', '.join([first, '1', '0.5'][:count])})"
+        with suppress(InputError):
+            value = evaluate("f", text, {"angle": ca.SX.sym("angle")})
+            assert isinstance(value, float | ca.SX), text
 
 
 @given(st.text(max_size=30))

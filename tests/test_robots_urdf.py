@@ -335,7 +335,7 @@ def test_joints_and_tips_that_do_not_fit(
     ("old", "new", "said"),
     [
         ("</robot>", "", "not XML"),
-        ("robot", "mujoco", "not a URDF: expected <robot>, found <mujoco>"),
+        ("robot", "mujoco", "not a URDF: its first element is not <robot>"),
         (
             "<robot",
             '<robot xmlns:xacro="http://ros.org/xacro"><xacro:property name="a"/></robot><!--',

@@ -176,7 +176,7 @@ def test_csv_header_comments_and_byte_order_mark(tmp_path: Path, start: str) -> 
         ("time,z\n", "holds no samples"),
         ("0,1\n1,2,3\n", "sample 2 has 3 columns, expected 2"),
         ("0,1\n1\n", "sample 2 has 1 column, expected 2"),
-        ("0,1\n1,two\n", "sample 2 is not all finite numbers: 1,two"),
+        ("0,1\n1,two\n", "sample 2 is not all finite numbers: see column 2"),
         ("0,1\n1,\n", "sample 2 is not all finite numbers"),
         ("0.0x,1\n1,2\n2,3\n", "sample 1 is not all finite numbers"),
         ("0,nan\n1,2\n2,3\n", "sample 1 is not all finite numbers"),

@@ -45,3 +45,7 @@ class ClusterError(InputError):
 
     It cannot be reached, has no workers or workers with other versions, or its workers die.
     """
+
+
+class Terminated(BaseException):
+    """SIGTERM reached a command: like KeyboardInterrupt, no error, and nothing should catch it."""

@@ -22,9 +22,16 @@ def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
         return {path.stem: read(path) for path in sorted(folder.glob("*.toml"))}
 
 
-def from_files(paths: Sequence[str | os.PathLike[str]]) -> dict[str, Scenario]:
-    """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError."""
-    own = {Path(path).stem: read(path) for path in paths}
+def from_files(
+    paths: Sequence[str | os.PathLike[str]], confine: Path | None = None
+) -> dict[str, Scenario]:
+    """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError.
+
+    Args:
+        paths: of the files.
+        confine: a folder outside of which they may name no file; None: any.
+    """
+    own = {Path(path).stem: read(path, confine) for path in paths}
     if len(own) < len(paths):
         raise InputError("arena: two scenarios have the same file name; rename one")
     return own

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Final, NamedTuple
 
@@ -20,7 +21,7 @@ from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of
 from undeadzone.engine import interpret
-from undeadzone.errors import UndeadzoneError
+from undeadzone.errors import ClusterError, UndeadzoneError
 from undeadzone.observers import NumericObserver
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -197,6 +198,10 @@ def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, lis
         try:
             for future in as_completed(waiting):
                 yield waiting[future], future.result()
+        except BrokenProcessPool:
+            raise ClusterError(
+                f"arena: one of {count} processes died; out of memory? Take fewer with --processes"
+            ) from None
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

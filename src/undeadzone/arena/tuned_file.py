@@ -8,7 +8,7 @@ import msgspec
 
 from undeadzone.errors import FileError
 from undeadzone.support import toml
-from undeadzone.support.files import reason, write_text
+from undeadzone.support.files import read_bytes, reason, write_text
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "
@@ -63,7 +63,7 @@ def save(tuned: Tuned, path: Path) -> Path:
 def load(path: Path) -> Tuned:
     """What `save` wrote. Raises FileError."""
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=Tuned)
+        return msgspec.toml.decode(read_bytes(path), type=Tuned)
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except msgspec.DecodeError as error:

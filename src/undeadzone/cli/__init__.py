@@ -12,6 +12,7 @@ import undeadzone
 from undeadzone.cli.arena import arena
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
+from undeadzone.cli.ending import ended
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.export import export
@@ -21,9 +22,6 @@ from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
-from undeadzone.errors import UndeadzoneError
-
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -46,7 +44,7 @@ def group() -> None:
     undeadzone export mine.toml       write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
-    2 bad input.
+    2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.
     """
 
 
@@ -74,32 +72,4 @@ def main() -> None:
     # collection only delay it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
-    try:
-        code = group.main(standalone_mode=False)
-        sys.stdout.flush()
-        sys.exit(code if isinstance(code, int) else DONE)
-    except click.exceptions.Exit as error:
-        sys.exit(error.exit_code)
-    except click.ClickException as error:
-        click.echo(f"{_where(error)}: {error.format_message()}", err=True)
-        sys.exit(BAD_INPUT)
-    except UndeadzoneError as error:
-        click.echo(f"undeadzone: {error}", err=True)
-        sys.exit(BAD_INPUT)
-    except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
-        message = str(error.__cause__ or error)
-        click.echo(": ".join(filter(None, ("undeadzone: interrupted", message))), err=True)
-        sys.exit(INTERRUPTED)
-    except OSError as error:  # of stdout: files have errors of their own
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            sys.exit(DONE)
-        click.echo(f"undeadzone: stdout: cannot write: {error.strerror}", err=True)
-        sys.exit(BAD_INPUT)
-
-
-def _where(error: click.ClickException) -> str:
-    """The command that an error is of."""
-    if isinstance(error, click.UsageError) and error.ctx:
-        return error.ctx.command_path
-    return "undeadzone"
+    sys.exit(ended(lambda: group.main(standalone_mode=False)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import print_json, print_table, progress
+from undeadzone.cli.common import confined, print_json, print_table, progress, say, writable
 
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
@@ -92,6 +92,7 @@ HEAD = (
     metavar="N",
     help="At once (default: one per processor).",
 )
+@confined
 def arena(
     scenarios: tuple[Path, ...],
     methods: str | None,
@@ -103,6 +104,7 @@ def arena(
     budget: int,
     tuned: Path | None,
     processes: int | None,
+    confine: Path | None,
 ) -> int:
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
@@ -114,8 +116,10 @@ def arena(
     from undeadzone.arena.scenario_sets import scenarios as built_in
 
     names = None if methods is None else _names(methods)
-    own = from_files(scenarios)
+    own = from_files(scenarios, confine)
     folder = out or FOLDER
+    if tuning or html or out:
+        writable(folder)
     if tuning:
         return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json)
     contest = _held(names, own or built_in("held_out"), tuple(range(seeds)), tuned, processes)
@@ -208,12 +212,14 @@ def _print(contest: Contest, written: list[Path]) -> None:
             table.append(_cells(places.get(row.method, "-"), row))
     print_table(table)
     if refused:
-        click.echo(f"\nnot applicable (--json says why): {', '.join(refused)}")
+        say()
+        say(f"not applicable (--json says why): {', '.join(refused)}")
     scenarios = _counted(len(contest.scenarios), "scenario")
     runs = _counted(len(contest.seeds), "run")
-    click.echo(f"\n{scenarios}, {runs} each; - : line to compare with; 95 % intervals in ()")
+    say()
+    say(f"{scenarios}, {runs} each; - : line to compare with; 95 % intervals in ()")
     if written:
-        click.echo(f"written: {', '.join(map(str, written))}")
+        say(f"written: {', '.join(map(str, written))}")
 
 
 def _counted(number: int, what: str) -> str:
@@ -260,4 +266,5 @@ def _print_tuned(tuned: Tuned, path: Path) -> None:
         knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
         rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
     print_table(rows)
-    click.echo(f"\nwritten: {path}")
+    say()
+    say(f"written: {path}")

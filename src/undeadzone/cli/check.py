@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import (
     common,
+    confined,
     folder_for,
     json_text,
     named_files,
@@ -26,8 +27,11 @@ if TYPE_CHECKING:
     "&& open verdict/report.html"
 )
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@confined
 @common
-def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> int:
+def check(
+    scenario: Path, out: Path | None, as_json: bool, no_figures: bool, confine: Path | None
+) -> int:
     """Assess the scenario's gains without a simulation.
 
     Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G
@@ -46,7 +50,7 @@ def check(scenario: Path, out: Path | None, as_json: bool, no_figures: bool) -> 
     from undeadzone.synthesis.check import summary as summary_of
     from undeadzone.synthesis.words import in_words
 
-    checked = read(scenario)
+    checked = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-check")
     written = []
     with progress("judging", None) as advance:

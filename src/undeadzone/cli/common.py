@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from undeadzone.support.text import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -38,17 +40,42 @@ def common(command: Command) -> Command:
     return out(as_json(no_figures(command)))
 
 
+def confined(command: Command) -> Command:
+    """Add --confine."""
+    option = click.option(
+        "--confine",
+        type=click.Path(path_type=Path),
+        default=None,
+        metavar="DIR",
+        help="Refuse files that the scenario names outside of DIR, as a service should.",
+    )
+    return option(command)
+
+
 def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
     """The folder for the files written; None: nothing is written.
+
+    Called before the computation, so that a folder in which nothing can be written is noticed then.
 
     Args:
         out: what --out says.
         no_figures: whether --no-figures is given.
         default: name of the folder without --out.
+
+    Raises:
+        FileError: nothing can be written there.
     """
-    if out is not None:
-        return out
-    return None if no_figures else Path(default)
+    if out is None and no_figures:
+        return None
+    return writable(Path(default) if out is None else out)
+
+
+def writable(folder: Path) -> Path:
+    """The folder. Raises FileError where nothing can be written."""
+    from undeadzone.support.files import require_folder
+
+    require_folder(folder)
+    return folder
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
@@ -61,11 +88,23 @@ def print_json(value: Any) -> None:
     click.echo(json_text(value))
 
 
+def say(text: str = "", err: bool = False) -> None:
+    """One line on stdout, or stderr, whatever characters a scenario put into it."""
+    click.echo(printable(text), err=err)
+
+
 def json_text(value: Any) -> str:
     """A value as JSON; numbers that are not finite become null."""
     from undeadzone.support.arrays import finite
 
     return json.dumps(finite(value), indent=2, allow_nan=False)
+
+
+def json_line(value: Any) -> str:
+    """A value as JSON in one line; numbers that are not finite become null."""
+    from undeadzone.support.arrays import finite
+
+    return json.dumps(finite(value), allow_nan=False)
 
 
 def print_pairs(pairs: dict[str, Any], err: bool = False) -> None:
@@ -75,21 +114,22 @@ def print_pairs(pairs: dict[str, Any], err: bool = False) -> None:
         pairs: the values by name.
         err: whether they go to stderr.
     """
-    width = max(map(len, pairs))
+    width = max(len(printable(name)) for name in pairs)
     for name, value in pairs.items():
-        head = name
+        head = printable(name)
         for entry in value if isinstance(value, list) else [value]:
             text = f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-            click.echo(f"{head:<{width}}  {text}", err=err)
+            say(f"{head:<{width}}  {text}", err)
             head = ""
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
     """Aligned columns, the first row their heads."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
+    shown = [[printable(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    for row in shown:
         cells = [f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)]
-        click.echo("  ".join(cells).rstrip())
+        say("  ".join(cells).rstrip())
 
 
 @contextmanager

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, named_files, print_json, print_pairs, progress
+from undeadzone.cli.common import (
+    common,
+    confined,
+    folder_for,
+    named_files,
+    print_json,
+    print_pairs,
+    progress,
+)
 
 if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
@@ -72,6 +80,7 @@ def powers(
     show_default=True,
     help="Of the search: the same seed gives the same gains.",
 )
+@confined
 @common
 def design(
     scenario: Path,
@@ -82,6 +91,7 @@ def design(
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    confine: Path | None,
 ) -> int:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
 
@@ -108,7 +118,8 @@ def design(
         raise click.UsageError(
             "give --maximise or --weights, not both", click.get_current_context()
         )
-    planned = read(scenario)
+    planned = read(scenario, confine)
+    folder = folder_for(out, no_figures, f"{scenario.stem}-design")
     _, flow, _ = systems(planned)
     reason = impossible(flow)
     if reason:
@@ -119,7 +130,6 @@ def design(
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
     designed = with_gains(planned, result)
     summary = assess_gains(designed)
-    folder = folder_for(out, no_figures, f"{scenario.stem}-design")
     written = [] if folder is None else _written(result, designed, folder, not no_figures)
     if as_json:
         print_json(_numbers(result) | summary | {"files": [str(path) for path in written]})

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, print_json, print_pairs, print_table, progress
+from undeadzone.cli.common import (
+    common,
+    confined,
+    print_json,
+    print_pairs,
+    print_table,
+    progress,
+    say,
+    writable,
+)
 
 if TYPE_CHECKING:
     from undeadzone.ensemble.result import Ensemble
@@ -46,19 +55,21 @@ SHOWN = 5  # worst runs, and entries that decide
     type=int,
     default=None,
     metavar="N",
-    help="Compute on N local processes (needs the extra dask); the bits are the same.",
+    help="Compute on N processes of this computer; the bits are the same.",
 )
 @click.option(
     "--cluster",
     default=None,
     metavar="ADDRESS",
-    help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786.",
+    help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
+    "(needs the extra dask; docs/security.md says what is trusted).",
 )
 @click.option(
     "--parquet",
     is_flag=True,
     help="Write runs.parquet instead of runs.npz (needs the extra parquet).",
 )
+@confined
 @common
 def ensemble(
     scenario: Path,
@@ -70,6 +81,7 @@ def ensemble(
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    confine: Path | None,
 ) -> int:
     """Run a scenario many times: how often does it settle, how large are the errors, what decides?
 
@@ -91,9 +103,9 @@ def ensemble(
     from undeadzone.ensemble.run_ensemble import run_ensemble
     from undeadzone.scenario.reader import read
 
-    varied = _sized(read(scenario), runs)
+    varied = _sized(read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
-    folder = out if out is not None else Path(f"{scenario.stem}-ensemble")
+    folder = writable(out if out is not None else Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
     with progress("running", total, "runs") as advance:
         result = run_ensemble(
@@ -130,20 +142,21 @@ def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: lis
     """Print what an ensemble came to."""
     info = result.info
     sampling = info.sampling.replace("_", " ")
-    click.echo(
+    say(
         f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, "
-        f"{sampling} sampling, seed {info.seed}\n"
+        f"{sampling} sampling, seed {info.seed}"
     )
+    say()
     print_pairs(_shares(result, summary))
     if summary["metrics"]:
-        click.echo()
+        say()
         print_table(_quantiles(result, summary["metrics"]))
     if summary["sensitivities"]:
-        click.echo()
+        say()
         entries = list(summary["sensitivities"].items())[:SHOWN]
         heads = ("what decides rms z - r", "rank correlation", "share of the variance")
         print_table([heads, *(_decides(name, entry) for name, entry in entries)])
-    click.echo()
+    say()
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
     print_pairs(
         {

@@ -8,6 +8,7 @@ import click
 
 from undeadzone.cli.common import (
     common,
+    confined,
     folder_for,
     named_files,
     print_json,
@@ -22,12 +23,14 @@ from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
 @click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
 @columns_option
 @click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+@confined
 @common
 def estimate(
     scenario: Path,
     log: Path,
     columns: str | None,
     strict: bool,
+    confine: Path | None,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -42,11 +45,13 @@ def estimate(
     Exit code 1: the record is not consistent with what the observer claims.
     """
     from undeadzone.report.log_page import write_estimation
+    from undeadzone.scenario.reader import read_for_logs
     from undeadzone.simulation.estimate import estimate as estimated
 
-    with progress("estimating", None) as advance:
-        result = estimated(scenario, log, columns=columns, strict=strict, progress=advance)
     folder = folder_for(out, no_figures, f"{log.stem}-estimate")
+    watched = read_for_logs(scenario, confine)
+    with progress("estimating", None) as advance:
+        result = estimated(watched, log, columns=columns, strict=strict, progress=advance)
     written = []
     if folder is not None:
         written = write_estimation(result, folder, not no_figures)

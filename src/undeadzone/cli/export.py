@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from undeadzone.cli.common import print_json, print_pairs, print_table
+from undeadzone.cli.common import confined, print_json, print_pairs, print_table
 
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
@@ -41,6 +41,7 @@ from undeadzone.cli.common import print_json, print_pairs, print_table
     help="Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@confined
 def export(
     scenario: Path,
     to: str,
@@ -51,6 +52,7 @@ def export(
     name: str | None,
     check: bool,
     as_json: bool,
+    confine: Path | None,
 ) -> int:
     """Write a scenario's observer, and its controller if asked, as C99 for firmware.
 
@@ -62,7 +64,7 @@ def export(
     from undeadzone.exports.export import export as run
     from undeadzone.scenario.reader import read
 
-    problem = read(scenario)
+    problem = read(scenario, confine)
     with tempfile.TemporaryDirectory() as scratch:
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, print_json, print_pairs, progress
+from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
 
 if TYPE_CHECKING:
     from undeadzone.identification.result import Identified
@@ -50,12 +50,11 @@ def identify(
     from undeadzone.identification.identify import identify as identified
     from undeadzone.support.files import write_text
 
+    first = logs[0]
+    folder = folder_for(out, no_figures, f"{first.stem}-identify")
+    writable(out or Path())
     with progress("identifying", None) as advance:
         answer = identified([str(path) for path in logs], progress=advance, **options)
-        first = logs[0]
-        folder = out
-        if folder is None and not no_figures:
-            folder = Path(f"{first.stem}-identify")
         written = []
         reason = None
         if answer.verdict == "dead_zone":

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import common, print_json
+from undeadzone.cli.common import common, print_json, say
 from undeadzone.errors import FileError
 
 
@@ -29,5 +29,5 @@ def init(file: Path, force: bool, out: Path | None, as_json: bool, no_figures: b
     if as_json:
         print_json({"files": [str(path)]})
     else:
-        click.echo(f"wrote {path}; next: undeadzone run {path}")
+        say(f"wrote {path}; next: undeadzone run {path}")
     return 0

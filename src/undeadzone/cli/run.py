@@ -10,11 +10,13 @@ import click
 
 from undeadzone.cli.common import (
     common,
+    confined,
     folder_for,
     named_files,
     print_json,
     print_pairs,
     progress,
+    writable,
 )
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     metavar="FILE",
     help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
 )
+@confined
 @common
 def run(
     scenario: Path,
@@ -50,6 +53,7 @@ def run(
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    confine: Path | None,
 ) -> int:
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
 
@@ -66,15 +70,15 @@ def run(
         from undeadzone.report.animation import require_movie
 
         require_movie(animation)
+        writable(animation.parent)
     rival: Run | None = None
     deviation: float | None = None
-    if replay is None:
-        result, rival = _simulated(scenario, animation is not None)
-        name = scenario.stem
-    else:
-        result, deviation = _replayed(scenario, replay)
-        name = f"run-{replay}"
+    name = scenario.stem if replay is None else f"run-{replay}"
     folder = folder_for(out, no_figures, f"{name}-results")
+    if replay is None:
+        result, rival = _simulated(scenario, animation is not None, confine)
+    else:
+        result, deviation = _replayed(scenario, replay, confine)
     written = _written(result, rival, folder, animation, not no_figures)
     if as_json:
         summary = result.summary()
@@ -89,12 +93,13 @@ def run(
     return 0 if result.diverged_at is None and known else 1
 
 
-def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
+def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, Run | None]:
     """The run of a scenario, and that of the observer that it is to be compared with.
 
     Args:
         path: of the scenario.
         animated: whether a film is wanted, which only an arm's run gives.
+        confine: a folder outside of which the scenario may name no file; None: any.
     """
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
@@ -106,7 +111,7 @@ def _simulated(path: Path, animated: bool) -> tuple[Run, Run | None]:
             f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its "
             "number"
         )
-    scenario = read(path)
+    scenario = read(path, confine)
     if scenario.ensemble is not None:
         from undeadzone.ensemble.binding import require_bound
 
@@ -127,12 +132,23 @@ def _steps(scenario: Scenario) -> int:
     return round(total / max(scenario.simulation.step, 1e-12))
 
 
-def _replayed(path: Path, number: int) -> tuple[Run, float]:
-    """A run of an ensemble, and how far it lies from what it was there."""
+def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float]:
+    """A run of an ensemble, and how far it lies from what it was there.
+
+    Args:
+        path: of the ensemble.
+        number: of the run.
+        confine: a folder outside of which the ensemble's scenario may name no file; None: any.
+    """
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.ensemble.run_ensemble import deviation, replay_run
 
     ensemble = Ensemble.load(path)
+    if confine is not None:
+        from undeadzone.scenario.reader import confined as kept_inside
+        from undeadzone.scenario.reader import parse
+
+        kept_inside(parse(ensemble.info.scenario), confine)
     return replay_run(ensemble, number), deviation(ensemble, number)
 
 

@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import (
     common,
+    confined,
     folder_for,
     named_files,
     print_json,
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     metavar="N",
     help="Of the runs and the search (default: [tune] seed).",
 )
+@confined
 @common
 def tune(
     scenario: Path,
@@ -77,6 +79,7 @@ def tune(
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    confine: Path | None,
     **changes: Any,
 ) -> int:
     """Find the numbers of observer and controller that make a metric small over many runs.
@@ -99,11 +102,11 @@ def tune(
     from undeadzone.scenario.reader import read
     from undeadzone.tuning.tune import tune as search
 
-    tuned = read(scenario)
+    tuned = read(scenario, confine)
+    folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
     wanted = _wanted(tuned, over, changes)
     with progress("tuning", wanted.budget, "candidates") as advance:
         result = search(tuned, wanted, progress=advance)
-    folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if folder is not None and not no_figures:
         from undeadzone.report.tune_figures import write_figures

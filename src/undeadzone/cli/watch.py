@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import print_pairs
+from undeadzone.cli.common import confined, print_pairs
 from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
+from undeadzone.errors import FileError
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
@@ -25,7 +26,10 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 )
 @columns_option
 @click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
-def watch(scenario: Path, as_json: bool, columns: str | None, strict: bool) -> int:
+@confined
+def watch(
+    scenario: Path, as_json: bool, columns: str | None, strict: bool, confine: Path | None
+) -> int:
     """Read samples from stdin, write one estimate per sample to stdout, flushed as they come.
 
     A sample is a CSV line. A header says which column is which: t, y, u (or y[0], y[1], ...), with
@@ -43,9 +47,11 @@ def watch(scenario: Path, as_json: bool, columns: str | None, strict: bool) -> i
     from undeadzone.simulation.follow_text import TextLog
     from undeadzone.simulation.follower import Follower
 
-    watched = read_for_logs(scenario)
+    watched = read_for_logs(scenario, confine)
     follower = Follower(watched, live=True)
     log = TextLog("stdin", watched, follower, parse_columns(columns), strict)
+    if sys.stdin is None:
+        raise FileError("stdin: it is closed; give lines of readings and inputs")
     stdin: Any = sys.stdin.buffer
     last = False
     header = not as_json
@@ -60,15 +66,14 @@ def watch(scenario: Path, as_json: bool, columns: str | None, strict: bool) -> i
             _write(_header(estimate, sides))
             header = False
         _write(_json(samples.t, estimate, sides) if as_json else _csv(samples.t, estimate, sides))
-        sys.stdout.buffer.flush()
     info = log.info(follower)
     print_pairs(log_pairs(info), err=True)
     return exit_code(info)
 
 
 def _write(text: bytes) -> None:
-    """Write bytes to stdout."""
-    sys.stdout.buffer.write(text)
+    """Write bytes to stdout, at once."""
+    click.echo(text, nl=False)
 
 
 def _parts(estimate: Estimate, sides: Floats) -> dict[str, Floats]:

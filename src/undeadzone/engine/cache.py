@@ -9,16 +9,13 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-import os
 import sys
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 import undeadzone
-from undeadzone.errors import FileError
-from undeadzone.support.files import replacing
+from undeadzone.engine import cache_folder
 
 # ctypes of the numbers that a kernel takes.
 NUMBERS: Final[dict[str, Any]] = {
@@ -67,42 +64,28 @@ class Block(NamedTuple):
         self.function(*plain)
 
 
-def folder() -> Path | None:
-    """Where kernels are kept; None where there is no home.
-
-    $UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache.
-    """
-    chosen = os.environ.get("UNDEADZONE_CACHE")
-    if chosen:
-        return Path(chosen)
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "undeadzone"
-    except RuntimeError:
-        return None
-
-
 @functools.lru_cache(maxsize=64)
 def load(source: str, kinds: tuple[str, ...]) -> Block:
     """The function `block` that a source defines, compiled now or taken from disk.
 
-    Where the folder cannot be used, or what it holds is damaged, the function is compiled.
+    Where the folder cannot be used or trusted, or what it holds is damaged, the function is
+    compiled.
 
     Args:
         source: Python that numba compiles; it must not allocate.
         kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
             which arrives as a pointer: `carray` gives it a shape.
     """
-    kernels = folder()
-    if kernels is None:
+    folder = cache_folder.chosen()
+    if folder is None:
         return _compiled_block(source, kinds)[0]
     depends_on = "\n".join((_machine(), *kinds, source))
-    name = hashlib.sha256(depends_on.encode()).hexdigest()[:32]
-    path = kernels / f"{name}.kernel"
-    kept = _read(path)
+    name = hashlib.sha256(depends_on.encode()).hexdigest()[:32] + cache_folder.SUFFIX
+    kept = _parsed(cache_folder.read(folder, name))
     block = None if kept is None else _linked(kept, kinds)
     if block is None:
         block, compiled = _compiled_block(source, kinds)
-        _keep(path, compiled)
+        cache_folder.keep(folder, name, _content(compiled))
     return block
 
 
@@ -135,29 +118,22 @@ def _machine() -> str:
     return f"undeadzone {undeadzone.__version__} {versions} {processor}"
 
 
-def _read(path: Path) -> Compiled | None:
-    """What a file holds, if it is whole."""
-    try:
-        digest, _, rest = path.read_bytes().partition(b"\n")
-    except OSError:
-        return None
+def _parsed(content: bytes | None) -> Compiled | None:
+    """What a file holds, if it is there and whole."""
+    digest, _, rest = (content or b"").partition(b"\n")
     if digest != _digest(rest):
         return None
     calls, _, code = rest.partition(b"\n")
     return Compiled(calls.decode().split(), code)
 
 
-def _keep(path: Path, compiled: Compiled) -> None:
-    """Write a file, where that is possible.
+def _content(compiled: Compiled) -> bytes:
+    """A file's: a digest of what follows, the names of C functions, machine code.
 
-    It holds a digest of what follows, the names of C functions, machine code.
+    The digest tells damage, nothing else: whoever could write the file could compute it.
     """
     rest = " ".join(compiled.calls).encode() + b"\n" + compiled.code
-    try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(_digest(rest) + b"\n" + rest)
-    except (OSError, FileError):
-        pass
+    return _digest(rest) + b"\n" + rest
 
 
 def _digest(content: bytes) -> bytes:

@@ -11,6 +11,7 @@ from typing import Any
 
 from undeadzone.errors import FileError
 from undeadzone.support.files import reason
+from undeadzone.support.text import printable
 
 GENERATOR = "undeadzone export"
 MANIFEST = "manifest.json"
@@ -87,7 +88,7 @@ Where u is computed from the estimate, call the halves instead; they give the sa
     {name}_estimate(&state, {_params(report)}&in, &out);   /* reads in.y */
     {name}_advance(&state, {_params(report)}&in);          /* reads in.u */
 """
-    return f"""# {name}: {report["title"]}
+    return f"""# {name}: {printable(report["title"])}
 
 {report["part"]} in {report["precision"]} precision, written by undeadzone {report["version"]}.
 Hash {report["hash"]}. The header names the unit of every field.
@@ -149,7 +150,7 @@ def arduino_files(report: dict[str, Any]) -> dict[str, str]:
         params_declared=declared,
         params_default=default,
     )
-    title = " ".join(str(report["title"]).split())
+    title = printable(" ".join(str(report["title"]).split()))
     return {
         "library.properties": PROPERTIES.format(name=name, title=title),
         f"examples/{name}_example/{name}_example.ino": sketch,

@@ -14,6 +14,7 @@ from undeadzone.exports.instructions import uses_of
 from undeadzone.exports.labels import meanings
 from undeadzone.exports.math_header import math_header
 from undeadzone.exports.statements import INDENT, Body, Names, body
+from undeadzone.support.text import printable
 
 
 class Labels(NamedTuple):
@@ -174,8 +175,9 @@ def _header(code: Code, labels: Labels, style: Style) -> str:
 
 
 def _plain(text: str) -> str:
-    """A text that may stand in a comment."""
-    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").split()).replace("\\", "/")
+    """A text that may stand in a comment, which nothing in it ends."""
+    line = printable(" ".join(text.split())).replace("\\", "/")  # first: it makes new slashes
+    return line.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.logs.column import Column, split_unit
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason
+from undeadzone.support.files import LARGEST_TABLE, read_bytes, reason
 
 REMARKS = ("#", "%", "//")
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf")
@@ -69,7 +69,7 @@ def read_csv(path: Path) -> Table:
 def _text(path: Path) -> str:
     """The text of a file: UTF-8, UTF-16 with its mark, else Windows' Western European."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, LARGEST_TABLE)
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):

@@ -14,6 +14,7 @@ from undeadzone.identification.kalman_likelihood import AT_INPUT, WHITE, input_g
 from undeadzone.identification.long_run import degrees_of, quantile
 from undeadzone.identification.to_continuous import entry_spread
 from undeadzone.support.arrays import Floats
+from undeadzone.support.text import printable
 
 SURE = 0.999  # level of the intervals that the observer is given
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
@@ -73,7 +74,7 @@ def scenario_text(answer: Answer) -> str:
         f"output = {_text(unit)}",
         f"input = {_text(answer.evidence.grid.input_unit)}",
     ]
-    cautions = [f"# {remark}" for remark in answer.remarks]
+    cautions = [f"# {printable(remark)}" for remark in answer.remarks]
     return "\n".join(["# Written by undeadzone identify.", *cautions, *lines]) + "\n"
 
 
@@ -219,5 +220,5 @@ def _number(value: float) -> str:
 
 def _text(value: str) -> str:
     """A text in TOML."""
-    safe = value.replace("\\", "\\\\").replace('"', '\\"')
+    safe = printable(value).replace("\\", "\\\\").replace('"', '\\"')
     return f'"{safe}"'

@@ -10,7 +10,13 @@ import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.logs.column import Column, split_unit
-from undeadzone.support.files import reason
+from undeadzone.support.files import (
+    LARGEST_RUN,
+    LARGEST_TABLE,
+    reason,
+    require_plain,
+    require_unpacked,
+)
 
 
 def of_frame(frame: Any) -> list[Column]:
@@ -33,6 +39,8 @@ def of_frame(frame: Any) -> list[Column]:
 def of_npz(path: Path) -> list[Column]:
     """The arrays of an .npz file as columns. Raises FileError."""
     try:
+        require_plain(path, LARGEST_RUN)
+        require_unpacked(path, LARGEST_RUN)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files if name != "info"}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
@@ -48,6 +56,7 @@ def of_mat(path: Path) -> list[Column]:
     from scipy.io.matlab import MatReadError
 
     try:
+        require_plain(path, LARGEST_TABLE)
         arrays = loadmat(path, mat_dtype=True)
     except NotImplementedError:
         raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None

@@ -9,6 +9,7 @@ import ast
 import difflib
 import math
 import operator
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -43,6 +44,7 @@ _FUNCTIONS = {
     "max": ca.fmax,
     "atan2": ca.atan2,
 }
+_OF_TWO = ("min", "max", "atan2")  # these take two arguments, the others one
 _CONSTANTS = {"pi": math.pi}
 
 
@@ -67,13 +69,16 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
     """
     formula = _Formula(key, text, names)
     try:
-        return _value(formula, ast.parse(text.strip(), mode="eval").body)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # of Python's own grammar: "1if 2"
+            tree = ast.parse(text.strip(), mode="eval")
+        return _value(formula, tree.body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
         raise _refused(formula, "cannot be read") from None
-    except (NotImplementedError, TypeError):
-        raise _refused(formula, "a function has the wrong number of arguments") from None
+    except (NotImplementedError, TypeError):  # of CasADi
+        raise _refused(formula, "a function does not take these arguments") from None
     except (ZeroDivisionError, OverflowError):
         raise _refused(formula, "a constant part is not a finite real number") from None
 
@@ -100,6 +105,8 @@ def _compute(formula: _Formula, node: ast.expr) -> Any:
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
             if name not in _FUNCTIONS:
                 raise _unknown(formula, name, list(_FUNCTIONS))
+            if len(args) != (2 if name in _OF_TWO else 1):  # CasADi does not always refuse them
+                raise _refused(formula, "a function has the wrong number of arguments")
             return _FUNCTIONS[name](*[_value(formula, arg) for arg in args])
     raise _refused(
         formula,

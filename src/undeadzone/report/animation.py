@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.html import Html, html
-from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE
+from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE, plain
 from undeadzone.simulation.run import FRAMES, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
@@ -181,7 +181,7 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
     for arm in arms:
         trails += axes.plot(*empty, color=arm.colour, linewidth=1.2, alpha=0.7)
     for line, arm in zip(lines, arms, strict=True):
-        line.set_label(arm.name)
+        line.set_label(plain(arm.name))
     points = [arm.poses.reshape(-1, 3)[:, :dimensions] for arm in arms]
     _limit(axes, np.vstack([path, *points]))
     if spatial:
@@ -189,7 +189,7 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
         axes.set_box_aspect((1, 1, 1), zoom=1.15)
     axes.grid(visible=True, alpha=0.4)
     axes.legend(loc="upper left", fontsize=8.5)
-    return Stage(figure, axes, lines, trails, spatial, run.info.title)
+    return Stage(figure, axes, lines, trails, spatial, plain(run.info.title))
 
 
 def _limit(axes: Any, points: Floats) -> None:

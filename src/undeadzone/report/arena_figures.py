@@ -18,6 +18,7 @@ from undeadzone.report.style import (
     TRUTH,
     ZONE,
     finish,
+    plain,
     shade_zone,
     sheet,
 )
@@ -95,7 +96,11 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
         colour = "white" if dark else TRUTH
         axes.text(j, i, cell(value), ha="center", va="center", fontsize=6.5, color=colour)
     axes.set_xticks(
-        range(len(scenarios)), scenarios, rotation=60, ha="right", rotation_mode="anchor"
+        range(len(scenarios)),
+        [plain(title) for title in scenarios],
+        rotation=60,
+        ha="right",
+        rotation_mode="anchor",
     )
     axes.set_yticks(range(len(rows)), [row.method for row in rows])
     axes.grid(False)

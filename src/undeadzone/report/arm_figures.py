@@ -17,8 +17,9 @@ from undeadzone.report.style import (
     REFERENCE,
     TRUTH,
     ZONE,
+    axis_label,
     finish,
-    label,
+    plain,
     plot_magnitude,
     sheet,
 )
@@ -63,8 +64,8 @@ def _distances(axes: Axes, run: Run, rival: Run | None) -> None:
         assert one.tip is not None
         assert one.tip_r is not None
         distance = np.linalg.norm(one.tip - one.tip_r, axis=1)
-        plot_magnitude(axes, one.t[one.shown], distance[one.shown], colour, one.name)
-    finish(axes, "Distance of the tip from where it should be", label("distance", "m"))
+        plot_magnitude(axes, one.t[one.shown], distance[one.shown], colour, plain(one.name))
+    finish(axes, "Distance of the tip from where it should be", axis_label("distance", "m"))
 
 
 def _torques(axes: Axes, run: Run) -> None:
@@ -73,8 +74,8 @@ def _torques(axes: Axes, run: Run) -> None:
     motors = run.info.joints[: run.u.shape[1]]  # names of the joints that have one
     for i, name in enumerate(motors):
         colour = COLOURS[i % len(COLOURS)]
-        axes.plot(t, run.u[run.shown, i], color=colour, linewidth=0.9, label=name)
-    finish(axes, "Torques", label("u", run.unit("u")), legend=3)
+        axes.plot(t, run.u[run.shown, i], color=colour, linewidth=0.9, label=plain(name))
+    finish(axes, "Torques", axis_label("u", run.unit("u")), legend=3)
 
 
 def phase(run: Run) -> Figure:
@@ -113,7 +114,7 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     axes.set_xlim(*_range(q))
     axes.set_ylim(*_range(q_rate))
     upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{i}]")
-    finish(axes, name, label("q'", upwards), label("q", to_the_right), legend=0)
+    finish(axes, name, axis_label("q'", upwards), axis_label("q", to_the_right), legend=0)
 
 
 def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
@@ -132,8 +133,8 @@ def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], wher
         assert one.tip is not None
         first = one.t.size // 2 if one.diverged_at is None else 0
         points = one.tip[first : one.shown.stop][:, plane]
-        axes.plot(*points.T, color=colour, linewidth=1.1, label=one.name)
-    to_the_right, upwards = (label("xyz"[coordinate], "m") for coordinate in plane)
+        axes.plot(*points.T, color=colour, linewidth=1.1, label=plain(one.name))
+    to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)
     title = f"The tip{where}, last half of the run"
     finish(axes, title, upwards, to_the_right, legend=0)
     axes.set_aspect("equal", adjustable="datalim")

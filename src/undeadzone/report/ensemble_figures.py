@@ -12,9 +12,9 @@ from undeadzone.report.style import (
     PRINTED,
     READING,
     TRUTH,
+    axis_label,
     finish,
     floor_of,
-    label,
     sheet,
 )
 from undeadzone.statistics.intervals import LEVEL
@@ -73,7 +73,7 @@ def distributions(result: Ensemble) -> Figure:
             of_bins, of_runs = "share of runs in each bin [%]", "share of runs beyond it"
         quantity = WORDS[name]
         finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
-        finish(below, "", of_runs, label(quantity, result.unit(name)), legend=0)
+        finish(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
     return figure
 
 
@@ -190,7 +190,7 @@ def _tracking_band(axes: Axes, t: Floats, quantiles: Floats, of: str, unit: str)
     q = _bounded(quantiles)
     axes.set_yscale("log")
     _band(axes, t, np.maximum(q, floor_of(q[:, 1])))
-    finish(axes, f"Tracking error{of}", label("|z − r|", unit))
+    finish(axes, f"Tracking error{of}", axis_label("|z − r|", unit))
 
 
 def _width_band(axes: Axes, t: Floats, quantiles: Floats, edge: str, of: str, unit: str) -> None:
@@ -198,7 +198,7 @@ def _width_band(axes: Axes, t: Floats, quantiles: Floats, edge: str, of: str, un
     _band(axes, t, _bounded(quantiles))
     axes.axhline(0.0, color=TRUTH, linewidth=0.7)
     error = rf"$\hat d_{edge[0]} - d_{edge[0]}$"
-    finish(axes, f"Error of the {edge} width{of}", label(error, unit))
+    finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
 
 
 def _bounded(q: Floats) -> Floats:

@@ -17,8 +17,9 @@ from undeadzone.report.style import (
     READING,
     REFERENCE,
     TRUTH,
+    axis_label,
     finish,
-    label,
+    plain,
     plot_magnitude,
     shade_zone,
     sheet,
@@ -108,13 +109,13 @@ def overview(run: Run) -> Figure:
     else:
         figure, panels = sheet(rows_below(outputs, run.V is not None), run.info.title)
     for i in range(outputs):
-        of = f" {run.outputs[i]}" if outputs > 1 else ""
+        of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         _output(panels[f"output {i}"], run, i, of)
         _errors(panels[f"error {i}"], run, i, of)
         _widths(panels[f"widths {i}"], run, i, of)
     if run.V is not None:
         plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
-        finish(panels["V"], "Lyapunov function", label("V", run.unit("V")), legend=0)
+        finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
     return figure
 
 
@@ -154,7 +155,7 @@ def _output(axes: Axes, run: Run, i: int, of: str) -> None:
     title = f"Output{of} and what is known of it"
     if run.diverged_at is not None:
         title += f", diverged at {run.diverged_at:.4g} s"
-    finish(axes, title, label("z, y", run.unit("z")), legend=5)
+    finish(axes, title, axis_label("z, y", run.unit("z")), legend=5)
 
 
 def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
@@ -165,7 +166,7 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
         tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
         plot_magnitude(axes, t, tracking, REFERENCE, "$|z - r|$")
     plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ESTIMATE, r"$|z - \hat z|$")
-    finish(axes, f"Errors{of}", label("error", run.unit("z")))
+    finish(axes, f"Errors{of}", axis_label("error", run.unit("z")))
 
 
 def _widths(axes: Axes, run: Run, i: int, of: str) -> None:
@@ -174,4 +175,4 @@ def _widths(axes: Axes, run: Run, i: int, of: str) -> None:
     for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
         axes.axhline(run.info.widths[column], color=colour, linewidth=3.0, alpha=0.3)
         axes.plot(run.t[shown], run.d_hat[shown, column], color=colour, label=rf"$\hat d_{name}$")
-    finish(axes, f"Widths{of}, truth pale", label("d", run.unit("d_hat")))
+    finish(axes, f"Widths{of}, truth pale", axis_label("d", run.unit("d_hat")))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from undeadzone import __version__
 from undeadzone.report.style import png
 from undeadzone.simulation.run import Run
+from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +64,7 @@ def html(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return escape(f"{value:.5g}")
-    return escape(str(value))
+    return escape("\n".join(map(printable, str(value).split("\n"))))
 
 
 def join(parts: Iterable[Any]) -> Html:
@@ -119,7 +120,7 @@ def _cell_style(cell: Any) -> str:
 def picture(image: bytes, caption: str) -> Html:
     """A PNG image, embedded, with its caption."""
     data = base64.b64encode(image).decode("ascii")
-    img = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+    img = f'<img alt="{html(caption)}" src="data:image/png;base64,{data}">'
     return Html(f"<figure>{img}{tag('figcaption', caption).text}</figure>")
 
 
@@ -128,7 +129,7 @@ def page(title: str, *parts: Any) -> str:
     head = (
         '<meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_CSS}</style>"
+        f"<title>{html(title)}</title><style>{_CSS}</style>"
     )
     origin = paragraph(f"Written by undeadzone {__version__}.", "note")
     body = join([tag("h1", title), *parts, origin])

@@ -19,8 +19,9 @@ from undeadzone.report.style import (
     REFERENCE,
     TRUTH,
     ZONE,
+    axis_label,
     finish,
-    label,
+    plain,
     sheet,
 )
 from undeadzone.statistics.intervals import LEVEL
@@ -65,7 +66,7 @@ def tornado(sensitivities: Sensitivities, metric: str = MAIN) -> Figure | None:
     _ranks(rank, [sensitivities[name]["partial"] for name in names])
     _shares(share, [sensitivities[name] for name in names])
     _name_rows(share, [""] * len(names))
-    _name_rows(rank, [fill(name, 30) for name in names])
+    _name_rows(rank, [fill(plain(name), 30) for name in names])
     ranked = "More of it is worse (right) or better (left)"
     finish(rank, ranked, "", "partial rank correlation", legend=0)
     finish(share, "Share of the variance that comes from it", "", "Sobol index", legend=3)
@@ -149,8 +150,8 @@ def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN
     values = np.where(result.diverged, np.nan, result.column(metric))
     runs = _marked(result, values, metric)
     scale = _scale(values[runs.shown])
-    quantity = label(WORDS.get(metric, metric), result.unit(metric))
-    labels = [label(name, result.unit(name)) for name in names]
+    quantity = axis_label(WORDS.get(metric, metric), result.unit(metric))
+    labels = [axis_label(plain(name), result.unit(name)) for name in names]
     for name, x_label in zip(names, labels, strict=True):
         _over_one(panels[name], result.column(name), values, runs, scale)
         finish(panels[name], f"Over {name}", quantity, x_label, legend=3)

@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
+from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +70,7 @@ def sheet(
 
     Args:
         rows: names of panels as they lie; a panel spans all cells that hold its name
-        title: of the figure
+        title: of the figure; a dollar begins no formula
         width: of the figure [inch]
         height: of one row [inch]
     """
@@ -78,7 +79,7 @@ def sheet(
 
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height * len(rows) + 0.4), layout="constrained")
-        figure.suptitle(title, x=0.01, ha="left")
+        figure.suptitle(plain(title), x=0.01, ha="left")
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
 
@@ -114,8 +115,18 @@ def _make_room(axes: Axes) -> None:
 
 
 def label(words: str, unit: str) -> str:
-    """An axis label: words and unit, the unit left out where it is 1."""
+    """Words and unit, the unit left out where it is 1."""
     return words if unit == "1" else f"{words} [{unit}]"
+
+
+def axis_label(words: str, unit: str) -> str:
+    """A `label` on a figure: the words may hold formulas, the unit is shown as it is."""
+    return label(words, plain(unit))
+
+
+def plain(text: str) -> str:
+    """A text of others as Matplotlib shows it as it is: no formula, no control characters."""
+    return printable(text).replace("$", r"\$")
 
 
 def shade_zone(axes: Axes, right: float, left: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.analysis.certificate.design_file import Design, Knowledge, Point
 from undeadzone.analysis.error_dynamics import delta, growth
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.style import ESTIMATE, PRINTED, TRUTH, finish, label, sheet
+from undeadzone.report.style import ESTIMATE, PRINTED, TRUTH, axis_label, finish, sheet
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.assessment import Assessment
 
@@ -119,7 +119,7 @@ def _region(axes: Axes, of: Assessment, i: int) -> None:
     title = words[:1].upper() + words[1:]
     if len(of.known) > 1:
         title = f"Output {i}: {words}"
-    y_label, x_label = (label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
+    y_label, x_label = (axis_label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
     finish(axes, fill(title, 46), y_label, x_label, legend=2)
 
 

@@ -18,6 +18,7 @@ from undeadzone.report.style import (
     TRUTH,
     ZONE,
     finish,
+    plain,
     sheet,
     write,
 )
@@ -98,7 +99,7 @@ def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
     for parameter, value in zip(result.parameters, result.values, strict=True):
         axes = panels[parameter.name]
         _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
-        finish(axes, parameter.name, words, legend=2, x_label="")
+        finish(axes, plain(parameter.name), words, legend=2, x_label="")
     return figure
 
 

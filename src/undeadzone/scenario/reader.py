@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,32 +17,39 @@ from undeadzone.scenario import tune_table as tuning
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
-from undeadzone.support.files import reason
+from undeadzone.support.files import read_text, reason
 
 
-def read(path: str | os.PathLike[str]) -> Scenario:
+def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
     """The scenario in a TOML file.
 
     Args:
         path: the file; the files that it names are relative to its folder.
+        confine: a folder outside of which it may name no file, for a stranger's scenario; None:
+            any.
 
     Returns:
         The scenario, its keys and types checked.
 
     Raises:
         FileError: the file cannot be read.
-        InputError: with the key, what was found and what to do.
+        InputError: with the key, what was found and what to do; also for a file outside of
+            `confine`.
     """
-    return parse(_text(path), Path(path).parent)
+    scenario = parse(_text(path), Path(path).parent)
+    return scenario if confine is None else confined(scenario, Path(confine))
 
 
-def read_for_logs(path: str | os.PathLike[str]) -> Scenario:
+def read_for_logs(
+    path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None
+) -> Scenario:
     """The scenario in a TOML file of which only plant, sensor and observer are used, along a log.
 
     Reference, controller and the sensor's widths may be left out; others stand in for them.
 
     Args:
         path: the file; the files that it names are relative to its folder.
+        confine: as of `read`.
 
     Raises:
         FileError: the file cannot be read.
@@ -59,7 +67,8 @@ def read_for_logs(path: str | os.PathLike[str]) -> Scenario:
                     f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
                 )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
-    return convert(data, Path(path).parent)
+    scenario = convert(data, Path(path).parent)
+    return scenario if confine is None else confined(scenario, Path(confine))
 
 
 # What stands for tables that a scenario for logs leaves out.
@@ -73,7 +82,7 @@ _TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sens
 def _text(path: str | os.PathLike[str]) -> str:
     """The text of a file. Raises FileError."""
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return read_text(path)
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text") from None
     except (OSError, ValueError) as error:
@@ -129,20 +138,50 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
 
 def anchored(scenario: Scenario, folder: Path) -> Scenario:
     """The scenario with the files that it names taken from `folder`."""
-    plant = msgspec.structs.replace(scenario.plant, arm=_anchor(scenario.plant.arm, folder))
-    parts = {
-        part: _anchor(getattr(scenario, part), folder)
-        for part in ("reference", "disturbance", "observer", "compare")
-    }
-    return msgspec.structs.replace(scenario, plant=plant, **parts)
+    return _with_files(scenario, lambda key, path: str(folder / path))
 
 
-def _anchor(part: Any, folder: Path) -> Any:
-    """The part with the file that it names, if any, taken from `folder`."""
+def confined(scenario: Scenario, folder: Path) -> Scenario:
+    """The scenario with the real paths of the files that it names, links followed.
+
+    Args:
+        scenario: with its files' paths.
+        folder: that must hold them.
+
+    Raises:
+        InputError: for a file outside of `folder`; whether there is one is not said.
+    """
+    root = Path(os.path.realpath(folder))
+
+    def inside(key: str, path: str) -> str:
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(root):
+            raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
+        return str(real)
+
+    return _with_files(scenario, inside)
+
+
+def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenario:
+    """The scenario with other paths of the files that it names.
+
+    Args:
+        scenario: the scenario.
+        change: takes a key and the path there, returns another path.
+    """
+    arm = _with_file(scenario.plant.arm, "plant.arm", change)
+    parts: dict[str, Any] = {"plant": msgspec.structs.replace(scenario.plant, arm=arm)}
+    for name in ("reference", "disturbance", "observer", "compare"):
+        parts[name] = _with_file(getattr(scenario, name), name, change)
+    return msgspec.structs.replace(scenario, **parts)
+
+
+def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
+    """The part under a key with another path of the file that it names, if any."""
     for name in ("path", "design"):
         path = getattr(part, name, None)
         if path is not None:
-            part = msgspec.structs.replace(part, **{name: str(folder / path)})
+            part = msgspec.structs.replace(part, **{name: change(f"{key}.{name}", path)})
     return part
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 
 import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason
+from undeadzone.support.files import LARGEST_TABLE, read_text, reason
 
 
 def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
@@ -42,8 +43,8 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
 def _rows(key: str, path: str) -> list[list[str]]:
     """The cells of a CSV file without empty lines and comments. Raises FileError."""
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            return [row for row in csv.reader(file) if row and not row[0].lstrip().startswith("#")]
+        lines = io.StringIO(read_text(path, LARGEST_TABLE).removeprefix("\ufeff"), newline="")
+        return [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
     except UnicodeDecodeError:
         raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
     except (OSError, ValueError, csv.Error) as error:
@@ -59,10 +60,11 @@ def _require_sample(where: str, row: list[str], channels: int) -> None:
             f"{where} has {columns}, expected {channels + 1} "
             f"(time and {values}, separated by commas)"
         )
-    for cell in row:
+    # The cell itself is not quoted: the scenario may name a file that is not its author's.
+    for column, cell in enumerate(row, 1):
         value = _number(cell)
         if value is None or not math.isfinite(value):
-            raise FileError(f"{where} is not all finite numbers: {','.join(row):.60}")
+            raise FileError(f"{where} is not all finite numbers: see column {column}")
 
 
 def _number(text: str) -> float | None:

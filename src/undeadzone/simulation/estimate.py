@@ -22,7 +22,7 @@ from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import can_smooth, smooth
 from undeadzone.support.arrays import Array, Floats
-from undeadzone.support.files import reason
+from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 
 BLOCK: Final = 1 << 22  # bytes that are read at once
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
@@ -119,6 +119,7 @@ def _read_text(path: Path, text: TextLog) -> Regular:
     blocks = []
     count = 0
     try:
+        require_plain(path, LARGEST_RUN)
         with open(path, "rb") as file:
             while True:
                 data = file.read(BLOCK)

@@ -1,14 +1,21 @@
-"""Files that are either complete or absent."""
+"""Files: written ones are either complete or absent; read ones are plain files of some size."""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from undeadzone.errors import FileError
+
+LARGEST_TEXT: Final = 10_000_000  # [bytes] of a scenario, a design, a URDF
+LARGEST_TABLE: Final = 64_000_000  # [bytes] of a CSV file of signals
+LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 
 
 @contextmanager
@@ -36,6 +43,89 @@ def replacing(path: Path) -> Iterator[Path]:
         raise FileError(f"{path}: cannot write: {reason(error)}") from None
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> bytes:
+    """What a user's file holds.
+
+    Args:
+        path: the file.
+        largest: number of bytes that are read; a larger file is refused.
+
+    Raises:
+        OSError, ValueError: with the `reason`, also for what is no plain file.
+    """
+    require_plain(path, largest)
+    # Not blocking: a named pipe may have taken the file's place.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    with open(os.open(path, flags), "rb") as file:
+        _require_plain(os.fstat(file.fileno()), largest)
+        content = file.read(largest + 1)
+    if len(content) > largest:  # it grows, or the system does not know its size
+        raise OSError(_too_large(len(content), largest))
+    return content
+
+
+def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
+    """What a user's file of UTF-8 text holds. Arguments and errors as of `read_bytes`."""
+    return read_bytes(path, largest).decode("utf-8")
+
+
+def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> None:
+    """Raise OSError for what is no plain file (a device would never end), or one too large.
+
+    Args:
+        path: of the file, which is not opened.
+        largest: number of bytes that it may have; None: any.
+    """
+    _require_plain(os.stat(path), largest)
+
+
+def require_unpacked(path: str | os.PathLike[str], largest: int) -> None:
+    """Raise ValueError for a zip file that would unpack to more than so many bytes."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > largest:
+        raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
+
+
+def _require_plain(status: os.stat_result, largest: int | None) -> None:
+    """Raise OSError for what is no plain file, or one too large."""
+    if stat.S_ISDIR(status.st_mode):
+        raise OSError("it is a directory")
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError("it is a device, a pipe or a socket; only plain files are read")
+    if largest is not None and status.st_size > largest:
+        raise OSError(_too_large(status.st_size, largest))
+
+
+def _too_large(size: int, largest: int) -> str:
+    """Why a file is refused."""
+    return f"it has {size / 1e6:,.0f} MB, and files of this kind may have {largest / 1e6:,.0f}"
+
+
+def require_folder(folder: Path) -> None:
+    """Raise FileError unless files can be written in a folder; nothing is left behind.
+
+    Called before a long computation, whose results would be lost otherwise.
+
+    Args:
+        folder: it need not exist; then it must be possible to make it.
+    """
+    made: list[Path] = []
+    try:
+        for place in reversed([folder, *folder.parents]):
+            if not place.exists():
+                place.mkdir()
+                made.append(place)
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
+            pass
+    except (OSError, ValueError) as error:
+        raise FileError(f"{folder}: cannot write: {reason(error)}") from None
+    finally:
+        for place in reversed(made):
+            with suppress(OSError):  # another process uses it already
+                place.rmdir()
 
 
 def write_text(text: str, path: Path) -> Path:

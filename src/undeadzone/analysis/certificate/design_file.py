@@ -14,7 +14,7 @@ from undeadzone.errors import FileError, ProofError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats, matrix, vector
-from undeadzone.support.files import reason, write_text
+from undeadzone.support.files import read_text, reason, write_text
 
 Matrix = list[list[float]]
 
@@ -157,12 +157,14 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             ProofError: if the proof does not hold for its own model.
         """
         try:
-            with open(path, "rb") as file:
-                design = msgspec.convert(tomllib.load(file), cls)
+            design = msgspec.convert(tomllib.loads(read_text(path)), cls)
         except OSError as error:
             raise FileError(f"{path}: cannot read: {reason(error)}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-            raise FileError(f"{path}: not a design saved by undeadzone ({error})") from None
+        except (ValueError, RecursionError, msgspec.ValidationError):
+            # Nothing of it is quoted: a scenario may name a file that is not its author's.
+            raise FileError(
+                f"{path}: not a design saved by undeadzone; write it with undeadzone design"
+            ) from None
         design.require_proof(design.model, design.Ts, str(path))
         return design
 

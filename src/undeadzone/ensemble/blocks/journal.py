@@ -24,7 +24,7 @@ import numpy.typing as npt
 from undeadzone.ensemble.blocks.job import Layout, versions
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason
+from undeadzone.support.files import reason, require_plain
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
 NUMBER = 8  # [bytes] of a float64 and of a checksum
@@ -123,6 +123,8 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
     header = _header(layout)
     with _writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            require_plain(path)
         file = io.FileIO(path, "r+", opener=_open_or_create)
     try:
         _lock(path, file)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from undeadzone.ensemble.blocks import journal
 from undeadzone.ensemble.blocks.job import Job
-from undeadzone.errors import UndeadzoneError
+from undeadzone.errors import InputError, Terminated, UndeadzoneError
 from undeadzone.support.arrays import Floats
 
 
@@ -23,8 +23,8 @@ def run(
 ) -> journal.Store:
     """Compute a job and keep its rows in a store on disk.
 
-    Whatever stops it (Ctrl-C, an error) says what is kept. The bits are the same wherever they are
-    computed.
+    Whatever stops it (Ctrl-C, SIGTERM, an error) says what is kept. The bits are the same wherever
+    they are computed.
 
     Args:
         prepare: gives the job; picklable where workers or a cluster compute
@@ -41,6 +41,7 @@ def run(
     Raises:
         InputError or a subclass: FileError, ClusterError
     """
+    _require_one(workers, cluster)
     job = prepare()
     store = journal.start(path, job.layout, resume)
     report = progress or _silent
@@ -62,21 +63,32 @@ def keeping(store: journal.Store) -> Iterator[None]:
     """
     try:
         yield
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(_leave(store)) from None
+    except (KeyboardInterrupt, Terminated) as stop:
+        raise type(stop)(_leave(store)) from None
     except UndeadzoneError as error:
         sentences = (str(error), _leave(store))
         raise type(error)("; ".join(filter(None, sentences))) from None
     except BaseException as error:
         kept = _leave(store)
         # Ctrl-C within a lock of the thread pool ends as a RuntimeError.
-        if isinstance(error.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt(kept) from None
+        before = error.__context__
+        if isinstance(before, KeyboardInterrupt | Terminated):
+            raise type(before)(kept) from None
         raise
 
 
 def _silent(runs: int) -> None:
     """Progress that nobody asked for."""
+
+
+def _require_one(workers: int | None, cluster: str | None) -> None:
+    """Raise InputError for both workers and a cluster, or for no number of workers."""
+    both = workers is not None and cluster is not None
+    if both or (workers is not None and workers < 1):
+        raise InputError(
+            "workers, cluster: expected a number of local processes, 1 or more, or an address; "
+            f"found {workers} and {cluster}"
+        )
 
 
 def _results(
@@ -87,10 +99,15 @@ def _results(
     cluster: str | None,
 ) -> Generator[tuple[int, Floats], None, None]:
     """(block, its rows) as they are computed."""
-    if workers is not None or cluster is not None:
-        from undeadzone.ensemble.blocks.dask_cluster import results
+    if workers is not None:
+        from undeadzone.ensemble.blocks.local_workers import results as local_results
 
-        yield from results(prepare, blocks, workers=workers, cluster=cluster)
+        yield from local_results(prepare, blocks, workers)
+        return
+    if cluster is not None:
+        from undeadzone.ensemble.blocks.dask_cluster import results as cluster_results
+
+        yield from cluster_results(prepare, blocks, cluster)
         return
     for block in blocks:
         yield block, job.block(block)

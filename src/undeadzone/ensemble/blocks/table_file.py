@@ -16,7 +16,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason, replacing
+from undeadzone.support.files import reason, replacing, require_plain
 
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
@@ -60,6 +60,7 @@ def save(table: Table, path: Path) -> Path:
 def load(path: Path) -> Table:
     """Read a table. Raises FileError; InputError where pyarrow is missing."""
     try:
+        require_plain(path)
         return _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
     except InputError:
         raise

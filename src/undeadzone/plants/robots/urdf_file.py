@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from undeadzone.errors import FileError
 from undeadzone.plants.robots.urdf_elements import Body, Joint, body_of, joint_of, name_of
-from undeadzone.support.files import reason
+from undeadzone.support.files import read_bytes, reason
 
 
 class Robot(NamedTuple):
@@ -45,7 +45,7 @@ def read(path: Path, key: str = "plant.arm.path") -> Robot:
         FileError: naming the key, the file and the element.
     """
     try:
-        root = fromstring(path.read_bytes())
+        root = fromstring(read_bytes(path))
     except (OSError, ValueError, LookupError) as error:
         raise FileError(f"{key}: {path}: cannot read: {reason(error)}") from None
     except ParseError as error:
@@ -66,7 +66,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 def _robot(root: Element) -> Robot:
     """The tree under <robot>. Raises ValueError."""
     if root.tag != "robot":
-        raise ValueError(f"not a URDF: expected <robot>, found <{root.tag}>")
+        raise ValueError("not a URDF: its first element is not <robot>")
     if any("xacro" in element.tag for element in root.iter()):
         raise ValueError("holds xacro macros: expand them first (xacro arm.xacro > arm.urdf)")
     elements = root.findall("link")

@@ -1,0 +1,143 @@
+"""How a command ends: its exit code, one line on stderr, and what signals and closed streams do."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final
+
+import click
+
+from undeadzone.errors import Terminated, UndeadzoneError
+from undeadzone.support.text import printable
+
+DONE: Final = 0
+BAD_INPUT: Final = 2
+INTERNAL: Final = 70  # EX_SOFTWARE of sysexits.h
+INTERRUPTED: Final = 130  # 128 + SIGINT
+TERMINATED: Final = 143  # 128 + SIGTERM
+DEBUG: Final = "UNDEADZONE_DEBUG"  # set: an unexpected exception shows its traceback
+PRINTERS: Final = ("click", "rich")  # the packages that print
+LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
+
+
+def ended(command: Callable[[], Any]) -> int:
+    """Run a command; its exit code. Whatever it raises becomes one line on stderr."""
+    try:
+        if _open_streams():
+            return _refused("stdout is closed, and the results would be lost; use > /dev/null")
+        _catch_terminate()
+        code = command()
+        sys.stdout.flush()
+        return code if isinstance(code, int) else DONE
+    except click.exceptions.Exit as error:
+        return error.exit_code
+    except click.ClickException as error:
+        return _refused(error.format_message(), _where(error))
+    except UndeadzoneError as error:
+        return _refused(str(error))
+    except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
+        return _stopped("interrupted", str(error.__cause__ or error), INTERRUPTED)
+    except Terminated as error:
+        return _stopped("terminated", str(error), TERMINATED)
+    except OSError as error:
+        return _stdout_failed(error) if _stdout_fails(error) else _unexpected(error)
+    except Exception as error:
+        return _unexpected(error)
+
+
+def _open_streams() -> bool:
+    """Give closed standard streams a place that swallows everything; whether stdout was closed.
+
+    Otherwise the next file opened takes the number of such a stream, and messages end up in it.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the least number that is free: this one
+            os.set_inheritable(number, True)
+    closed = sys.stdout is None
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show ± is no error
+            stream.reconfigure(errors="backslashreplace")
+    return closed
+
+
+def _catch_terminate() -> None:
+    """Let SIGTERM end a command as Ctrl-C does, where it is not ignored."""
+    with suppress(ValueError):  # signals are for the main thread, whose affair they are then
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, _terminate)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """End the command."""
+    raise Terminated
+
+
+def _say(text: str) -> None:
+    """One line on stderr."""
+    click.echo(printable(text), err=True)
+
+
+def _refused(message: str, where: str = "undeadzone") -> int:
+    """What is wrong with the input."""
+    _say(f"{where}: {message}")
+    return BAD_INPUT
+
+
+def _stopped(how: str, kept: str, code: int) -> int:
+    """That a command was stopped, and what is kept."""
+    _say(": ".join(filter(None, (f"undeadzone: {how}", kept))))
+    return code
+
+
+def _unexpected(error: Exception) -> int:
+    """A mistake of the program's own."""
+    if os.environ.get(DEBUG):
+        traceback.print_exc()
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
+    words = f"{type(error).__name__}: {error}"[:LONGEST]
+    _say(
+        f"undeadzone: internal error at {place}: {words}; please report it, with the traceback "
+        f"that {DEBUG}=1 shows"
+    )
+    return INTERNAL
+
+
+def _stdout_fails(error: OSError) -> bool:
+    """Whether an error is of stdout: raised where things are printed, or at every flush again."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if frames and Path(frames[-1].filename).parent.name in PRINTERS:
+        return True
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
+
+
+def _stdout_failed(error: OSError) -> int:
+    """That the results could not be printed; a reader who has seen enough is no failure."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
+        return DONE
+    return _refused(f"stdout: cannot write: {error.strerror}")
+
+
+def _where(error: click.ClickException) -> str:
+    """The command that an error is of."""
+    if isinstance(error, click.UsageError) and error.ctx:
+        return error.ctx.command_path
+    return "undeadzone"

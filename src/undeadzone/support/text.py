@@ -1,0 +1,43 @@
+"""Text of others, made fit to be printed: nothing in it steers a terminal or begins a line."""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import Final
+
+# Controls, invisible formats (which also turn the direction of writing), half characters, line and
+# paragraph separators.
+UNPRINTABLE: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
+def printable(text: str) -> str:
+    """A text in which every control character stands as its escape, such as \\x1b or \\n."""
+    if text.isprintable():
+        return text
+    return "".join(map(_printable, text))
+
+
+def json_line(text: str) -> str:
+    """A JSON text in which every control character stands as its JSON escape.
+
+    JSON itself demands that below 0x20 only; terminals obey others too.
+    """
+    if text.isprintable():
+        return text
+    return "".join(map(_in_json, text))
+
+
+def _printable(character: str) -> str:
+    """A character, or its escape in Python."""
+    if unicodedata.category(character) in UNPRINTABLE:
+        return character.encode("unicode_escape").decode()
+    return character
+
+
+def _in_json(character: str) -> str:
+    """A character, or its escape in JSON (two of them beyond 0xffff)."""
+    if unicodedata.category(character) not in UNPRINTABLE:
+        return character
+    units = character.encode("utf-16-be", "surrogatepass")
+    halves = [units[i : i + 2].hex() for i in range(0, len(units), 2)]
+    return "".join(f"\\u{half}" for half in halves)

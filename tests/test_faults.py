@@ -1,0 +1,152 @@
+"""Faults: killed processes, full disks, two commands at once; nothing is half-written."""
+
+from __future__ import annotations
+
+import random
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.jobs import sines
+from tests.test_strangers import COMMAND, SCENARIO, scenario
+
+from undeadzone.ensemble.blocks import run_blocks
+from undeadzone.ensemble.result import Ensemble
+from undeadzone.simulation.run import Run
+
+ROOT = Path(__file__).parents[1]
+VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3, 0.5] }}\n'
+
+WITH_WORKERS = """
+import functools, os, pathlib, sys
+from tests.jobs import say, sines
+from undeadzone.ensemble.blocks import run_blocks
+
+if __name__ == "__main__":
+    make, path = functools.partial(sines, 605, 0.01), pathlib.Path(sys.argv[1])
+    run_blocks.run(make, path, resume=True, workers=2, progress=say).close()
+"""
+
+
+def members(session: int) -> list[int]:
+    """The processes of a session that live."""
+    alive = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            state, _, _, of = (entry / "stat").read_text().rpartition(") ")[2].split()[:4]
+        except OSError:
+            continue
+        if int(of) == session and state != "Z":
+            alive.append(int(entry.name))
+    return alive
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
+def test_kill_9_of_a_command_with_workers_leaves_no_process_and_changes_no_bit(
+    tmp_path: Path,
+) -> None:
+    def make() -> object:
+        return sines(605)
+
+    whole = run_blocks.run(make, tmp_path / "whole.partial")
+    path, rng = tmp_path / "runs.partial", random.Random(7)
+    command = [sys.executable, "-c", WITH_WORKERS, str(path)]
+    for _ in range(3):
+        with subprocess.Popen(
+            command, cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True
+        ) as running:
+            assert running.stdout is not None
+            running.stdout.readline()
+            time.sleep(rng.uniform(0, 0.05))  # any instant will do
+            running.kill()
+            running.stdout.read()  # ends when the last process that holds it has gone
+        while members(running.pid):
+            time.sleep(0.01)
+    run_blocks.run(make, path, resume=True).close()
+    assert path.read_bytes() == whole.path.read_bytes()
+
+
+def limited(size: int) -> Callable[[], None]:
+    """What keeps a new process from writing files larger than so many bytes."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return limit
+
+
+@pytest.mark.parametrize("command", ["run", "check", "design", "ensemble"])
+def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
+    tmp_path: Path, command: str
+) -> None:
+    mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
+    done = subprocess.run(
+        [*COMMAND, command, str(mine), "--no-figures", "--out", str(out)],
+        preexec_fn=limited(300),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("undeadzone: ")
+    assert "cannot write: File too large" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_two_runs_into_one_folder_both_end_well(tmp_path: Path) -> None:
+    mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
+    command = [*COMMAND, "run", str(mine), "--no-figures", "--out", str(out)]
+    both = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert all(process.wait(120) in (0, 1) for process in both)
+    assert sorted(path.name for path in out.iterdir()) == ["run.csv", "run.npz"]
+    assert Run.load(out / "run.csv").z.tobytes() == Run.load(out / "run.npz").z.tobytes()
+
+
+def test_of_two_ensembles_into_one_folder_one_is_refused_or_finds_the_other_done(
+    tmp_path: Path,
+) -> None:
+    mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
+    command = [*COMMAND, "ensemble", str(mine), "--no-figures", "--out", str(out)]
+    both = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    said = [process.communicate()[1] for process in both]
+    ends = [process.returncode for process in both]
+    assert 0 in ends
+    for code, words in zip(ends, said, strict=True):
+        assert code == 0 or "another process is writing it" in words
+    assert [path.name for path in out.iterdir()] == ["runs.npz"]
+    assert Ensemble.load(out / "runs.npz").info.runs == 50
+
+
+DIES_AT_THE_START = """
+import os, signal
+if os.environ.get("TEST_PARENT") != str(os.getpid()):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_processes_of_the_arena_that_are_killed_are_one_line(tmp_path: Path) -> None:
+    """Each is killed as it starts, as by a system without memory."""
+    (tmp_path / "main.py").write_text(
+        f"{DIES_AT_THE_START}\nif __name__ == '__main__':\n"
+        "    from undeadzone.cli import main\n    main()\n"
+    )
+    mine = scenario(tmp_path)
+    command = [sys.executable, "main.py", "arena", str(mine), "--processes", "2"]
+    script = f"TEST_PARENT=$$ exec {' '.join(command)}"
+    done = subprocess.run(
+        ["/bin/sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "undeadzone: arena: one of 2 processes died; out of memory? Take fewer with --processes\n"
+    )
