@@ -265,15 +265,22 @@ class Check(NamedTuple):
     rounding: float
 
 
+NOTHING = Check(False, np.inf, -np.inf, 0.0)  # what is no proof at all
+
+
 def check(inequality: Inequality, P: Floats) -> Check:
     """Whether P proves the inequality: by eigenvalues and a bound on rounding, without a solver.
+
+    P must be symmetric to the last bit. x'Px holds only the symmetric part, and PA + A'P' of
+    another P can be negative although A is unstable.
 
     Args:
         inequality: what is to be proved.
         P: of V = x'Px (n x n).
     """
-    if not np.isfinite(P).all():
-        return Check(False, np.inf, -np.inf, 0.0)
+    n = inequality.A[0].shape[0]
+    if P.shape != (n, n) or not np.isfinite(P).all() or not np.array_equal(P, P.T):
+        return NOTHING
     matrices, magnitudes = inequality.matrices(P), inequality.magnitudes(P)
     least_of_P, slack_of_P = _definite(P, np.abs(P))
     of_lmi = [_definite(-M, size) for M, size in zip(matrices, magnitudes, strict=True)]

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.dissipation import (
-    Check,
     Extra,
     Family,
     Inequality,
@@ -22,7 +21,6 @@ from undeadzone.support.arrays import Floats, matrix, vector
 FLOOR = 1e-6  # smallest squared gain and weight that is minimised to, in scaled quantities
 CEILING = 1e6  # the largest
 SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)  # of the way inside that a proof may go
-UNPROVED = Check(False, np.inf, -np.inf, 0.0)
 
 
 class Channel(NamedTuple):

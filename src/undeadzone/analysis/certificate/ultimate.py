@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.driven import (
-    UNPROVED,
     Channel,
     channels,
     driven,
@@ -19,7 +18,7 @@ from undeadzone.analysis.certificate.driven import (
     output_rows,
     prove,
 )
-from undeadzone.analysis.dissipation import Check, Family, Inequality, Solution, check
+from undeadzone.analysis.dissipation import NOTHING, Check, Family, Inequality, Solution, check
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, balance, growth, identity_storage
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats, vector
@@ -93,7 +92,7 @@ def ultimate_bound(
     rate = _best(lambda rate: at(rate).bound, fastest)
     best = at(rate)
     if best.solution is None:
-        return Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), UNPROVED)
+        return Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), NOTHING)
     V = original_storage(errors, scaling, best.solution)._replace(gamma=gamma)
     proof = check(best.family(best.solution.q), best.solution.P)
     return Ultimate(best.bound, best.level * scaling.time, rate / scaling.time, V, proof)
