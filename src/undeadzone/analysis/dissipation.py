@@ -12,6 +12,7 @@ from undeadzone.support.arrays import Floats
 
 # Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
 LEAST = 1e-8
+CANCELLED = 1e-7  # of its terms, below which a diagonal entry counts as cancelled
 
 
 class Inequality(NamedTuple):
@@ -199,8 +200,7 @@ def _pass(
     T, inverse = vectors / root, (vectors * root).T
     units = (np.zeros(cost.size), *np.eye(cost.size))
     at = _affine([family(unit).transformed(T, inverse) for unit in units])
-    diagonals = [np.abs(np.diag(M)) for M in at(q).matrices(np.eye(n))]
-    scales = [np.maximum(diagonal, 1e-300) ** -0.5 for diagonal in diagonals]
+    scales = _unit_diagonals(at(q), np.eye(n))
     entries = n * (n + 1) // 2  # of P; then come the multipliers, and the depth if it is sought
     part = at(q).supply[0].shape[0]
 
@@ -219,6 +219,18 @@ def _pass(
         return None
     P = inverse.T @ symmetric(x[:entries], n) @ inverse
     return Solution((P + P.T) / 2, x[entries : entries + cost.size])
+
+
+def _unit_diagonals(inequality: Inequality, P: Floats) -> list[Floats]:
+    """What rows and columns of each matrix are multiplied by for a diagonal of -1.
+
+    A diagonal entry whose terms cancel to nothing says nothing of its size: their magnitude does.
+    """
+    scales = []
+    for M, size in zip(inequality.matrices(P), inequality.magnitudes(P), strict=True):
+        diagonal = np.maximum(np.abs(np.diag(M)), CANCELLED * np.diag(size))
+        scales.append(np.maximum(diagonal, 1e-300) ** -0.5)
+    return scales
 
 
 def _affine(points: list[Inequality]) -> Family:
