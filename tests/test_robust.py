@@ -228,6 +228,46 @@ def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
     assert found.level == pytest.approx(level, rel=0.1)
 
 
+@pytest.mark.parametrize("Ts", [None, 0.1])
+@pytest.mark.parametrize(
+    "A",
+    [
+        [[0.0]],
+        [[0.5]],
+        [[0.0, 1.0], [-1.0, 0.0]],
+        [[0.0, 1.0], [0.0, 0.0]],
+        [[0.0, 0.0], [0.0, 0.0]],
+    ],
+)
+@pytest.mark.parametrize("sigma", [0.0, 0.1])
+def test_bounds_of_models_that_are_not_stable_are_infinite(
+    A: list[list[float]], Ts: float | None, sigma: float
+) -> None:
+    n = len(A)
+    flow = Matrices(np.array(A), np.ones((n, 1)), np.eye(1, n))
+    model = flow if Ts is None else zoh(flow, Ts)
+    errors = dynamics(model, np.ones((n, 1)), np.ones(1), Ts)
+    bound = ultimate_bound(errors, 0.5, model.B, np.ones(1), sigma)
+    assert (bound.bound, bound.level, bound.check.proved) == (np.inf, np.inf, False)
+    gain = l2_gain(errors, model.B, np.ones(1))
+    assert (gain.disturbance, gain.noise, gain.check.proved) == (np.inf, np.inf, False)
+    assert not certify_dynamics(errors).certified
+
+
+def test_an_unproved_bound_returns_the_storage_of_its_own_gamma() -> None:
+    """The LMI of sampled leakage works with a larger Gamma; V is that of the dynamics."""
+    errors = paper(0.05, np.array([[120.0], [150.0]]))
+    bound = ultimate_bound(errors, 0.5, entry(0.05), sigma=0.2)
+    assert bound.bound == np.inf
+    assert (bound.V.gamma == errors.gamma).all()
+
+
+@pytest.mark.parametrize("sigma", [-1.0, np.inf, np.nan])
+def test_leakage_without_sense_is_refused(sigma: float) -> None:
+    with pytest.raises(InputError, match="sigma: expected a number that is not negative"):
+        ultimate_bound(paper(), 0.5, B, sigma=sigma)
+
+
 def test_leakage_is_refused_where_it_is_not_covered() -> None:
     with pytest.raises(
         InputError, match="sigma: leakage is covered for a diagonal positive Gamma only"

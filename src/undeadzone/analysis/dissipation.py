@@ -174,6 +174,8 @@ def optimise(
     A, Ts = family(start).A[0], family(start).Ts
     for first in (_lyapunov(A, Ts), np.eye(len(A))):
         best = None
+        if not np.isfinite(first).all():
+            continue
         near = Solution(first, start)
         for _ in range(passes):
             solution = _pass(family, cost, extra, deep, near)

@@ -237,6 +237,17 @@ class Scaling(NamedTuple):
         return W / self.output**2
 
 
+def _speed(A: Floats, errors: Dynamics) -> float:
+    """How fast the errors move [1/s]: the fastest pole of A, or a size where all poles are 0."""
+    sizes = (
+        np.abs(np.linalg.eigvals(A)).max(),
+        np.linalg.norm(A),
+        np.linalg.norm(errors.L @ errors.C),
+        1.0,
+    )
+    return next(float(size) for size in sizes if size > 1e-100)
+
+
 def balance(errors: Dynamics) -> Scaling:
     """The scaling that balances rows and columns of x~ and e, which drive each other by L and C.
 
@@ -246,7 +257,7 @@ def balance(errors: Dynamics) -> Scaling:
 
     A = np.mean(errors.A, axis=0)
     n, p = A.shape[0], errors.C.shape[0]
-    time = 2.0 ** -np.round(np.log2(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)))
+    time = 2.0 ** -np.round(np.log2(_speed(A, errors)))
     joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
     _, (scale, _) = matrix_balance(joined, permute=False, separate=True)
     leaders = np.argmax(errors.groups, axis=0)  # one output of each group

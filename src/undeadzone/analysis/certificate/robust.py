@@ -29,6 +29,7 @@ from undeadzone.analysis.error_dynamics import (
     adaptation,
     balance,
     delta,
+    growth,
     identity_storage,
 )
 from undeadzone.errors import InputError
@@ -82,6 +83,8 @@ def l2_gain(
         noise: the reading of an active output i is off by noise_i v_i (p).
         output: rows of z = output x~ (rows x n); C by default.
     """
+    if max(growth(A, errors.Ts) for A in errors.A) >= 0:
+        return Gain(np.inf, np.inf, identity_storage(errors), NOTHING)
     scaling = balance(errors)
     scaled = scaling.dynamics(errors)
     signals = channels(errors, scaling, E, noise)
