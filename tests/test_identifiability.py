@@ -32,6 +32,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import deadzone
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.check import check
 
 seeds = st.integers(0, 2**32 - 1)
 CHAIN = matrices(Plant(integrators=2))
@@ -461,3 +462,44 @@ def test_what_outputs_do_not_observe() -> None:
     assert pytest.approx(expected @ expected.T, abs=1e-9) == U @ U.T
     assert unobservable(A, np.ones((1, 3)) @ T.T, 1e-11).shape == (3, 0)
     assert kernel(np.zeros((0, 2)), 1e-11).tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize("time", ["continuous", "sampled"])
+def test_only_readings_that_arrive_count(time: str) -> None:
+    """Nothing arrives: no edge is known, although z passes both; half of it: the same verdict."""
+    simulation = {"duration": 6.0, "step": 0.01, "time": time}
+    for dropout, known in ((0.9999999, False), (0.5, True)):
+        scenario = scene(sensor={"dropout": dropout}, simulation=simulation)
+        run = simulate(scenario, check_step=False)
+        (verdict,) = run.info.identifiable
+        asked = check(scenario)
+        for judged in (verdict, asked["identifiable"]):
+            assert [judged[name] for name in ("right", "left", "width", "centre")] == [known] * 4
+        if not known:
+            assert "too few readings arrive from beyond d_r" in verdict["reasons"][0]
+            assert "too few readings arrive from beyond d_r" in asked["reasons"][0]
+
+
+def test_lost_readings_widen_by_the_root_of_their_share() -> None:
+    whole, half = (check(scene(sensor={"noise": 0.01, "dropout": p}))["std"] for p in (0.0, 0.75))
+    assert half["right"] == pytest.approx(2 * whole["right"], rel=1e-9)
+
+
+def test_only_readings_of_a_nonlinear_plant_that_arrive_count() -> None:
+    pendulum = {
+        "f": ["w", "-9 * sin(q) - w + M"],
+        "h": ["q"],
+        "states": ["q", "w"],
+        "inputs": ["M"],
+    }
+    changes: dict[str, Any] = {
+        "plant": pendulum,
+        "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
+        "controller": {"method": "state_feedback", "poles": [-5.0, -6.0]},
+        "observer": {"method": "extended", "right": [0.0, 1.0], "left": [0.0, 1.0]},
+        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
+    }
+    for dropout, known in ((0.9999999, False), (0.5, True)):
+        sensor = {"right": 0.3, "left": 0.2, "noise": 1e-3, "dropout": dropout}
+        (verdict,) = simulate(scene(sensor=sensor, **changes)).info.identifiable
+        assert (verdict["right"], verdict["left"]) == (known, known)

@@ -31,7 +31,8 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     if problem.plant.nonlinear:
         return _verdicts_along(problem, signal)
     sensor, linear = problem.sensor, problem.model.linear
-    schedule = recorded(signal.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
+    step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
+    schedule = recorded(signal.z, sensor, step, problem.model.Ts, arrived)
     bias = unknown_bias(problem.scenario.disturbance, linear.B)
     return verdicts(linear, schedule, bias, sensor.kind == "jump")
 
@@ -54,6 +55,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             bias,
             traits.uncertain,
             start_std,
+            np.isfinite(signal.y),
         )
 
     alone = with_start(None)

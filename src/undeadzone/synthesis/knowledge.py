@@ -16,7 +16,7 @@ from undeadzone.analysis.identifiability.linear import (
     unknown_bias,
     verdicts,
 )
-from undeadzone.analysis.side_schedule import Schedule, planned, recorded
+from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers import StateFeedback
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
@@ -41,9 +41,10 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
     """The sides along a run, or along the reference where there is none."""
     model, sensor = problem.model, problem.sensor
     if run is not None:
-        return recorded(run.z, sensor, run.info.step, model.Ts)
-    horizon = problem.scenario.simulation.duration
-    return planned(model, problem.reference, problem.tracked, sensor, horizon)
+        return recorded(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
+    simulation = problem.scenario.simulation
+    schedule = planned(model, problem.reference, problem.tracked, sensor, simulation.duration)
+    return arriving(schedule, sensor.dropout, simulation.step, simulation.duration, model.n)
 
 
 def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
@@ -67,7 +68,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     if jump:
         std: list[dict[str, float]] = [{} for _ in judged]
     else:
-        std = _deviations(problem, schedule, bias)
+        std = _deviations(problem, schedule, bias, run)
     known = []
     for i, verdict in enumerate(judged):
         fields = verdict._asdict() | {"reasons": list(verdict.reasons), "std": std[i]}
@@ -87,9 +88,12 @@ def _known_from_run(run: Run) -> list[Knowledge]:
 
 
 def _deviations(
-    problem: Problem, schedule: Schedule, bias: Floats | None
+    problem: Problem, schedule: Schedule, bias: Floats | None, run: Run | None
 ) -> list[dict[str, float]]:
-    """The standard deviations of each output's widths that no unbiased estimate can beat [z]."""
+    """The standard deviations of each output's widths that no unbiased estimate can beat [z].
+
+    A run's schedule knows already which readings arrived.
+    """
     simulation = problem.scenario.simulation
     process = _process_noise(problem.model, problem.scenario.disturbance)
     return deviations(
@@ -100,6 +104,7 @@ def _deviations(
         simulation.duration,
         bias,
         process,
+        None if run is not None else 1 - problem.sensor.dropout,
     ).widths
 
 

@@ -53,7 +53,7 @@ def _unreached(name: str, edge: str, stays: str) -> str:
         return f"the {name} edge is never reached: the output {stays}"
     return (
         f"the {name} edge is hardly reached: "
-        f"too few samples lie beyond {edge} to tell it from the state"
+        f"too few readings arrive from beyond {edge} to tell it from the state"
     )
 
 

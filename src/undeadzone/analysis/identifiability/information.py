@@ -57,6 +57,7 @@ def deviations(
     duration: float,
     bias: Floats | None = None,
     process: Floats | None = None,
+    arrive: Floats | None = None,
 ) -> Deviations:
     """What noisy readings tell, whole passes of the schedule at a time; no prior is used.
 
@@ -69,10 +70,13 @@ def deviations(
         bias: directions (n x b) of unknown constant inputs.
         process: covariance (n x n) of white process noise, per second, or per step if the schedule
             is sampled.
+        arrive: share of each output's readings that arrive (p); all of them if not given.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
     variance = np.maximum(noise, least) ** 2
+    if arrive is not None:
+        variance = variance / arrive
     fisher = information(linear, schedule, variance, step, duration, bias, process)
     hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
     units = np.outer(hidden.scale, hidden.scale)

@@ -39,6 +39,7 @@ def verdicts_along(
     bias: Floats | None = None,
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
+    arrived: np.ndarray | None = None,
 ) -> list[Verdict]:
     """What the readings along a run tell of each output's widths.
 
@@ -56,14 +57,17 @@ def verdicts_along(
         uncertain: names of parameters that are unknown.
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
+        arrived: whether each reading did (N x p); all of them if not given.
     """
+    if arrived is None:
+        arrived = np.ones(z.shape, dtype=bool)
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
-    x, u, z = x[whole], u[whole], z[whole]
-    schedule = recorded(z, sensor, step, model.Ts)
+    x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
+    schedule = recorded(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
-    side = zone(z, *reading_levels(sensor).T)
+    side = np.where(arrived, zone(z, *reading_levels(sensor).T), 0.0)
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, prior)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
