@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, scene
+from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.information import deviations, information
 from undeadzone.analysis.identifiability.linear import (
@@ -28,6 +29,7 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import deadzone
 from undeadzone.simulation.simulate import simulate
@@ -503,3 +505,38 @@ def test_only_readings_of_a_nonlinear_plant_that_arrive_count() -> None:
         sensor = {"right": 0.3, "left": 0.2, "noise": 1e-3, "dropout": dropout}
         (verdict,) = simulate(scene(sensor=sensor, **changes)).info.identifiable
         assert (verdict["right"], verdict["left"]) == (known, known)
+
+
+SLOW = {
+    "before": {"kind": "step", "amplitude": 0.0, "before": 0.5, "time": 100.0},
+    "trapezoid": {"kind": "trapezoid", "amplitude": 0.5, "rise": 1e-3, "hold": 1e3},
+    "slow sine": {"kind": "sine", "amplitude": 0.5, "frequency": 1e-4, "phase": 1.5},
+    "csv": {"kind": "csv", "path": "constant.csv", "smooth": False},
+}
+
+
+@pytest.mark.parametrize("kind", SLOW)
+def test_whatever_is_constant_hides_the_centre(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "constant.csv").write_text("t,w\n0,0.5\n1,0.5\n", encoding="utf-8")
+    tables = table(disturbance=SLOW[kind], simulation={"duration": 8.0, "step": 0.01})
+    scenario = convert(tables, tmp_path)
+    (verdict,) = simulate(scenario, check_step=False).info.identifiable
+    for judged in (verdict, check(scenario)["identifiable"]):
+        known = [judged[name] for name in ("right", "left", "width", "centre")]
+        assert known == [False, False, True, False]
+    assert "constant input bias" in verdict["reasons"][0]
+
+
+def test_a_disturbance_that_swings_hides_nothing(tmp_path: Path) -> None:
+    t = np.linspace(0, 8, 801)
+    rows = "\n".join(f"{a},{np.sin(2 * np.pi * a)}" for a in t)
+    (tmp_path / "constant.csv").write_text(f"t,w\n{rows}\n", encoding="utf-8")
+    swings: list[dict[str, Any]] = [
+        SLOW["csv"],
+        {"kind": "sine", "amplitude": 0.5, "frequency": 1.0},
+        {"kind": "trapezoid", "amplitude": 0.5, "rise": 0.1, "hold": 0.4},
+        {"kind": "random", "rms": 0.1, "correlation_time": 0.1},
+    ]
+    for disturbance in swings:
+        tables = table(disturbance=disturbance, simulation={"duration": 8.0, "step": 0.01})
+        assert check(convert(tables, tmp_path))["identifiable"]["centre"]

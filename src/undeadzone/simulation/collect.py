@@ -36,7 +36,8 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     sensor, linear = problem.sensor, problem.model.linear
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, sensor, step, problem.model.Ts, arrived)
-    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    duration = problem.scenario.simulation.duration
+    bias = unknown_bias(problem.scenario.disturbance, linear.B, duration)
     return verdicts(linear, schedule, bias, sensor.kind == "jump")
 
 
@@ -44,7 +45,8 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    bias = unknown_bias(problem.scenario.disturbance, np.eye(problem.plant.m))
+    duration = problem.scenario.simulation.duration
+    bias = unknown_bias(problem.scenario.disturbance, np.eye(problem.plant.m), duration)
     traits, step = problem.observer.traits, problem.scenario.simulation.step
 
     def with_start(start_std: Floats | None) -> list[Verdict]:

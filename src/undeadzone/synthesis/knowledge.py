@@ -62,7 +62,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     if problem.model.nonlinear and run is not None:
         return _known_from_run(run)
     linear, jump = problem.model.linear, problem.sensor.kind == "jump"
-    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    bias = _bias(problem)
     judged = verdicts(linear, schedule, bias, jump)
     remedies = cures(linear, schedule, bias, jump)
     if jump:
@@ -75,6 +75,13 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         texts = [remedy.text for remedy in remedies if remedy.output == i]
         known.append(Knowledge(**fields, cures=texts))
     return known
+
+
+def _bias(problem: Problem) -> Floats | None:
+    """The directions of constant inputs that the scenario's disturbance leaves unknown."""
+    scenario = problem.scenario
+    duration = scenario.simulation.duration
+    return unknown_bias(scenario.disturbance, problem.model.linear.B, duration)
 
 
 def _known_from_run(run: Run) -> list[Knowledge]:
@@ -122,6 +129,6 @@ def determined(problem: Problem, schedule: Schedule) -> list[bool]:
     model, jump = problem.model, problem.sensor.kind == "jump"
     if model.nonlinear:
         return []
-    bias = unknown_bias(problem.scenario.disturbance, model.linear.B)
+    bias = _bias(problem)
     hidden = invisible(model.linear, schedule.visited(model.n), schedule.Ts, bias, jump)
     return [hidden.state(i) for i in range(model.n)]
