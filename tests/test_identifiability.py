@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.information import deviations, information
+from undeadzone.analysis.identifiability.information import Colour, deviations, information
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
     Verdict,
@@ -540,3 +540,55 @@ def test_a_disturbance_that_swings_hides_nothing(tmp_path: Path) -> None:
     for disturbance in swings:
         tables = table(disturbance=disturbance, simulation={"duration": 8.0, "step": 0.01})
         assert check(convert(tables, tmp_path))["identifiable"]["centre"]
+
+
+def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
+    """Both edges are visited, and noise leaves more than the widths: no, practically."""
+    common: dict[str, Any] = {
+        "sensor": {"right": 0.05, "left": 0.05, "noise": 0.05},
+        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.05},
+        "controller": {"method": "state_feedback", "poles": [-1.0, -1.2]},
+        "observer": {"method": "luenberger", "L": [1.0, 1.0]},
+        "simulation": {"duration": 20.0, "step": 0.01, "time": "sampled"},
+    }
+    formulas = {"f": ["v", "-0.0001 * q - 0.2 * v + u"], "h": ["q"], "states": ["q", "v"]}
+    plants = (
+        {"A": [[0.0, 1.0], [-0.0001, -0.2]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+        formulas | {"inputs": ["u"]},
+    )
+    deviations = []
+    for plant in plants:
+        (verdict,) = simulate(scene(plant=plant, **common)).info.identifiable
+        assert [verdict[name] for name in ("right", "width", "centre")] == [False, True, False]
+        assert "practically not" in verdict["reasons"][0]
+        deviations.append(verdict["std"]["centre"])
+    assert deviations[0] == pytest.approx(deviations[1], rel=0.02)
+    asked = check(scene(plant=plants[0], **common))
+    assert not asked["identifiable"]["centre"]
+    assert "practically not" in asked["reasons"][-1]
+
+
+def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> None:
+    """The plant's gain at 0 is 1: the centre is off by twice the rms at most."""
+    model, schedule = plan(scene())
+    noise, random = np.array([0.01]), 0.1
+    for correlation_time in (1.0, 1e2, 1e4):
+        colour = Colour(model.B, np.array([random]), correlation_time)
+        coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
+        white = 2 * random**2 * correlation_time * model.B @ model.B.T
+        stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+        assert coloured["centre"] <= 2 * random * 1.001
+        assert coloured["centre"] <= stand_in["centre"] * 1.001
+    assert coloured["centre"] == pytest.approx(2 * random, rel=1e-2)
+    assert stand_in["centre"] > 10 * coloured["centre"]
+
+
+def test_a_fast_random_disturbance_is_white() -> None:
+    model, schedule = plan(scene())
+    noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
+    colour = Colour(model.B, np.array([random]), correlation_time)
+    white = 2 * random**2 * correlation_time * model.B @ model.B.T
+    coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
+    stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+    for name in ("right", "centre"):
+        assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.error_dynamics import delta
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.linear.scaling import sizes as scaled_sizes
@@ -19,6 +19,7 @@ from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
+from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
 from undeadzone.support.arrays import Floats
 
 
@@ -33,20 +34,16 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     """
     if problem.plant.nonlinear:
         return _verdicts_along(problem, signal)
-    sensor, linear = problem.sensor, problem.model.linear
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
-    schedule = recorded(signal.z, sensor, step, problem.model.Ts, arrived)
-    duration = problem.scenario.simulation.duration
-    bias = unknown_bias(problem.scenario.disturbance, linear.B, duration)
-    return verdicts(linear, schedule, bias, sensor.kind == "jump")
+    schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
+    return linear_verdicts(problem, schedule, np.ones(problem.model.p))
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    duration = problem.scenario.simulation.duration
-    bias = unknown_bias(problem.scenario.disturbance, np.eye(problem.plant.m), duration)
+    bias = constant_inputs(problem, np.eye(problem.plant.m))
     traits, step = problem.observer.traits, problem.scenario.simulation.step
 
     def with_start(start_std: Floats | None) -> list[Verdict]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.edges import unreached
+from undeadzone.analysis.identifiability.edges import largest_deviations, unreached, vague
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -73,36 +73,15 @@ def verdicts_along(
     biases = 0 if bias is None else bias.shape[1]
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, most = known.std(i), _most(right, left, float(np.ptp(z[:, i])))
+        std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
         reasons = (
             *unreached(schedule, visited, i),
             *_confounded(model, known, visited[i], i, biases, uncertain),
-            *_vague(std, most, right, left),
+            *vague(std, most, right, left),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         judged.append(Verdict(**enough, reasons=reasons, std=std))
     return judged
-
-
-def _most(right: float, left: float, swing: float) -> dict[str, float]:
-    """The largest deviation with which a width counts as known: itself, or the swing if it is 0."""
-    both = right + left
-    sizes = {"right": right, "left": left, "width": both, "centre": both}
-    return {name: float(size) or swing for name, size in sizes.items()}
-
-
-def _vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
-    """Why widths are not known although readings tell them: deviations that exceed `most`."""
-    vague = []
-    for name in DIRECTIONS:
-        if most[name] < std[name] < np.inf:
-            vague.append(f"{name} {std[name]:.3g}")
-    if not vague:
-        return []
-    return [
-        "practically not: noise leaves larger deviations than the widths "
-        f"({right:.3g}, {left:.3g}) to {', '.join(vague)}"
-    ]
 
 
 def variance(sensor: Zone) -> Floats:
