@@ -592,3 +592,16 @@ def test_a_fast_random_disturbance_is_white() -> None:
     stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
     for name in ("right", "centre"):
         assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)
+
+
+def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
+    """Its rms stays what it is: e^-2Ts/tau of the variance is kept, the rest is new."""
+    found = []
+    for simulation in ({"step": 0.01}, {"step": 0.01, "time": "sampled"}):
+        model, schedule = plan(scene(simulation=simulation))
+        B = model.B
+        colour = Colour(B, np.array([0.3]), 0.2)
+        noise = np.array([0.01])
+        found.append(deviations(model, schedule, noise, 0.01, 20.0, colour=colour).widths[0])
+    for name in ("right", "width", "centre"):
+        assert found[1][name] == pytest.approx(found[0][name], rel=0.03)

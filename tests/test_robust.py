@@ -23,7 +23,7 @@ from undeadzone.analysis.certificate.robust import (
     project,
     sector,
 )
-from undeadzone.analysis.certificate.ultimate import ultimate_bound
+from undeadzone.analysis.certificate.ultimate import leaking, ultimate_bound
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
@@ -636,3 +636,11 @@ def test_l2_gains_of_two_outputs_are_least() -> None:
         assert found.check.proved
         least = least_gain_over_weights(errors, reading, found.noise)
         assert least * (1 - 1e-4) <= found.noise <= 1.01 * least
+
+
+def test_sampled_leakage_asks_for_a_larger_gamma() -> None:
+    """d~+ = (1 - eps)(d~ + g / (1 - eps) S'e) + eps delta: the LMI is for g / (1 - eps)."""
+    errors = paper(0.05, gamma=np.array([[4.0, 2.0]]))
+    gamma = np.diag(leaking(errors, 0.5).gamma)
+    assert gamma == pytest.approx([4.0 / (1 - 0.1), 2.0 / (1 - 0.05)])
+    assert (leaking(paper(None), 0.5).gamma == paper(None).gamma).all()
