@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.designs import random_design, random_matrices
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm
 
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.analysis.certificate import positive_real
@@ -331,6 +331,35 @@ def test_recheck_trusts_nobody() -> None:
     assert not recheck(
         edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)
     ).proved
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3])
+def test_a_p_that_is_not_symmetric_proves_nothing(Ts: float | None) -> None:
+    # x'Px holds the symmetric part alone; PA + A'P' < 0 of I + J although the spiral is unstable.
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    spiral = Matrices(0.1 * np.eye(2) + turn, column(0, 1), np.array([[1.0, 0.0]]))
+    if Ts is not None:
+        spiral = spiral._replace(A=expm(Ts * spiral.A))
+    errors = dynamics(spiral, 1e-3 * column(1, 1), np.array([1e-3]), Ts)
+    assert not recheck(errors, np.eye(2) + turn, np.array([1e-2])).proved
+    for share in (1.0, 1e-3, 1e-8):
+        assert not recheck(errors, np.eye(2) + share * turn, np.array([1e-2])).proved
+    stable = certify(PAPER, column(1, 1.5), np.array([10.0]))
+    assert not recheck(stable.dynamics, stable.P + 1e-9 * turn, stable.W).proved
+
+
+@pytest.mark.parametrize(
+    ("P", "W"),
+    [(np.eye(3), np.ones(1)), (np.eye(2), np.ones(2)), (np.eye(2), np.array([np.inf]))],
+)
+def test_a_proof_of_the_wrong_shape_or_size_proves_nothing(P: Floats, W: Floats) -> None:
+    assert not recheck(dynamics(PAPER, column(1, 1.5), np.ones(1), None), P, W).proved
+
+
+def test_a_full_gamma_that_is_a_little_asymmetric_is_refused() -> None:
+    full = np.array([[1.0, 0.3], [0.3 + 1e-7, 1.0]])
+    with pytest.raises(InputError, match="gamma: a full matrix must be symmetric"):
+        certify(PAPER, column(1, 1), full)
 
 
 IMPOSSIBLE: list[tuple[Any, str]] = [

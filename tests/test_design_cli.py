@@ -66,12 +66,19 @@ def run(*arguments: str | Path) -> Done:
     return Done(result.return_value, result.stdout, result.stderr)
 
 
+def watched_by(observer: str) -> str:
+    """The paper's scenario with one line in place of its table `observer`, which comes last."""
+    return f"{PAPER.split('[observer]')[0]}{observer}\n"
+
+
 @pytest.fixture
 def paper(tmp_path: Path) -> Callable[..., Path]:
     """A file of the paper's scenario with other words in place of some."""
 
     def written(**changes: str) -> Path:
         text = PAPER
+        if "observer" in changes:
+            text = watched_by(changes["observer"])
         for old, new in changes.items():
             lines = [new if line.startswith(f"{old} =") else line for line in text.splitlines()]
             text = "\n".join(lines)
@@ -276,11 +283,8 @@ def test_run_and_check_use_a_design_and_refuse_a_forged_one(knee: tuple[Path, Do
         'observer = { method = "certified", design = "out/design.toml", widths0 = [0.2, 0.2] }'
     )
     path = folder / "designed.toml"
-    text = PAPER.replace("duration = 2.0", "duration = 6.0")
-    path.write_text(
-        "\n".join(observer if line.startswith("observer") else line for line in text.splitlines()),
-        encoding="utf-8",
-    )
+    text = watched_by(observer).replace("duration = 2.0", "duration = 6.0")
+    path.write_text(text, encoding="utf-8")
     assert run("check", path, *QUIET).found["rate"] == pytest.approx(done.found["rate"], rel=1e-9)
     result = run("run", path, *QUIET)
     assert (result.code, result.found["certified"]) == (0, True)

@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 from scenes import scene, table
-from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.analysis.certificate.design_file import STATED, Design
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence.floquet import error_matrices, rates
 from undeadzone.analysis.error_dynamics import adaptation
-from undeadzone.errors import FileError, InputError, ProofError, StructureError, UndeadzoneError
+from undeadzone.errors import (
+    FileError,
+    InputError,
+    ProofError,
+    ShapeError,
+    StructureError,
+    UndeadzoneError,
+)
 from undeadzone.feedforward.targets import linear_targets
 from undeadzone.numerics.optimise import evolve, pareto, undominated
 from undeadzone.scenario.problem import resolve_scenario
@@ -348,7 +355,60 @@ def test_the_margin_asked_for_is_kept() -> None:
 
 
 def test_a_design_is_kept_exactly(knee: Design, tmp_path: Path) -> None:
-    assert Design.load(knee.save(tmp_path / "knee.toml")) == knee
+    loaded = Design.load(knee.save(tmp_path / "knee.toml"))
+    assert loaded == msgspec.structs.replace(knee, remarks=[*knee.remarks, STATED])
+    assert Design.load(loaded.save(tmp_path / "again.toml")) == loaded
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"margin": 0.9}, ProofError, "margin: the file says 0.9, its gains have 0.01"),
+        ({"margin": float("nan")}, ProofError, "margin: the file says nan"),
+        ({"Ts": -0.001}, InputError, "Ts: expected a sample time above 0 s, found -0.001"),
+        ({"Ts": 0.0}, InputError, "Ts: expected a sample time"),
+        ({"states": [True]}, ShapeError, "states: expected 2 entries, found 1"),
+        ({"identifiable": []}, ShapeError, "identifiable: expected 1 entries, found 0"),
+        ({"K": [[1.0]]}, ShapeError, "K: expected"),
+    ],
+)
+def test_what_a_design_states_is_recomputed(
+    quickest: Design, tmp_path: Path, change: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    path = msgspec.structs.replace(quickest, **change).save(tmp_path / "design.toml")
+    with pytest.raises(error, match=words):
+        Design.load(path)
+
+
+def test_present_gains_of_a_design_are_certified_again(knee: Design, tmp_path: Path) -> None:
+    assert knee.present is not None
+    present = msgspec.structs.replace(knee.present, L=[[12.0], [15.0]])
+    path = msgspec.structs.replace(knee, present=present).save(tmp_path / "design.toml")
+    with pytest.raises(ProofError, match="present: the file lists these gains as certified"):
+        Design.load(path)
+
+
+def test_what_cannot_be_recomputed_is_named(quickest: Design, tmp_path: Path) -> None:
+    best = msgspec.structs.replace(quickest.best, rate=1e9)
+    edited = msgspec.structs.replace(quickest, best=best, frequency=1e9)
+    loaded = Design.load(edited.save(tmp_path / "design.toml"))
+    assert loaded.frequency == quickest.frequency
+    assert "not recomputed: K, rate" in loaded.remarks[-1]
+
+
+def test_a_p_that_is_not_symmetric_is_no_proof_of_a_design(
+    quickest: Design, tmp_path: Path
+) -> None:
+    # An unstable spiral, "proved" by I + J: x'Px holds the symmetric part of P alone.
+    forged = msgspec.structs.replace(
+        quickest,
+        A=[[0.1, 1.0], [-1.0, 0.1]],
+        P=[[1.0, 1.0], [-1.0, 1.0]],
+        W=[1e-2],
+        best=msgspec.structs.replace(quickest.best, L=[[1e-3], [1e-3]], gamma=[1e-3]),
+    )
+    with pytest.raises(ProofError, match="its proof does not hold"):
+        Design.load(forged.save(tmp_path / "design.toml"))
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from undeadzone.analysis.convergence.floquet import (
     transitions,
 )
 from undeadzone.analysis.error_dynamics import adaptation, pattern
+from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.analysis.side_schedule import Schedule, merged, planned, recorded, roots
 from undeadzone.scenario.problem import constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -357,3 +358,29 @@ def test_crossings_of_samples(tmp_path: Any) -> None:
 )
 def test_periods(signal: Any, period: float | None) -> None:
     assert exosystem("r", signal, 1).period == (None if period is None else pytest.approx(period))
+
+
+def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
+    """By plain exponentials, in the balanced units that it is stated in."""
+    scenario = scene()
+    schedule = merged(schedule_of(scenario))
+    problem = resolve_scenario(scenario)
+    gains = constant_gains(problem.observer, problem.model)
+    assert gains is not None
+    found = rates(problem.model.linear, *gains, schedule)
+    F, _ = error_matrices(
+        problem.model.linear.A,
+        problem.model.linear.C,
+        gains[0],
+        adaptation(gains[1], 1),
+        schedule.sides,
+    )
+    units = invisible(problem.model.linear, schedule.visited()).scale
+    M = np.eye(4)
+    for matrix, span in zip(F, schedule.spans, strict=True):
+        M = expm(matrix * span) @ M
+    assert found.gain == pytest.approx(np.linalg.norm(M * units / units[:, None], 2), rel=1e-9)
+    ends = np.abs(np.random.default_rng(0).normal(size=(4, 1000)))
+    assert (np.linalg.norm(M * units / units[:, None] @ ends, axis=0)).max() <= (
+        found.gain * np.linalg.norm(ends, axis=0).max()
+    )

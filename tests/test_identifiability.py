@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, scene
+from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.information import deviations, information
+from undeadzone.analysis.identifiability.information import Colour, deviations, information
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
     Verdict,
@@ -28,10 +29,12 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import deadzone
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.check import check
 
 seeds = st.integers(0, 2**32 - 1)
 CHAIN = matrices(Plant(integrators=2))
@@ -461,3 +464,144 @@ def test_what_outputs_do_not_observe() -> None:
     assert pytest.approx(expected @ expected.T, abs=1e-9) == U @ U.T
     assert unobservable(A, np.ones((1, 3)) @ T.T, 1e-11).shape == (3, 0)
     assert kernel(np.zeros((0, 2)), 1e-11).tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize("time", ["continuous", "sampled"])
+def test_only_readings_that_arrive_count(time: str) -> None:
+    """Nothing arrives: no edge is known, although z passes both; half of it: the same verdict."""
+    simulation = {"duration": 6.0, "step": 0.01, "time": time}
+    for dropout, known in ((0.9999999, False), (0.5, True)):
+        scenario = scene(sensor={"dropout": dropout}, simulation=simulation)
+        run = simulate(scenario, check_step=False)
+        (verdict,) = run.info.identifiable
+        asked = check(scenario)
+        for judged in (verdict, asked["identifiable"]):
+            assert [judged[name] for name in ("right", "left", "width", "centre")] == [known] * 4
+        if not known:
+            assert "too few readings arrive from beyond d_r" in verdict["reasons"][0]
+            assert "too few readings arrive from beyond d_r" in asked["reasons"][0]
+
+
+def test_lost_readings_widen_by_the_root_of_their_share() -> None:
+    whole, half = (check(scene(sensor={"noise": 0.01, "dropout": p}))["std"] for p in (0.0, 0.75))
+    assert half["right"] == pytest.approx(2 * whole["right"], rel=1e-9)
+
+
+def test_only_readings_of_a_nonlinear_plant_that_arrive_count() -> None:
+    pendulum = {
+        "f": ["w", "-9 * sin(q) - w + M"],
+        "h": ["q"],
+        "states": ["q", "w"],
+        "inputs": ["M"],
+    }
+    changes: dict[str, Any] = {
+        "plant": pendulum,
+        "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
+        "controller": {"method": "state_feedback", "poles": [-5.0, -6.0]},
+        "observer": {"method": "extended", "right": [0.0, 1.0], "left": [0.0, 1.0]},
+        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
+    }
+    for dropout, known in ((0.9999999, False), (0.5, True)):
+        sensor = {"right": 0.3, "left": 0.2, "noise": 1e-3, "dropout": dropout}
+        (verdict,) = simulate(scene(sensor=sensor, **changes)).info.identifiable
+        assert (verdict["right"], verdict["left"]) == (known, known)
+
+
+SLOW = {
+    "before": {"kind": "step", "amplitude": 0.0, "before": 0.5, "time": 100.0},
+    "trapezoid": {"kind": "trapezoid", "amplitude": 0.5, "rise": 1e-3, "hold": 1e3},
+    "slow sine": {"kind": "sine", "amplitude": 0.5, "frequency": 1e-4, "phase": 1.5},
+    "csv": {"kind": "csv", "path": "constant.csv", "smooth": False},
+}
+
+
+@pytest.mark.parametrize("kind", SLOW)
+def test_whatever_is_constant_hides_the_centre(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "constant.csv").write_text("t,w\n0,0.5\n1,0.5\n", encoding="utf-8")
+    tables = table(disturbance=SLOW[kind], simulation={"duration": 8.0, "step": 0.01})
+    scenario = convert(tables, tmp_path)
+    (verdict,) = simulate(scenario, check_step=False).info.identifiable
+    for judged in (verdict, check(scenario)["identifiable"]):
+        known = [judged[name] for name in ("right", "left", "width", "centre")]
+        assert known == [False, False, True, False]
+    assert "constant input bias" in verdict["reasons"][0]
+
+
+def test_a_disturbance_that_swings_hides_nothing(tmp_path: Path) -> None:
+    t = np.linspace(0, 8, 801)
+    rows = "\n".join(f"{a},{np.sin(2 * np.pi * a)}" for a in t)
+    (tmp_path / "constant.csv").write_text(f"t,w\n{rows}\n", encoding="utf-8")
+    swings: list[dict[str, Any]] = [
+        SLOW["csv"],
+        {"kind": "sine", "amplitude": 0.5, "frequency": 1.0},
+        {"kind": "trapezoid", "amplitude": 0.5, "rise": 0.1, "hold": 0.4},
+        {"kind": "random", "rms": 0.1, "correlation_time": 0.1},
+    ]
+    for disturbance in swings:
+        tables = table(disturbance=disturbance, simulation={"duration": 8.0, "step": 0.01})
+        assert check(convert(tables, tmp_path))["identifiable"]["centre"]
+
+
+def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
+    """Both edges are visited, and noise leaves more than the widths: no, practically."""
+    common: dict[str, Any] = {
+        "sensor": {"right": 0.05, "left": 0.05, "noise": 0.05},
+        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.05},
+        "controller": {"method": "state_feedback", "poles": [-1.0, -1.2]},
+        "observer": {"method": "luenberger", "L": [1.0, 1.0]},
+        "simulation": {"duration": 20.0, "step": 0.01, "time": "sampled"},
+    }
+    formulas = {"f": ["v", "-0.0001 * q - 0.2 * v + u"], "h": ["q"], "states": ["q", "v"]}
+    plants = (
+        {"A": [[0.0, 1.0], [-0.0001, -0.2]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+        formulas | {"inputs": ["u"]},
+    )
+    deviations = []
+    for plant in plants:
+        (verdict,) = simulate(scene(plant=plant, **common)).info.identifiable
+        assert [verdict[name] for name in ("right", "width", "centre")] == [False, True, False]
+        assert "practically not" in verdict["reasons"][0]
+        deviations.append(verdict["std"]["centre"])
+    assert deviations[0] == pytest.approx(deviations[1], rel=0.02)
+    asked = check(scene(plant=plants[0], **common))
+    assert not asked["identifiable"]["centre"]
+    assert "practically not" in asked["reasons"][-1]
+
+
+def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> None:
+    """The plant's gain at 0 is 1: the centre is off by twice the rms at most."""
+    model, schedule = plan(scene())
+    noise, random = np.array([0.01]), 0.1
+    for correlation_time in (1.0, 1e2, 1e4):
+        colour = Colour(model.B, np.array([random]), correlation_time)
+        coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
+        white = 2 * random**2 * correlation_time * model.B @ model.B.T
+        stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+        assert coloured["centre"] <= 2 * random * 1.001
+        assert coloured["centre"] <= stand_in["centre"] * 1.001
+    assert coloured["centre"] == pytest.approx(2 * random, rel=1e-2)
+    assert stand_in["centre"] > 10 * coloured["centre"]
+
+
+def test_a_fast_random_disturbance_is_white() -> None:
+    model, schedule = plan(scene())
+    noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
+    colour = Colour(model.B, np.array([random]), correlation_time)
+    white = 2 * random**2 * correlation_time * model.B @ model.B.T
+    coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
+    stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+    for name in ("right", "centre"):
+        assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)
+
+
+def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
+    """Its rms stays what it is: e^-2Ts/tau of the variance is kept, the rest is new."""
+    found = []
+    for simulation in ({"step": 0.01}, {"step": 0.01, "time": "sampled"}):
+        model, schedule = plan(scene(simulation=simulation))
+        B = model.B
+        colour = Colour(B, np.array([0.3]), 0.2)
+        noise = np.array([0.01])
+        found.append(deviations(model, schedule, noise, 0.01, 20.0, colour=colour).widths[0])
+    for name in ("right", "width", "centre"):
+        assert found[1][name] == pytest.approx(found[0][name], rel=0.03)

@@ -442,3 +442,20 @@ def test_exponentials_of_many_matrices() -> None:
     X = rng.normal(size=(20, 4, 4)) * 10 ** rng.uniform(-3, 1, (20, 1, 1))
     for E, one in zip(linearised_run._expm(X), X, strict=True):
         assert pytest.approx(expm(one), rel=1e-10, abs=1e-10 * np.abs(expm(one)).max()) == E
+
+
+def test_a_step_of_magnus_is_of_fourth_order() -> None:
+    """With the commutator's sign turned it would be of second."""
+    rng = np.random.default_rng(1)
+    A, slope = rng.normal(size=(2, 1, 3, 3))
+    off = []
+    for h in (0.1, 0.05):
+        exact = np.eye(3)
+        for t in (np.arange(2000) + 0.5) / 2000 * h:
+            exact = expm((A + t * slope)[0] * h / 2000) @ exact
+        exponent = linearised_run._magnus(
+            A, A + h / 2 * slope, A + h * slope, np.full((1, 1, 1), h)
+        )
+        off.append(np.abs(expm(exponent[0]) - exact).max())
+    assert off[0] < 1e-5
+    assert off[0] > 20 * off[1]  # a factor of 2^5 a step

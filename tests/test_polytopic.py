@@ -15,7 +15,8 @@ from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.analysis.certificate.jacobian_bounds import slopes_on
 from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
 from undeadzone.analysis.certificate.polytopic import certify_on, design_on
-from undeadzone.analysis.certificate.subdivision import absolute, form, halved
+from undeadzone.analysis.certificate.subdivision import _entry_slopes, absolute, form, halved
+from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.engine.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
@@ -456,3 +457,35 @@ def test_halves_of_a_box_are_cut_across_the_side_of_most_effect() -> None:
     low, high = narrow.low[None], narrow.high[None]
     lows, _ = halved(low, (low + high) / 2, high, np.array([[np.inf, 0.0]]), whole)
     assert lows.tolist() == [[-0.5, -1], [-0.5, 0]]  # no bound: the longest against the box
+
+
+@pytest.mark.parametrize("Ts", [None, 0.04])
+def test_slopes_by_the_entries_of_A_are_those_of_the_inequality(Ts: float | None) -> None:
+    """M is affine in A, sampled too: a step of 1 in an entry gives its slope, sqrt(Ts) and all."""
+    rng = np.random.default_rng(0)
+    A, L, P = rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=(3, 3))
+    P = P + P.T
+    errors = Dynamics((A,), np.eye(1, 3), L, np.eye(2), Ts)
+    rows, columns = np.array([0, 2, 1]), np.array([1, 2, 0])
+    (M,) = errors.inequality(np.ones(1)).matrices(P)
+    slopes = _entry_slopes(P, len(M), Ts, (rows, columns))
+    for slope, i, j in zip(slopes, rows, columns, strict=True):
+        moved = A.copy()
+        moved[i, j] += 1.0
+        (other,) = errors._replace(A=(moved,)).inequality(np.ones(1)).matrices(P)
+        assert slope == pytest.approx(other - M, abs=1e-12)
+
+
+@pytest.mark.parametrize("turns", [0, 10**4, 10**7])
+def test_a_wave_s_top_near_the_end_of_an_interval_is_inside(turns: int) -> None:
+    """Reduction by 2 pi errs by more than the last bit for large angles; the bound may not."""
+    x = ca.SX.sym("x")
+    for function, top in ((ca.sin, np.pi / 2), (ca.cos, 0.0)):
+        angle = 2 * np.pi * turns + top
+        short = 0.3e-12 * (1 + angle)
+        waves = enclosure(ca.Function("wave", [x], [function(x)]))
+        for sign, end in ((1.0, "high"), (-1.0, "low")):
+            place = angle + (np.pi if sign < 0 else 0.0)
+            for low, high in ((place - 0.5, place + short), (place - short, place + 0.5)):
+                (bound,) = waves([Interval(np.array([[low]]), np.array([[high]]))])
+                assert float(getattr(bound, end)[0, 0]) == sign

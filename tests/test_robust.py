@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
 
 from scenes import PAPER_PLANT, scene
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
@@ -22,12 +23,13 @@ from undeadzone.analysis.certificate.robust import (
     project,
     sector,
 )
-from undeadzone.analysis.certificate.ultimate import ultimate_bound
+from undeadzone.analysis.certificate.ultimate import leaking, ultimate_bound
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
+from undeadzone.numerics.semidefinite import minimise
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 
@@ -224,6 +226,46 @@ def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
     level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
     assert found.check.proved
     assert found.level == pytest.approx(level, rel=0.1)
+
+
+@pytest.mark.parametrize("Ts", [None, 0.1])
+@pytest.mark.parametrize(
+    "A",
+    [
+        [[0.0]],
+        [[0.5]],
+        [[0.0, 1.0], [-1.0, 0.0]],
+        [[0.0, 1.0], [0.0, 0.0]],
+        [[0.0, 0.0], [0.0, 0.0]],
+    ],
+)
+@pytest.mark.parametrize("sigma", [0.0, 0.1])
+def test_bounds_of_models_that_are_not_stable_are_infinite(
+    A: list[list[float]], Ts: float | None, sigma: float
+) -> None:
+    n = len(A)
+    flow = Matrices(np.array(A), np.ones((n, 1)), np.eye(1, n))
+    model = flow if Ts is None else zoh(flow, Ts)
+    errors = dynamics(model, np.ones((n, 1)), np.ones(1), Ts)
+    bound = ultimate_bound(errors, 0.5, model.B, np.ones(1), sigma)
+    assert (bound.bound, bound.level, bound.check.proved) == (np.inf, np.inf, False)
+    gain = l2_gain(errors, model.B, np.ones(1))
+    assert (gain.disturbance, gain.noise, gain.check.proved) == (np.inf, np.inf, False)
+    assert not certify_dynamics(errors).certified
+
+
+def test_an_unproved_bound_returns_the_storage_of_its_own_gamma() -> None:
+    """The LMI of sampled leakage works with a larger Gamma; V is that of the dynamics."""
+    errors = paper(0.05, np.array([[120.0], [150.0]]))
+    bound = ultimate_bound(errors, 0.5, entry(0.05), sigma=0.2)
+    assert bound.bound == np.inf
+    assert (bound.V.gamma == errors.gamma).all()
+
+
+@pytest.mark.parametrize("sigma", [-1.0, np.inf, np.nan])
+def test_leakage_without_sense_is_refused(sigma: float) -> None:
+    with pytest.raises(InputError, match="sigma: expected a number that is not negative"):
+        ultimate_bound(paper(), 0.5, B, sigma=sigma)
 
 
 def test_leakage_is_refused_where_it_is_not_covered() -> None:
@@ -451,3 +493,154 @@ def test_gamma_of_any_kind_is_not_broken(seed: int) -> None:
     found = certify(linear, gains, gamma, Ts)
     assert found.certified
     assert not falsify(found.dynamics, found.V, 5000, seed=seed).broken
+
+
+def frequencies(errors: Dynamics) -> Floats:
+    """Frequencies [rad/s], dense about the poles, up to infinity or pi / Ts."""
+    poles, Ts = np.linalg.eigvals(errors.A[0]), errors.Ts
+    size = np.abs(poles)
+    near = [np.abs(s.imag + np.abs(s.real) * np.linspace(-3, 3, 61)) for s in poles]
+    wide = np.geomspace(size.min() / 1e3, size.max() * 1e4, 600)
+    w = np.sort(np.concatenate([[0.0], wide, *near]))
+    return np.append(w, 1e12) if Ts is None else np.append(w[w * Ts < np.pi], np.pi / Ts)
+
+
+def responses(errors: Dynamics, E: Floats, w: Floats) -> tuple[np.ndarray, np.ndarray]:
+    """C (s - A)^-1 L and C (s - A)^-1 E at frequencies, in delta form if sampled."""
+    s = 1j * w if errors.Ts is None else np.expm1(1j * errors.Ts * w) / errors.Ts
+    resolvent = errors.C @ np.linalg.inv(s[:, None, None] * np.eye(len(E)) - errors.A[0])
+    return resolvent @ errors.L, resolvent @ E
+
+
+def squared_gain(errors: Dynamics, E: Floats, noise: float, weight: float, w: Floats) -> Floats:
+    """mu that a weight needs at each frequency, whatever P is (Kalman, Yakubovich, Popov).
+
+    With a = weight (2 - Ts gamma) + 2 weight Re G - |G|^2 it is (weight noise)^2 / a for noise, and
+    |H|^2 (a + |weight - conj G|^2) / a for w.
+    """
+    G, H = responses(errors, E, w)
+    G, step = G[:, 0, 0], max(float(pattern[0, 0]) for pattern in errors.steps)
+    a = weight * (2 - step) + 2 * weight * G.real - np.abs(G) ** 2
+    if noise:
+        above = np.full(a.shape, (weight * noise) ** 2)
+    else:
+        above = np.square(np.abs(H)).sum(axis=(1, 2)) * (a + np.abs(weight - G.conj()) ** 2)
+    return np.where(a > 0, above / np.where(a > 0, a, 1.0), 1e200 * (1 - a))
+
+
+def least_gain(errors: Dynamics, E: Floats, noise: float) -> float:
+    """What no V = x~'P x~ + d~'R d~ can go below, one output, from w by E or else from v by noise.
+
+    From below: only some frequencies count, and more of them around the worst.
+    """
+    w = frequencies(errors)
+    for _ in range(3):
+
+        def squared(log_weight: float, w: Floats = w) -> float:
+            return float(np.log(squared_gain(errors, E, noise, np.exp(log_weight), w).max()))
+
+        size = np.log(np.abs(responses(errors, E, w)[0]).max())
+        grid = size + np.linspace(-12, 12, 33)
+        values = [squared(log_weight) for log_weight in grid]
+        k = int(np.argmin(values))
+        span = (grid[max(k - 1, 0)], grid[min(k + 1, 32)])
+        finer = minimize_scalar(squared, bounds=span, method="bounded", options={"xatol": 1e-9})
+        worst = squared_gain(errors, E, noise, np.exp(finer.x), w).argsort()[-6:]
+        ends = [w[np.maximum(worst - 1, 0)], w[np.minimum(worst + 1, w.size - 1)]]
+        w = np.unique(np.concatenate([w, np.linspace(*ends, 40).ravel()]))
+    return float(np.exp(min(finer.fun, values[k]) / 2))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_l2_gains_are_least_within_one_percent(seed: int) -> None:
+    """300 random designs, all ten seeds together: every second one has noise, the others w."""
+    rng = np.random.default_rng(seed)
+    for k in range(30):
+        model, gains, gamma, Ts = random_design(rng, int(rng.integers(1, 5)), 1)
+        errors = dynamics(model, gains, gamma, Ts)
+        E = model.B if Ts is None else model.B / Ts
+        size = float(10 ** rng.uniform(-2, 2))
+        if k % 2:
+            found = l2_gain(errors, noise=np.array([size]))
+            reached, least = found.noise, least_gain(errors, E, size)
+        else:
+            found = l2_gain(errors, E)
+            reached, least = found.disturbance, least_gain(errors, E, 0.0)
+        assert found.check.proved
+        assert least * (1 - 1e-6) <= reached <= 1.01 * least
+
+
+@pytest.mark.parametrize(
+    ("a", "c", "gain", "noise", "least"),
+    [(-5.37, 0.383, 0.056, 4.57, 0.018180), (-0.2, 1.0, 0.5, 1.0, 0.79057)],
+)
+def test_noise_gains_that_were_too_large_or_missing(
+    a: float, c: float, gain: float, noise: float, least: float
+) -> None:
+    """w^2 N^2 / (2 w (1 + Re G) - |G|^2), by hand: once 227 times too large, once none."""
+    plant = Matrices(np.array([[a]]), np.ones((1, 1)), np.array([[c]]))
+    errors = dynamics(plant, np.array([[gain]]), np.ones(1), None)
+    found = l2_gain(errors, noise=np.array([noise]))
+    assert found.check.proved
+    assert least * 0.999 <= found.noise <= 1.01 * least
+
+
+def supplies(errors: Dynamics, reading: Floats, unit: float, q: Floats, G: Any) -> np.ndarray:
+    """The supply rate in (e, v) at frequencies, G = -C(s - A)^-1 L, by q = [weights, mu].
+
+    (frequencies, patterns, 2p, 2p), Hermitian; unit: z in units of it.
+    """
+    p = len(reading)
+    W = np.diag(errors.groups @ q[:-1])
+    across = G.conj().transpose(0, 2, 1)
+    of_e = (W @ G + across @ W + across @ G / unit**2 - 2 * W)[:, None]
+    of_e = of_e + np.stack([(W @ step + step @ W) / 2 for step in errors.steps])
+    phi = np.zeros((*of_e.shape[:2], 2 * p, 2 * p), complex)
+    phi[..., :p, :p] = of_e
+    phi[..., :p, p:] = phi[..., p:, :p] = W @ np.diag(reading)
+    phi[..., p:, p:] = -q[-1] * np.eye(p)
+    return phi
+
+
+def least_gain_over_weights(errors: Dynamics, reading: Floats, unit: float) -> float:
+    """The same for noise on several outputs: no P, the weights and mu of a semidefinite program.
+
+    unit: about the gain, so that the solver's mu is about 1. Frequencies are added where violated.
+    """
+    size = 2 * len(reading)
+    G = -responses(errors, errors.L, frequencies(errors))[0]
+    chosen = np.arange(0, len(G), 40)
+    for _ in range(6):
+
+        def blocks(q: Floats, G: Any = G[chosen]) -> list[Floats]:
+            phi = supplies(errors, reading, unit, q, G).reshape(-1, size, size)
+            real = [np.block([[-M.real, M.imag], [-M.imag, -M.real]]) for M in phi]
+            return [q - 1e-9, *real]
+
+        q = minimise(np.append(np.zeros(errors.groups.shape[1]), 1.0), blocks)
+        assert q is not None
+        worst = np.linalg.eigvalsh(supplies(errors, reading, unit, q, G))[..., -1].max(axis=1)
+        chosen = np.union1d(chosen, np.argsort(worst)[-6:])
+    return float(np.sqrt(q[-1])) * unit
+
+
+def test_l2_gains_of_two_outputs_are_least() -> None:
+    """Where all side patterns have one inequality: of several, which share P, less is known."""
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        model, gains, gamma, Ts = random_design(rng, 3, 2)
+        errors, reading = dynamics(model, gains, gamma, Ts), np.exp(rng.normal(size=2))
+        if len(errors.steps) > 1 or not certify_dynamics(errors).certified:
+            continue
+        found = l2_gain(errors, noise=reading)
+        assert found.check.proved
+        least = least_gain_over_weights(errors, reading, found.noise)
+        assert least * (1 - 1e-4) <= found.noise <= 1.01 * least
+
+
+def test_sampled_leakage_asks_for_a_larger_gamma() -> None:
+    """d~+ = (1 - eps)(d~ + g / (1 - eps) S'e) + eps delta: the LMI is for g / (1 - eps)."""
+    errors = paper(0.05, gamma=np.array([[4.0, 2.0]]))
+    gamma = np.diag(leaking(errors, 0.5).gamma)
+    assert gamma == pytest.approx([4.0 / (1 - 0.1), 2.0 / (1 - 0.05)])
+    assert (leaking(paper(None), 0.5).gamma == paper(None).gamma).all()

@@ -130,7 +130,7 @@ def test_measures_of_a_run_by_hand(run: Run) -> None:
         side=column,
         V=np.array([3.0, 1.0, 1.3, 1.2, 1.5] + [0.0] * 5),
         d_hat=np.hstack([column, column + 2]),
-        info=msgspec.structs.replace(run.info, tracked=[0]),
+        info=msgspec.structs.replace(run.info, tracked=[0], scales=[]),
     )
     assert by_hand.rms_tracking == pytest.approx(np.sqrt((4 * 0.09 + 81) / 5))
     assert by_hand.rms_estimation == by_hand.rms_tracking

@@ -5,6 +5,7 @@ What goes wrong in a run is reported.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import msgspec
@@ -180,6 +181,35 @@ def test_corners_of_a_reference_on_the_grid_are_felt_in_the_step_that_follows() 
     assert run.info.integration_error < 1e-9
 
 
+def test_a_run_that_half_the_step_changes_is_no_result() -> None:
+    coarse = scene(simulation={"duration": 6.0, "step": 0.2})
+    run = simulate(coarse)
+    assert run.info.integration_share is not None
+    assert run.info.integration_share > 0.01
+    assert run.inexact
+    assert run.summary()["inexact"]
+    assert not simulate(scene(simulation={"duration": 6.0, "step": 0.02})).inexact
+    assert not simulate(coarse, check_step=False).inexact  # nobody asked
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_no_choice_of_units_makes_a_run_diverge(unit: float) -> None:
+    """The same plant with its time in other units: z'' is 1e18 times as large, nothing diverges."""
+    plant = {"companion": [unit**-3, 3 * unit**-2, 3 / unit], "x0": [0.5, 0.0, 0.0]}
+    run = simulate(
+        scene(
+            plant=plant,
+            reference={"kind": "sine", "amplitude": 5.0, "frequency": 0.1 / unit},
+            controller={"method": "state_feedback", "poles": [-2 / unit, -2.2 / unit, -2.5 / unit]},
+            observer={"method": "certified", "L": [0.5 / unit, 0.0, 0.0], "gamma": 1 / unit},
+            simulation={"duration": 10 * unit, "step": 0.01 * unit},
+        )
+    )
+    assert run.diverged_at is None
+    lost = dataclasses.replace(run, z=run.z * 1e14)
+    assert lost.diverged_at is not None
+
+
 def test_a_run_that_diverges_says_when() -> None:
     run = simulate(
         scene(
@@ -189,7 +219,8 @@ def test_a_run_that_diverges_says_when() -> None:
     )
     assert run.diverged_at is not None
     assert 0.5 < run.diverged_at < 5
-    assert np.abs(run.x[run.t < run.diverged_at - 1e-9]).max() <= 1e12
+    sizes = np.abs(run.x[run.t < run.diverged_at - 1e-9]) / run.info.scales[: run.x.shape[1]]
+    assert sizes.max() <= 1e12
     summary = run.summary()
     assert summary["diverged_at"] == run.diverged_at
     assert summary["rms_tracking"] is None or np.isfinite(summary["rms_tracking"])

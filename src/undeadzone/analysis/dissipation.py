@@ -12,6 +12,7 @@ from undeadzone.support.arrays import Floats
 
 # Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
 LEAST = 1e-8
+CANCELLED = 1e-7  # of its terms, below which a diagonal entry counts as cancelled
 
 
 class Inequality(NamedTuple):
@@ -173,6 +174,8 @@ def optimise(
     A, Ts = family(start).A[0], family(start).Ts
     for first in (_lyapunov(A, Ts), np.eye(len(A))):
         best = None
+        if not np.isfinite(first).all():
+            continue
         near = Solution(first, start)
         for _ in range(passes):
             solution = _pass(family, cost, extra, deep, near)
@@ -199,8 +202,7 @@ def _pass(
     T, inverse = vectors / root, (vectors * root).T
     units = (np.zeros(cost.size), *np.eye(cost.size))
     at = _affine([family(unit).transformed(T, inverse) for unit in units])
-    diagonals = [np.abs(np.diag(M)) for M in at(q).matrices(np.eye(n))]
-    scales = [np.maximum(diagonal, 1e-300) ** -0.5 for diagonal in diagonals]
+    scales = _unit_diagonals(at(q), np.eye(n))
     entries = n * (n + 1) // 2  # of P; then come the multipliers, and the depth if it is sought
     part = at(q).supply[0].shape[0]
 
@@ -219,6 +221,18 @@ def _pass(
         return None
     P = inverse.T @ symmetric(x[:entries], n) @ inverse
     return Solution((P + P.T) / 2, x[entries : entries + cost.size])
+
+
+def _unit_diagonals(inequality: Inequality, P: Floats) -> list[Floats]:
+    """What rows and columns of each matrix are multiplied by for a diagonal of -1.
+
+    A diagonal entry whose terms cancel to nothing says nothing of its size: their magnitude does.
+    """
+    scales = []
+    for M, size in zip(inequality.matrices(P), inequality.magnitudes(P), strict=True):
+        diagonal = np.maximum(np.abs(np.diag(M)), CANCELLED * np.diag(size))
+        scales.append(np.maximum(diagonal, 1e-300) ** -0.5)
+    return scales
 
 
 def _affine(points: list[Inequality]) -> Family:
@@ -265,15 +279,22 @@ class Check(NamedTuple):
     rounding: float
 
 
+NOTHING = Check(False, np.inf, -np.inf, 0.0)  # what is no proof at all
+
+
 def check(inequality: Inequality, P: Floats) -> Check:
     """Whether P proves the inequality: by eigenvalues and a bound on rounding, without a solver.
+
+    P must be symmetric to the last bit. x'Px holds only the symmetric part, and PA + A'P' of
+    another P can be negative although A is unstable.
 
     Args:
         inequality: what is to be proved.
         P: of V = x'Px (n x n).
     """
-    if not np.isfinite(P).all():
-        return Check(False, np.inf, -np.inf, 0.0)
+    n = inequality.A[0].shape[0]
+    if P.shape != (n, n) or not np.isfinite(P).all() or not np.array_equal(P, P.T):
+        return NOTHING
     matrices, magnitudes = inequality.matrices(P), inequality.magnitudes(P)
     least_of_P, slack_of_P = _definite(P, np.abs(P))
     of_lmi = [_definite(-M, size) for M, size in zip(matrices, magnitudes, strict=True)]

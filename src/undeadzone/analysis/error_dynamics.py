@@ -177,9 +177,11 @@ def adaptation(gamma: Floats, p: int) -> Floats:
     """
     gains = array("gamma", gamma)
     if gains.ndim == 2 and gains.shape == (2 * p, 2 * p):
-        if not np.allclose(gains, gains.T) or np.linalg.eigvalsh(gains)[0] <= 0:
+        # Only rounding may make it asymmetric: V = d~'W Gamma^-1 d~ holds its symmetric part.
+        rounding = 8 * np.finfo(float).eps * np.abs(gains).max()
+        if np.abs(gains - gains.T).max() > rounding or np.linalg.eigvalsh(gains)[0] <= 0:
             raise InputError("gamma: a full matrix must be symmetric and positive definite")
-        return gains
+        return np.asarray((gains + gains.T) / 2)
     if gains.ndim < 2:
         per_edge = np.repeat(vector("gamma", gains, p, "one per output"), 2)
     else:
@@ -235,6 +237,17 @@ class Scaling(NamedTuple):
         return W / self.output**2
 
 
+def _speed(A: Floats, errors: Dynamics) -> float:
+    """How fast the errors move [1/s]: the fastest pole of A, or a size where all poles are 0."""
+    sizes = (
+        np.abs(np.linalg.eigvals(A)).max(),
+        np.linalg.norm(A),
+        np.linalg.norm(errors.L @ errors.C),
+        1.0,
+    )
+    return next(float(size) for size in sizes if size > 1e-100)
+
+
 def balance(errors: Dynamics) -> Scaling:
     """The scaling that balances rows and columns of x~ and e, which drive each other by L and C.
 
@@ -244,7 +257,7 @@ def balance(errors: Dynamics) -> Scaling:
 
     A = np.mean(errors.A, axis=0)
     n, p = A.shape[0], errors.C.shape[0]
-    time = 2.0 ** -np.round(np.log2(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)))
+    time = 2.0 ** -np.round(np.log2(_speed(A, errors)))
     joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
     _, (scale, _) = matrix_balance(joined, permute=False, separate=True)
     leaders = np.argmax(errors.groups, axis=0)  # one output of each group

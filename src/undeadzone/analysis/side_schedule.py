@@ -122,19 +122,48 @@ def _changes(reference: Exosystem, rows: Floats, levels: Floats, ends: Floats) -
     return np.asarray(unique[apart])
 
 
-def recorded(z: Floats, sensor: Zone, step: float, Ts: float | None) -> Schedule:
+def recorded(
+    z: Floats, sensor: Zone, step: float, Ts: float | None, arrived: np.ndarray | None = None
+) -> Schedule:
     """The schedule of a record of outputs.
 
-    In continuous time a side is taken to change half way between two samples.
+    In continuous time a side is taken to change half way between two samples. A reading that did
+    not arrive tells no side: it counts as silence.
 
     Args:
         z: outputs (N x p), true or estimated.
         sensor: the dead zone.
         step: time between two rows [s].
         Ts: sample time [s]; None in continuous time.
+        arrived: whether each reading did (N x p); all of them if not given.
     """
     levels = reading_levels(sensor)
-    return _from_samples(zone(z, *levels.T), z, levels, step, Ts, False, np.empty(0))
+    side = zone(z, *levels.T)
+    if arrived is not None:
+        side = np.where(arrived, side, 0.0)
+    return _from_samples(side, z, levels, step, Ts, False, np.empty(0))
+
+
+def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, n: int) -> Schedule:
+    """The schedule without the sides from which too few readings can be expected to arrive.
+
+    Args:
+        schedule: of the sides.
+        dropout: probability that a reading is missing (p).
+        step: time between two readings [s].
+        duration: for how long there are readings [s].
+        n: how many readings are too few: as many as there are states.
+    """
+    if not dropout.any():
+        return schedule
+    passes = max(1.0, duration / schedule.duration)
+    unit = step if schedule.Ts is None else 1.0
+    sides = schedule.sides.copy()
+    for sign in (1.0, -1.0):
+        on_side = schedule.spans @ (sides == sign) / unit
+        lost = passes * on_side * (1 - dropout) <= n
+        sides[(sides == sign) & lost] = 0.0
+    return schedule._replace(sides=sides)
 
 
 def reading_levels(sensor: Zone) -> Floats:

@@ -125,7 +125,9 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
     schedule = recorded(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
-    bias = unknown_bias(problem.scenario.disturbance, linear.B)
+    bias = unknown_bias(
+        problem.scenario.disturbance, linear.B, problem.scenario.simulation.duration
+    )
     judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
     off, size = estimated[-1] - truth, truth.sum(axis=0)
     width = np.abs(off.sum(axis=0)) / size

@@ -59,8 +59,8 @@ def run(
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
     certificate holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default:
-    NAME-results); with --no-figures and no --out it writes nothing. Exit code 1: it diverged, or
-    its widths cannot be identified.
+    NAME-results); with --no-figures and no --out it writes nothing. Exit code 1: it diverged,
+    half the step changes it by more than 1 %, or its widths cannot be identified.
 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
     folder: run-NUMBER-results), computed again with its own numbers and noise, and says whether it
@@ -90,7 +90,8 @@ def run(
     else:
         _print(result, written, deviation, rival)
     known = result.fully_identifiable or not result.adapts
-    return 0 if result.diverged_at is None and known else 1
+    sound = result.diverged_at is None and not result.inexact
+    return 0 if sound and known else 1
 
 
 def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, Run | None]:
@@ -176,6 +177,13 @@ def _print(result: Run, written: list[Path], deviation: float | None, rival: Run
         shown["compared"] = _compared(rival)
     if result.diverged_at is not None:
         shown["DIVERGED"] = f"at {result.diverged_at:g} s"
+    elif result.inexact:
+        share = result.info.integration_share
+        assert share is not None
+        shown["NOT EXACT"] = (
+            f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
+            "no results; use a smaller simulation.step"
+        )
     if deviation == 0:
         shown["replayed"] = "as in the ensemble, to the last bit"
     elif deviation is not None:

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unknown_bias, verdicts
+from undeadzone.analysis.error_dynamics import delta
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.linear.scaling import sizes as scaled_sizes
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
+from undeadzone.simulation.run_info import IntegrationError
+from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
 from undeadzone.support.arrays import Floats
 
 
@@ -30,17 +34,16 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     """
     if problem.plant.nonlinear:
         return _verdicts_along(problem, signal)
-    sensor, linear = problem.sensor, problem.model.linear
-    schedule = recorded(signal.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
-    bias = unknown_bias(problem.scenario.disturbance, linear.B)
-    return verdicts(linear, schedule, bias, sensor.kind == "jump")
+    step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
+    schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
+    return linear_verdicts(problem, schedule, np.ones(problem.model.p))
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    bias = unknown_bias(problem.scenario.disturbance, np.eye(problem.plant.m))
+    bias = constant_inputs(problem, np.eye(problem.plant.m))
     traits, step = problem.observer.traits, problem.scenario.simulation.step
 
     def with_start(start_std: Floats | None) -> list[Verdict]:
@@ -54,6 +57,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             bias,
             traits.uncertain,
             start_std,
+            np.isfinite(signal.y),
         )
 
     alone = with_start(None)
@@ -115,7 +119,7 @@ def certificate(problem: Problem) -> Certificate | None:
     return certify(problem.model.linear, *gains, problem.model.Ts)
 
 
-def collect(problem: Problem, signal: Outputs, error: float | None, began: float) -> Run:
+def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, began: float) -> Run:
     """The run whose signals these are.
 
     Args:
@@ -193,7 +197,7 @@ def _info(
     problem: Problem,
     signal: Outputs,
     proof: Certificate | None,
-    error: float | None,
+    error: IntegrationError | None,
     began: float,
 ) -> Info:
     """What a run knows besides its signals."""
@@ -208,7 +212,9 @@ def _info(
         widths=_true_widths(problem).tolist(),
         threshold=problem.sensor.threshold.tolist(),
         certified=None if proof is None else proof.certified,
-        integration_error=error,
+        integration_error=None if error is None else error.largest,
+        integration_share=None if error is None else error.share,
+        scales=_scales(problem, signal),
         identifiable=[_as_json(verdict) for verdict in verdicts],
         seconds=time.perf_counter() - began,
         units=scenario.units,
@@ -216,6 +222,25 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
     )
+
+
+def _scales(problem: Problem, signal: Outputs) -> list[float]:
+    """The plant's own sizes of its states (n), of its outputs and of its inputs.
+
+    That of the outputs is the largest of widths, reference and start; of a state that with which
+    the outputs show about theirs, of the inputs that which makes such states; 1 if nonlinear.
+    """
+    t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
+    sizes = [_true_widths(problem), problem.reference.value(t), signal.z[0]]
+    largest = max(float(np.abs(size).max(initial=0.0)) for size in sizes)
+    output = largest if 0 < largest < np.inf else 1.0
+    if problem.plant.nonlinear:
+        return [1.0] * problem.plant.n + [output, 1.0]
+    plant, Ts = problem.plant.linear, problem.plant.Ts
+    A, B = delta(plant, Ts), plant.B / (Ts or 1.0)
+    states = np.maximum(output / scaled_sizes(A.T, plant.C.T), np.abs(problem.x0))
+    inputs = (states / scaled_sizes(A, B)).max()
+    return [*map(float, states), output, float(inputs)]
 
 
 def _parameter(plant: System, name: str) -> float:

@@ -16,7 +16,8 @@ from undeadzone.support.arrays import Floats, finite
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-LIMIT: Final = 1e12  # beyond this a state has diverged
+LIMIT: Final = 1e12  # times its scale, beyond which a signal has diverged
+INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,10 +87,27 @@ class Run:
 
     @property
     def diverged_at(self) -> float | None:
-        """The time [s] at which a signal left +-1e12 or was no number; None if none did."""
-        worst = np.abs(np.hstack([self.x, self.x_hat, self.d_hat, self.u])).max(axis=1)
+        """The time [s] at which a signal left 1e12 times its scale or was no number, or None.
+
+        The scales are the plant's own, so that no choice of units makes a run diverge.
+        """
+        *of_states, of_outputs, of_inputs = self.info.scales or [1.0, 1.0]
+        states = np.array(of_states or [1.0])
+        worst = np.abs(np.hstack([self.z, self.z_hat, self.d_hat])).max(axis=1) / of_outputs
+        for x in (self.x, self.x_hat):
+            worst = np.maximum(worst, (np.abs(x) / states).max(axis=1))
+        worst = np.maximum(worst, np.abs(self.u).max(axis=1) / of_inputs)
         bad = np.flatnonzero(~(worst < LIMIT))
         return float(self.t[bad[0]]) if bad.size else None
+
+    @property
+    def inexact(self) -> bool:
+        """Whether half the step makes so much of a difference that the run is no result.
+
+        That is more than 1 % of the largest |z|, in z, z^ or d^.
+        """
+        share = self.info.integration_share
+        return share is not None and not share <= INEXACT
 
     @property
     def shown(self) -> slice:
@@ -203,6 +221,7 @@ class Run:
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
             "integration_error": self.info.integration_error,
+            "inexact": self.inexact,
             "identifiable": verdicts[0] if len(verdicts) == 1 else verdicts,
             "diverged_at": self.diverged_at,
             "seconds": self.info.seconds,

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from undeadzone.scenario.schema import Units
+
+
+class IntegrationError(NamedTuple):
+    """By how much a run differs from its twin of half the step.
+
+    Attributes:
+        largest: difference of x, x^, d^.
+        share: of the largest |z|: the largest difference of z, z^, d^.
+    """
+
+    largest: float
+    share: float
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,6 +35,10 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         certified: whether a certificate holds; None where the method has no constant gains or the
             model is nonlinear.
         integration_error: largest difference to a run of half the step; None: not measured.
+        integration_share: the same error of z, z^ and d^ as a share of the largest |z|; above 1 %
+            the run is no result. None: not measured.
+        scales: sizes of the plant's own: of its states (n), then of its outputs and its inputs,
+            1e12 times which a signal has diverged; empty: 1 of each.
         identifiable: what the readings tell of each output's widths, and why not all.
         seconds: that the run took [s].
         units: names of units.
@@ -48,3 +64,5 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     uncertain: dict[str, float] = {}
     label: str = ""
     adapts: bool = True
+    integration_share: float | None = None
+    scales: list[float] = []

@@ -21,6 +21,7 @@ from undeadzone.simulation.close import close
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.run import Run
+from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -59,7 +60,7 @@ def simulate(
 
 def _signals(
     problem: Problem, check_step: bool, progress: Progress | None, engine: Engine
-) -> tuple[Outputs, float | None]:
+) -> tuple[Outputs, IntegrationError | None]:
     """The signals of a run, and the error of its integration where that is measured."""
     observer = problem.observer
     if isinstance(observer, NumericObserver) and engine == "interpret":
@@ -78,7 +79,7 @@ def _with_error(
     exogenous: Floats,
     progress: Progress | None,
     engine: Engine,
-) -> tuple[Outputs, float]:
+) -> tuple[Outputs, IntegrationError]:
     """The signals of a run, and by how much its twin of half the step differs, run beside it."""
     interrupted = threading.Event()
 
@@ -176,10 +177,17 @@ def named(loop: Loop, outputs: Floats) -> Outputs:
     return by_name
 
 
-def _difference(coarse: Outputs, fine: Outputs) -> float:
-    """The largest difference of x, x^, d^ between a run and its twin of half the step."""
-    pairs = [(coarse.x, fine.x)]
-    for name in ("x", "right", "left"):
-        pairs.append((getattr(coarse.estimate, name), getattr(fine.estimate, name)))
-    gaps = [np.abs(one - other).max() for one, other in pairs]
-    return float(max(gaps)) if np.isfinite(gaps).all() else float("inf")
+def _difference(coarse: Outputs, fine: Outputs) -> IntegrationError:
+    """The differences between a run and its twin of half the step."""
+    of_x = np.abs(coarse.x - fine.x).max()
+    of_z = np.abs(coarse.z - fine.z).max()
+    gaps = {}
+    for name in ("x", "z", "right", "left"):
+        one, other = getattr(coarse.estimate, name), getattr(fine.estimate, name)
+        gaps[name] = np.abs(one - other).max()
+    largest = [of_x, gaps["x"], gaps["right"], gaps["left"]]
+    outputs = [of_z, gaps["z"], gaps["right"], gaps["left"]]
+    if not np.isfinite([*largest, *outputs]).all():
+        return IntegrationError(float("inf"), float("inf"))
+    size = max(float(np.abs(coarse.z).max()), 1e-300)
+    return IntegrationError(float(max(largest)), float(max(outputs)) / size)

@@ -7,16 +7,23 @@ import tomllib
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
-from undeadzone.analysis.certificate.passivity import recheck
+from undeadzone.analysis.certificate.passivity import certify, recheck, stated_margin
 from undeadzone.analysis.error_dynamics import dynamics
-from undeadzone.errors import FileError, ProofError
+from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
 
 Matrix = list[list[float]]
+
+TOLERANCE = 1e-6  # relative, by which a file's margin may differ from the recomputed one
+STATED = (
+    "read from a file, not recomputed: K, rate, disturbance, mismatch, noise, never, states, "
+    "identifiable, and the gains of the front; undeadzone check judges them on a scenario"
+)
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -56,7 +63,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         frequency: where that margin is attained [rad/s]; None where there is no single one.
         never: errors that no gains can remove.
         states: which states the readings determine (n).
-        remarks: what could not be had.
+        remarks: what could not be had; `load` adds what it could not recompute.
         best: the chosen gains and what they are worth.
         present: the scenario's own gains, if they are certified.
         identifiable: what the readings tell, per output.
@@ -143,7 +150,10 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
-        """Read a design and prove it again.
+        """Read a design and prove it again: nothing that follows from A, B, C is believed.
+
+        The proof, its margin and frequency, and whether `present` is certified, are recomputed.
+        What depends on the reference cannot be: `remarks` then names it.
 
         Args:
             path: of the file.
@@ -165,8 +175,52 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise FileError(
                 f"{path}: not a design saved by undeadzone; write it with undeadzone design"
             ) from None
-        design.require_proof(design.model, design.Ts, str(path))
-        return design
+        return _recomputed(design, str(path))
+
+
+def _recomputed(design: Design, path: str) -> Design:
+    """A design as read, with everything recomputed that its file allows, and the rest named.
+
+    Raises:
+        InputError: for a sample time that is none.
+        ProofError: if its proof, its margin or the certificate of `present` does not hold.
+    """
+    if design.Ts is not None and not 0 < design.Ts < np.inf:
+        raise InputError(f"{path}: Ts: expected a sample time above 0 s, found {design.Ts:g}")
+    design.require_proof(design.model, design.Ts, path)
+    n, p = len(design.A), len(design.C)
+    errors = dynamics(design.model, design.L, design.gamma, design.Ts)
+    margin, frequency = stated_margin(errors, vector("W", design.W, p))
+    if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
+        raise ProofError(
+            f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}; "
+            "the file was changed, design again"
+        )
+    _require_sizes(design, n, p)
+    present = design.present
+    if present is not None:
+        gains = matrix("present.L", present.L, n, p), vector("present.gamma", present.gamma, p)
+        if not certify(design.model, *gains, design.Ts).certified:
+            raise ProofError(
+                f"{path}: present: the file lists these gains as certified, they are not; "
+                "the file was changed, design again"
+            )
+    remarks = [remark for remark in design.remarks if remark != STATED]
+    return msgspec.structs.replace(
+        design, margin=margin, frequency=frequency, remarks=[*remarks, STATED]
+    )
+
+
+def _require_sizes(design: Design, n: int, p: int) -> None:
+    """Raise ShapeError where what a file states is not of n states and p outputs."""
+    matrix("K", design.K, design.model.B.shape[1], n)
+    stated = {"states": (len(design.states), n), "identifiable": (len(design.identifiable), p)}
+    for key, (length, expected) in stated.items():
+        if length != expected:
+            raise ShapeError(f"{key}: expected {expected} entries, found {length}")
+    for i, point in enumerate(design.front):
+        matrix(f"front[{i}].L", point.L, n, p)
+        vector(f"front[{i}].gamma", point.gamma, p)
 
 
 class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.dissipation import (
-    Check,
     Extra,
     Family,
     Inequality,
@@ -19,10 +18,14 @@ from undeadzone.analysis.dissipation import (
 from undeadzone.analysis.error_dynamics import Dynamics, Scaling, Storage
 from undeadzone.support.arrays import Floats, matrix, vector
 
-FLOOR = 1e-6  # smallest squared gain and weight that is minimised to, in scaled quantities
+FLOOR = 1e-6  # smallest multiplier that is minimised to, in its own unit
 CEILING = 1e6  # the largest
+LOWEST, HIGHEST = 1e-12, 1e12  # the units of a multiplier, at least and at most
+ROUNDS = 6  # of finding these units, at most
+NEAR = 100.0  # factor within which a multiplier suits its unit
+LARGER = 1e4  # factor on the units where nothing is feasible below the ceiling
+EXCESSES = (0.01, 0.1, 1.0)  # of the least cost that being inside may cost more, relatively
 SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)  # of the way inside that a proof may go
-UNPROVED = Check(False, np.inf, -np.inf, 0.0)
 
 
 class Channel(NamedTuple):
@@ -120,23 +123,60 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
     Returns:
         The solution, checked; None if there is none.
     """
-
-    def bounds(P: Floats, q: Floats) -> list[Floats]:
-        return [q - FLOOR, CEILING - q, *confine(P, q)]
-
-    def bounds_and_cost(P: Floats, q: Floats) -> list[Floats]:
-        return [*bounds(P, q), np.array([limit - cost @ q])]
-
-    best = optimise(family, cost, np.ones(cost.size), bounds)
+    unit = np.ones(cost.size)
+    for _ in range(ROUNDS):
+        rough = _least(family, cost, confine, unit, passes=1)
+        if rough is None:
+            unit = unit * LARGER
+            continue
+        change = rough.q / unit
+        unit = np.clip(rough.q, LOWEST, HIGHEST)
+        if change.min() > 1 / NEAR and change.max() < NEAR:
+            break
+    best = _least(family, cost, confine, unit, passes=2)
     if best is None:
         return None
-    limit = 2 * float(cost @ best.q)
-    inside = deepest(family, best.q, bounds_and_cost)
+    for excess in EXCESSES:
+        solution = _inside(family, cost, confine, best, excess)
+        if solution is not None:
+            return solution
+    return None
+
+
+def _least(
+    family: Family, cost: Floats, confine: Extra, unit: Floats, passes: int
+) -> Solution | None:
+    """P, q of least cost'q as the solver sees it, the multipliers in units that suit them."""
+
+    def bounds(P: Floats, q: Floats) -> list[Floats]:
+        return [q - FLOOR, CEILING - q, *confine(P, q * unit)]
+
+    size = max(float(cost @ unit), 1e-300)
+    start = np.ones(unit.size)
+    best = optimise(lambda q: family(q * unit), cost * unit / size, start, bounds, passes=passes)
+    return None if best is None else Solution(best.P, best.q * unit)
+
+
+def _inside(
+    family: Family, cost: Floats, confine: Extra, best: Solution, excess: float
+) -> Solution | None:
+    """P, q that check and cost little more than the best; None if that is not inside enough.
+
+    excess: what the deepest point may cost more, relatively.
+    """
+    unit = np.clip(best.q, LOWEST, HIGHEST)
+    limit = (1 + excess) * float(cost @ unit)
+
+    def bounds(P: Floats, q: Floats) -> list[Floats]:
+        left = np.array([1 - cost @ (q * unit) / limit])
+        return [q - FLOOR, CEILING - q, *confine(P, q * unit), left]
+
+    inside = deepest(lambda q: family(q * unit), np.ones(unit.size), bounds)
     if inside is None:
         return None
     for share in SHARES:
         P = share * inside.P + (1 - share) * best.P
-        q = share * inside.q + (1 - share) * best.q
+        q = share * inside.q * unit + (1 - share) * best.q
         if (q > 0).all() and check(family(q), P).proved:
             return Solution(P, q)
     return None

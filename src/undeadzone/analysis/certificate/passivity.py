@@ -15,7 +15,15 @@ import numpy as np
 
 from undeadzone.analysis.certificate import positive_real
 from undeadzone.analysis.certificate.stability import unstable
-from undeadzone.analysis.dissipation import LEAST, Check, Inequality, check, optimise, storage
+from undeadzone.analysis.dissipation import (
+    LEAST,
+    NOTHING,
+    Check,
+    Inequality,
+    check,
+    optimise,
+    storage,
+)
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Storage,
@@ -121,9 +129,12 @@ def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
 
     Args:
         errors: the error dynamics.
-        P: weight of the state errors (n x n).
+        P: weight of the state errors (n x n), symmetric.
         W: weights of the outputs (p).
     """
+    p = errors.C.shape[0]
+    if W.shape != (p,) or not np.isfinite(W).all():
+        return NOTHING
     proof = check(errors.inequality(W), P)
     one_weight = all(np.ptp(W[group > 0]) == 0 for group in errors.groups.T)
     return proof._replace(proved=bool(proof.proved and one_weight and (W > 0).all()))
@@ -145,6 +156,18 @@ def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
         worst = positive_real.worst(G)
         margins.append((worst.value, G.frequency(worst.w)))
     return min(margins)
+
+
+def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
+    """`margin` of dynamics that are not balanced yet, as `certify_dynamics` says it.
+
+    Args:
+        errors: error dynamics with one stable A.
+        W: weights of the outputs (p).
+    """
+    scaling = balance(errors)
+    least, frequency = margin(scaling.dynamics(errors), W * scaling.output**2)
+    return least, frequency / scaling.time
 
 
 def passive_gain(linear: Matrices, Ts: float | None) -> Floats:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.driven import (
-    UNPROVED,
     Channel,
     channels,
     deepest,
@@ -23,13 +22,14 @@ from undeadzone.analysis.certificate.driven import (
     output_rows,
     prove,
 )
-from undeadzone.analysis.dissipation import LEAST, Check, Inequality, check
+from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Storage,
     adaptation,
     balance,
     delta,
+    growth,
     identity_storage,
 )
 from undeadzone.errors import InputError
@@ -83,6 +83,8 @@ def l2_gain(
         noise: the reading of an active output i is off by noise_i v_i (p).
         output: rows of z = output x~ (rows x n); C by default.
     """
+    if max(growth(A, errors.Ts) for A in errors.A) >= 0:
+        return Gain(np.inf, np.inf, identity_storage(errors), NOTHING)
     scaling = balance(errors)
     scaled = scaling.dynamics(errors)
     signals = channels(errors, scaling, E, noise)
@@ -102,7 +104,7 @@ def l2_gain(
     cost = np.r_[np.zeros(groups), np.square(sizes / sizes.max(initial=1e-300))]
     solution = prove(family, cost)
     if solution is None:
-        return Gain(np.inf, np.inf, identity_storage(errors), UNPROVED)
+        return Gain(np.inf, np.inf, identity_storage(errors), NOTHING)
     V = original_storage(errors, scaling, solution)
     V = V._replace(P=size**2 * V.P, W=size**2 * V.W)
     gains = [float(gain) for gain in np.sqrt(solution.q[groups:]) * sizes * size]
@@ -173,7 +175,7 @@ def sector(errors: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) ->
 
     solution = deepest(family, np.ones(groups + k), normalised)
     if solution is None:
-        return Sector(False, identity_storage(errors), UNPROVED)
+        return Sector(False, identity_storage(errors), NOTHING)
     proof = check(family(solution.q), solution.P)
     return Sector(proof.proved, original_storage(errors, scaling, solution), proof)
 

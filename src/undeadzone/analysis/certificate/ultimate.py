@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.driven import (
-    UNPROVED,
     Channel,
     channels,
     driven,
@@ -19,7 +18,7 @@ from undeadzone.analysis.certificate.driven import (
     output_rows,
     prove,
 )
-from undeadzone.analysis.dissipation import Check, Family, Inequality, Solution, check
+from undeadzone.analysis.dissipation import NOTHING, Check, Family, Inequality, Solution, check
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, balance, growth, identity_storage
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats, vector
@@ -69,6 +68,11 @@ def ultimate_bound(
     p = errors.L.shape[1]
     gamma = errors.gamma
     widths = vector("widths", widths, 2 * p, "[right, left] of each output")
+    nothing = Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), NOTHING)
+    if not 0 <= sigma < np.inf:
+        raise InputError(f"sigma: expected a number that is not negative, found {sigma:g}")
+    if max(growth(A, errors.Ts) for A in errors.A) >= 0:
+        return nothing
     if sigma > 0:
         errors = leaking(errors, sigma)
     scaling = balance(errors)
@@ -93,7 +97,7 @@ def ultimate_bound(
     rate = _best(lambda rate: at(rate).bound, fastest)
     best = at(rate)
     if best.solution is None:
-        return Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), UNPROVED)
+        return nothing
     V = original_storage(errors, scaling, best.solution)._replace(gamma=gamma)
     proof = check(best.family(best.solution.q), best.solution.P)
     return Ultimate(best.bound, best.level * scaling.time, rate / scaling.time, V, proof)

@@ -53,8 +53,40 @@ def _unreached(name: str, edge: str, stays: str) -> str:
         return f"the {name} edge is never reached: the output {stays}"
     return (
         f"the {name} edge is hardly reached: "
-        f"too few samples lie beyond {edge} to tell it from the state"
+        f"too few readings arrive from beyond {edge} to tell it from the state"
     )
+
+
+def largest_deviations(right: float, left: float, swing: float) -> dict[str, float]:
+    """The largest deviation with which each of `DIRECTIONS` counts as known: that of its own size.
+
+    Args:
+        right, left: widths of the output [z].
+        swing: of the output, which counts where the widths are 0 [z].
+    """
+    both = right + left
+    sizes = {"right": right, "left": left, "width": both, "centre": both}
+    return {name: float(size) or swing for name, size in sizes.items()}
+
+
+def vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
+    """Why widths are not known although readings tell them: deviations that exceed `most`.
+
+    Args:
+        std: expected deviations by name [z].
+        most: the largest ones, of `largest_deviations` [z].
+        right, left: widths of the output [z].
+    """
+    larger = []
+    for name, limit in most.items():
+        if limit < std[name] < np.inf:
+            larger.append(f"{name} {std[name]:.3g}")
+    if not larger:
+        return []
+    return [
+        "practically not: noise leaves larger deviations than the widths "
+        f"({right:.3g}, {left:.3g}) to {', '.join(larger)}"
+    ]
 
 
 def reaching(schedule: Schedule, i: int) -> Cure:

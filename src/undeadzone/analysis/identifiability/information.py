@@ -33,6 +33,20 @@ class Stretch(NamedTuple):
     H: Floats
 
 
+class Colour(NamedTuple):
+    """A first-order random input: w' = -w / correlation_time + white, of a known rms.
+
+    Attributes:
+        B: how it enters x' (n x b), or x+ of a sampled model.
+        rms: of each w (b).
+        correlation_time: of all of them [s].
+    """
+
+    B: Floats
+    rms: Floats
+    correlation_time: float
+
+
 class Deviations(NamedTuple):
     """Standard deviations that an optimal estimator reaches: inf where it cannot know.
 
@@ -57,6 +71,8 @@ def deviations(
     duration: float,
     bias: Floats | None = None,
     process: Floats | None = None,
+    arrive: Floats | None = None,
+    colour: Colour | None = None,
 ) -> Deviations:
     """What noisy readings tell, whole passes of the schedule at a time; no prior is used.
 
@@ -69,12 +85,21 @@ def deviations(
         bias: directions (n x b) of unknown constant inputs.
         process: covariance (n x n) of white process noise, per second, or per step if the schedule
             is sampled.
+        arrive: share of each output's readings that arrive (p); all of them if not given.
+        colour: a random input with its own states, which come after x and start at its own rms.
     """
+    visited = schedule.visited(linear.A.shape[0])
+    prior: Floats = np.zeros(linear.A.shape[0])
+    if colour is not None:
+        linear, process, bias, prior = _coloured(linear, schedule.Ts, colour, process, bias)
     n, p = linear.A.shape[0], linear.C.shape[0]
     least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
     variance = np.maximum(noise, least) ** 2
+    if arrive is not None:
+        variance = variance / arrive
     fisher = information(linear, schedule, variance, step, duration, bias, process)
-    hidden = invisible(linear, schedule.visited(n), schedule.Ts, bias)
+    fisher[np.arange(n), np.arange(n)] += prior
+    hidden = invisible(linear, visited, schedule.Ts, bias)
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
     covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
@@ -87,6 +112,32 @@ def deviations(
         if hidden.state(i):
             states[i] = np.sqrt(covariance[i, i])
     return Deviations(widths, states, covariance, fisher)
+
+
+def _coloured(
+    linear: Matrices,
+    Ts: float | None,
+    colour: Colour,
+    process: Floats | None,
+    bias: Floats | None,
+) -> tuple[Matrices, Floats, Floats | None, Floats]:
+    """(model of [x; w], its process noise, its bias, information on [x(0); w(0)] beforehand)."""
+    n, b = colour.B.shape
+    if Ts is None:
+        decay, strength = -1 / colour.correlation_time, 2 / colour.correlation_time
+    else:
+        decay = np.exp(-Ts / colour.correlation_time)
+        strength = -np.expm1(-2 * Ts / colour.correlation_time)
+    A = np.block([[linear.A, colour.B], [np.zeros((b, n)), decay * np.eye(b)]])
+    none = np.zeros((b, linear.B.shape[1]))
+    C = np.hstack([linear.C, np.zeros((linear.C.shape[0], b))])
+    noise = np.zeros((n + b, n + b))
+    noise[:n, :n] = 0.0 if process is None else process
+    noise[n:, n:] = np.diag(strength * colour.rms**2)
+    if bias is not None:
+        bias = np.vstack([bias, np.zeros((b, bias.shape[1]))])
+    prior = np.r_[np.zeros(n), 1 / colour.rms**2]
+    return Matrices(A, np.vstack([linear.B, none]), C), noise, bias, prior
 
 
 def information(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.edges import unreached
+from undeadzone.analysis.identifiability.edges import largest_deviations, unreached, vague
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -39,6 +39,7 @@ def verdicts_along(
     bias: Floats | None = None,
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
+    arrived: np.ndarray | None = None,
 ) -> list[Verdict]:
     """What the readings along a run tell of each output's widths.
 
@@ -56,49 +57,31 @@ def verdicts_along(
         uncertain: names of parameters that are unknown.
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
+        arrived: whether each reading did (N x p); all of them if not given.
     """
+    if arrived is None:
+        arrived = np.ones(z.shape, dtype=bool)
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
-    x, u, z = x[whole], u[whole], z[whole]
-    schedule = recorded(z, sensor, step, model.Ts)
+    x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
+    schedule = recorded(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
-    side = zone(z, *reading_levels(sensor).T)
+    side = np.where(arrived, zone(z, *reading_levels(sensor).T), 0.0)
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, prior)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, most = known.std(i), _most(right, left, float(np.ptp(z[:, i])))
+        std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
         reasons = (
             *unreached(schedule, visited, i),
             *_confounded(model, known, visited[i], i, biases, uncertain),
-            *_vague(std, most, right, left),
+            *vague(std, most, right, left),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         judged.append(Verdict(**enough, reasons=reasons, std=std))
     return judged
-
-
-def _most(right: float, left: float, swing: float) -> dict[str, float]:
-    """The largest deviation with which a width counts as known: itself, or the swing if it is 0."""
-    both = right + left
-    sizes = {"right": right, "left": left, "width": both, "centre": both}
-    return {name: float(size) or swing for name, size in sizes.items()}
-
-
-def _vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
-    """Why widths are not known although readings tell them: deviations that exceed `most`."""
-    vague = []
-    for name in DIRECTIONS:
-        if most[name] < std[name] < np.inf:
-            vague.append(f"{name} {std[name]:.3g}")
-    if not vague:
-        return []
-    return [
-        "practically not: noise leaves larger deviations than the widths "
-        f"({right:.3g}, {left:.3g}) to {', '.join(vague)}"
-    ]
 
 
 def variance(sensor: Zone) -> Floats:

@@ -1,0 +1,83 @@
+"""What readings along a schedule of sides tell of a linear plant's widths, and how well."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from undeadzone.analysis.identifiability.edges import largest_deviations, vague
+from undeadzone.analysis.identifiability.information import Colour, deviations
+from undeadzone.analysis.identifiability.linear import (
+    DIRECTIONS,
+    Verdict,
+    unknown_bias,
+    verdicts,
+)
+from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.plants.system import System
+from undeadzone.scenario.problem import Problem
+from undeadzone.signals.exosystem import Random
+from undeadzone.support.arrays import Floats
+
+
+def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
+    """What the readings of a linear plant tell, by the rule that nonlinear plants have too.
+
+    A width is known where the readings determine it and its expected deviation does not exceed it.
+
+    Args:
+        problem: the scenario's parts.
+        schedule: of the sides.
+        arrive: share of each output's readings that arrive (p).
+    """
+    linear, sensor = problem.model.linear, problem.sensor
+    bias = constant_inputs(problem, linear.B)
+    if sensor.kind == "jump":
+        return verdicts(linear, schedule, bias, jump=True)
+    simulation = problem.scenario.simulation
+    expected = deviations(
+        linear,
+        schedule,
+        sensor.rms,
+        simulation.step,
+        simulation.duration,
+        bias,
+        arrive=arrive,
+        colour=_colour(problem.model, problem.scenario.disturbance),
+    ).widths
+    judged = []
+    for i, verdict in enumerate(verdicts(linear, schedule, bias)):
+        swing = float(schedule.high[i] - schedule.low[i])
+        judged.append(_limited(verdict, expected[i], sensor.right[i], sensor.left[i], swing))
+    return judged
+
+
+def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
+    """The columns of B on which the scenario's disturbance leaves an unknown constant.
+
+    Args:
+        problem: the scenario's parts.
+        B: inputs (n x m).
+    """
+    scenario = problem.scenario
+    return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
+
+
+def _limited(
+    verdict: Verdict, std: dict[str, float], right: float, left: float, swing: float
+) -> Verdict:
+    """A verdict with its deviations; what they exceed is not known."""
+    most = largest_deviations(right, left, swing)
+    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
+    reasons = (*verdict.reasons, *vague(std, most, right, left))
+    return Verdict(**known, reasons=reasons, std=std)
+
+
+def _colour(model: System, disturbance: object) -> Colour | None:
+    """A random disturbance with its correlation time; None where there is none."""
+    if not isinstance(disturbance, Random):
+        return None
+    rms = np.broadcast_to(np.asarray(disturbance.rms, float), model.m)
+    acts = rms > 0
+    if not acts.any():
+        return None
+    return Colour(model.linear.B[:, acts], rms[acts], disturbance.correlation_time)
