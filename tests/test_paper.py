@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from undeadzone.controllers import PD
+from undeadzone.linear.riccati import paper_riccati
 from undeadzone.observers import Printed
 from undeadzone.paper import Paper, audit, measures, write
 from undeadzone.paper.claim_texts import TEXTS
@@ -240,8 +241,27 @@ def test_the_claims_that_matter_come_out_as_derived(paper: Paper) -> None:
     repaired_claims = ("lyapunov", "state-1", "state-2", "reading-tracked", "widths", "tracking")
     for name in (*repaired_claims, "cancelled", "bounded"):
         assert verdicts[name] == "holds after repair", name
-    for name in ("implied", "cancelled-in-total", "compared"):
+    for name in ("implied", "cancelled-in-total"):
         assert verdicts[name] == "does not hold", name
+    for name in ("compared", "manipulator", "effort"):
+        assert verdicts[name] == "not shown", name
+    assert verdicts["riccati-gain"] == "holds"
+
+
+def test_the_printed_riccati_gain_stabilises_and_that_of_the_poles_does_not() -> None:
+    plant = matrices(printed(1.0).plant)
+    for L, rightmost in ((L_PRINTED, -2.44), (L_POLES, 0.024)):
+        K = paper_riccati(plant.A - np.reshape(L, (2, 1)) @ plant.C, plant.B, ALPHA, np.eye(2)).K
+        poles = np.linalg.eigvals(plant.A - plant.B @ K).real
+        assert poles.max() == pytest.approx(rightmost, abs=5e-3)
+
+
+def test_the_paper_s_sign_of_d_l_is_judged_too(paper: Paper) -> None:
+    claims = {claim.text.id: claim for claim in paper.claims}
+    for name in ("decomposition", "width-bound"):
+        assert claims[name].printed["with d_l < 0"] <= claims[name].text.limit
+        assert claims[name].printed["with d_l > 0"] > claims[name].text.limit
+        assert claims[name].verdict == "holds after repair"
 
 
 def test_measures_see_what_they_should(five: Run) -> None:

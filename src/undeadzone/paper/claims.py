@@ -1,7 +1,7 @@
 """The paper's claims judged.
 
 A verdict follows from two measured numbers and a limit alone: the claim holds as printed, holds
-after repair, or does not hold.
+after repair, or does not hold. What the paper announces and does not contain is not shown.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from undeadzone.paper.evidence import Evidence
 from undeadzone.paper.trials import measure
 from undeadzone.support.arrays import finite
 
-Verdict = Literal["holds", "holds after repair", "does not hold"]
+Verdict = Literal["holds", "holds after repair", "does not hold", "not shown"]
 
 
 class Claim(NamedTuple):
@@ -36,6 +36,8 @@ class Claim(NamedTuple):
         """What the numbers say."""
         if max(self.printed.values()) <= self.text.limit:
             return "holds"
+        if self.text.announced:
+            return "not shown"
         return "holds after repair" if self.repaired <= self.text.limit else "does not hold"
 
     @property

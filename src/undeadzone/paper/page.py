@@ -21,7 +21,12 @@ from undeadzone.support.files import write_text
 if TYPE_CHECKING:
     from undeadzone.paper.audit import Paper
 
-_COLOURS: Final = {"holds": "yes", "holds after repair": "mid", "does not hold": "no"}
+_COLOURS: Final = {
+    "holds": "yes",
+    "holds after repair": "mid",
+    "does not hold": "no",
+    "not shown": "no",
+}
 
 
 def write_figures(
@@ -119,7 +124,8 @@ def _claims(paper: Paper) -> list[Html]:
         rows.append((text.claim, text.where, claim.measured, verdict, text.why))
     words = (
         f"Of {len(rows)} claims {counts['holds']} hold as printed, "
-        f"{counts['holds after repair']} after repair, {counts['does not hold']} do not hold. "
+        f"{counts['holds after repair']} after repair, {counts['does not hold']} do not hold, "
+        f"{counts['not shown']} are announced and not shown. "
         "A verdict is computed: the measured number against its limit, as printed first "
         "(the worst case counts), then repaired."
     )

@@ -16,7 +16,7 @@ from undeadzone.observers import Reading
 from undeadzone.paper import measures as m
 from undeadzone.paper.equations import FIGURES
 from undeadzone.paper.evidence import BEGUN, RESTING, Evidence, Pair
-from undeadzone.paper.example import ALPHA, L_POLES, L_PRINTED, POLES, D, printed, repaired
+from undeadzone.paper.example import ALPHA, L_PRINTED, POLES, D, printed, repaired
 from undeadzone.plants.build import matrices, system
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import bound, deadzone, offset, resolve, saturation, zone
@@ -68,14 +68,21 @@ def _sensor(e: Evidence) -> Numbers:
     z = z[np.abs(z) > D]
     y, side = deadzone(z, D, D), zone(z, D, D)
     printed_form = z - D * (side < 0) - D * (side > 0)  # (11) with chi_bar = [chi_r, chi_l]
+    signed_form = z + D * (side < 0) - D * (side > 0)  # the same with d_l = -D
     corrected = z - offset(side, D, D)
+    positive, negative = "with d_l > 0", "with d_l < 0"
+    decomposition = {positive: _largest(y - printed_form), negative: _largest(y - signed_form)}
     taken_off = float(np.abs(saturation(z, D, D)).max())
+    widths = {
+        positive: max(0.0, taken_off - abs(D - D)),
+        negative: max(0.0, taken_off - abs(D + D)),
+    }
     smooth = _worst(_smooth_indicator_error, e.printed[RESTING])
     slope_printed = m.difference(e.printed[BEGUN][0], e.scaled.printed[0])
     slope_repaired = m.difference(e.repaired[0], e.scaled.repaired[0])
     return {
-        "decomposition": (_one(_largest(y - printed_form)), _largest(y - corrected)),
-        "width-bound": (_one(taken_off - abs(D - D)), max(0.0, taken_off - bound(D, D))),
+        "decomposition": (decomposition, _largest(y - corrected)),
+        "width-bound": (widths, max(0.0, taken_off - bound(D, D))),
         "indicators": (_one(smooth), _worst(m.side_error, e.repaired)),
         "unit-slope": (_one(slope_printed), slope_repaired),
     }
@@ -94,10 +101,10 @@ def _smooth_indicator_error(run: Run) -> float:
 def _gains(linear: Matrices) -> Numbers:
     """Claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    destabilising = _rightmost(linear, _closed(linear, L_POLES))
+    rightmost = _rightmost(linear, _closed(linear, L_PRINTED))
     return {
         "observer-poles": (_one(pole_error(linear, L_PRINTED)), pole_error(linear, placed)),
-        "riccati-gain": (_one(destabilising), _rightmost(linear, linear.A)),
+        "riccati-gain": (_one(rightmost), _rightmost(linear, linear.A)),
     }
 
 
