@@ -66,6 +66,7 @@ class Params(NamedTuple):
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
+        doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
     """
 
     model: Any
@@ -78,6 +79,7 @@ class Params(NamedTuple):
     cov: Floats
     ranges: Floats
     rate: Floats
+    doubt: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:

@@ -11,19 +11,21 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import (
     Gaussian,
+    Weighed,
     advance,
     linearise,
-    mix,
     predict,
     symmetric,
     triangle,
     truncate,
-    truncate_to,
+    truncate_unless_fake,
     update,
+    update_unless_glitch,
 )
+from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
     Params,
@@ -32,13 +34,15 @@ from undeadzone.observers.parts.gaussian_filter import (
     motion,
     to_estimate,
 )
+from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.plants.system import System
 from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
 
-DOUBT = (
-    1.6448536269514722  # a silent sensor counts where the belief contradicts it by more than 5 %
-)
+# A silent sensor counts where the belief contradicts it by more than 5 %.
+DOUBT = 1.6448536269514722
+LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
 class State(NamedTuple):
@@ -46,7 +50,7 @@ class State(NamedTuple):
 
     Attributes:
         mean, cov: mean and covariance (its `triangle`) before the reading.
-        last, previous: the last two readings (p) [y].
+        last, previous: the last two readings, 0 where one was refused (p) [y].
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         u: the last input (m).
     """
@@ -59,34 +63,20 @@ class State(NamedTuple):
     u: Any
 
 
-class Setup(NamedTuple):
-    """What the parts of one filter share.
+class Heard(NamedTuple):
+    """What is known after a reading.
 
     Attributes:
-        model: the sampled model.
-        sensor: the dead zone.
-        augmentation: the unknowns beside [x; d].
-        entries: entries of the covariance's upper triangle that are kept.
-        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
-            is not heard again.
-        bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
-        order: order of the prediction.
-        blind: whether it takes every reading for z itself.
+        belief: mean and covariance of [x; d; extra].
+        wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
+        trust: probability that the reading was not wrong (p).
+        log: log of the density with which it was foretold.
     """
 
-    model: System
-    sensor: Zone
-    augmentation: Augmentation
-    entries: ca.Sparsity
-    lasting: float
-    bounds: bool
-    order: Literal[1, 2]
-    blind: bool
-
-    @property
-    def jump(self) -> bool:
-        """Whether the sensor is of the jump kind."""
-        return self.sensor.kind == "jump"
+    belief: Gaussian
+    wait: Any
+    trust: Any
+    log: Any
 
 
 def measured_filter(
@@ -98,42 +88,81 @@ def measured_filter(
     bounds: bool = False,
     order: Literal[1, 2] = 2,
     blind: bool = False,
-) -> Observer:
-    """The filter as an observer; `Setup` explains the arguments."""
+    glitches: float = 0.0,
+) -> Member:
+    """The filter; `Setup` explains the arguments. glitches: share of the readings that is wrong."""
     entries = kept_entries(model, augmentation)
-    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind)
+    doubts = glitches > 0 and not blind
+    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind, doubts)
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
         return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(m))
 
     params = filter_numbers(model, sensor, prior, augmentation)
-    return Observer(params, init, partial(filter_step, setup))
+    doubt = doubt_numbers(model, sensor, prior, glitches)
+    return Member(params._replace(doubt=doubt), init, partial(filter_step, setup))
 
 
-def filter_step(
-    setup: Setup, q: Params, s: State, u: Any, reading: Reading
-) -> tuple[State, Estimate]:
+def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """One sample: correct by the reading, use what bounds, estimate, predict."""
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y, 0.0)
-    if setup.blind:
-        side = seen
-    elif setup.jump:
-        side = reading.side
-    else:
-        side = sure_side(y, s.last, s.previous, q.gate)
+    side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
-    belief, e, e_std = correct(setup, q, before, y, side)
-    wait = s.wait
+    corrected = correct(setup, q, before, y, side)
+    heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
         silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
-        belief, wait = use_bounds(setup, q, belief, silent, side, wait)
-    after = predicted(setup, q, belief, u)
-    shown = shown_belief(setup, q, belief)
-    estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, e_std)
+        heard = use_bounds(setup, q, heard, silent, side)
+    shown, fits = shown_belief(setup, q, heard.belief)
+    e, std = corrected.e, corrected.std
+    estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
-    return State(after.mean, triangle(after.cov, setup.entries), y, s.last, wait, u), estimated
+    mean, cov, restarted = sound(setup, q, predicted(setup, q, heard.belief, u))
+    last = ca.if_else(heard.trust < 0.5, 0.0, y) if setup.doubts else y
+    return Step(
+        state=State(mean, cov, last, s.last, heard.wait, u),
+        estimate=estimated,
+        log=heard.log if setup.doubts else likelihood(estimated),
+        trust=heard.trust,
+        fits=fits,
+        restarted=restarted,
+    )
+
+
+def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
+    """The sides on which the readings are used (p), 0 where none is sure.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        s: its state.
+        reading: what was read.
+        y: reading, 0 where it is missing (p) [y].
+        seen: whether it is there (p).
+    """
+    if setup.blind:
+        return seen
+    side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
+    if not setup.doubts:
+        return side
+    stuck = ca.logic_and(y == s.last, q.doubt.noisy)
+    return ca.if_else(stuck, 0.0, side)
+
+
+def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
+    """The belief if it is one of finite numbers and positive variances, else the prior.
+
+    Returns:
+        (mean, covariance (its `triangle`), 1 where it is the prior).
+    """
+    cov = triangle(belief.cov, setup.entries)
+    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
+    least = ca.mmin(ca.densify(ca.diag(belief.cov)))
+    fine = ca.logic_and(size < LIMIT, least >= 0)
+    mean = ca.if_else(fine, belief.mean, q.mean)
+    return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
 
 
 def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
@@ -143,9 +172,7 @@ def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
     return z - offset(side, X[n + i], X[n + p + i])
 
 
-def correct(
-    setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any
-) -> tuple[Gaussian, Any, Any]:
+def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Weighed:
     """The belief after the readings on the sides that are sure, one output at a time.
 
     Args:
@@ -156,50 +183,89 @@ def correct(
         side: the sides that are sure (p), 0 where none is.
 
     Returns:
-        (belief, innovations (p), their standard deviations (p)).
+        Innovations, their standard deviations and trust (p each), and the sum of the logs.
     """
-    innovations, stds = [], []
+    each = []
     for i in range(setup.model.p):
         active = side[i] != 0
         branch = 0.0 if setup.jump else side[i]
         expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        belief, S = update(belief, h, e, q.R[i], active)
-        innovations.append(e)
-        stds.append(ca.sqrt(S))
-    return belief, ca.vertcat(*innovations), ca.vertcat(*stds)
+        if setup.doubts:
+            odds, reach = q.doubt.glitch, q.doubt.reach[i]
+            one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
+        else:
+            after, S = update(belief, h, e, q.R[i], active)
+            one = Weighed(after, e, ca.sqrt(S), ca.SX(1.0), 0.0)
+        belief = one.belief
+        each.append(one)
+    return Weighed(
+        belief=belief,
+        e=ca.vertcat(*(one.e for one in each)),
+        std=ca.vertcat(*(one.std for one in each)),
+        trust=ca.vertcat(*(one.trust for one in each)),
+        log=sum(one.log for one in each),
+    )
 
 
-def use_bounds(
-    setup: Setup, q: Params, belief: Gaussian, silent: Any, side: Any, wait: Any
-) -> tuple[Gaussian, Any]:
-    """The belief given that z is inside the edges of a silent sensor.
+def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) -> Heard:
+    """What is known given that z is inside the edges of a silent sensor.
 
     The z of a jump sensor is beyond the edge that it is on, besides.
 
     Args:
         setup: the filter.
         q: its numbers.
-        belief: the belief after the readings on active sides.
+        known: what is known after the readings on active sides.
         silent: whether each output is silent (p).
         side: the sides that are sure (p).
-        wait: steps to wait per edge, right edges, then left ones (2p).
-
-    Returns:
-        (belief, steps to wait per edge).
     """
     waits: list[Any] = []
+    belief, log = known.belief, known.log
+    trust = ca.SX(known.trust)
     for edge in (RIGHT, LEFT):
         for i in range(setup.model.p):
             outside = (side[i] == edge) if setup.jump else 0.0
-            rested = wait[len(waits)] <= 0
-            bounded = ca.logic_and(ca.logic_or(silent[i], outside), rested)
-            excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
-            sign = edge * (1 - 2 * outside)
-            slack = ca.if_else(silent[i], q.gate[i] / q.slope[i], 0.0)
-            belief, used = truncate(belief, sign * h, sign * excess - slack, q.R[i], bounded, DOUBT)
-            waits.append(ca.if_else(used, setup.lasting, wait[len(waits)] - 1))
-    return belief, ca.vertcat(*waits)
+            waiting = known.wait[len(waits)]
+            bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
+            one, used = heard_edge(setup, q, belief, i, edge, silent[i], outside, bounded)
+            belief = one.belief
+            log += one.log
+            trust[i] = ca.fmin(trust[i], one.trust)
+            waits.append(ca.if_else(used, setup.lasting, waiting - 1))
+    return Heard(belief, ca.vertcat(*waits), trust, log)
+
+
+def heard_edge(
+    setup: Setup,
+    q: Params,
+    belief: Gaussian,
+    i: int,
+    edge: float,
+    silent: Any,
+    outside: Any,
+    bounded: Any,
+) -> tuple[Weighed, Any]:
+    """What one edge says, and whether it need not be heard again for a while.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: the belief so far.
+        i: number of the output.
+        edge: right or left.
+        silent: whether the output is silent.
+        outside: whether z is beyond the edge instead, by a jump sensor's reading.
+        bounded: whether the edge is heard.
+    """
+    excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
+    sign = edge * (1 - 2 * outside)
+    over = sign * excess - ca.if_else(silent, q.gate[i] / q.slope[i], 0.0)
+    if not setup.doubts:
+        after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
+        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
+    one, used = truncate_unless_fake(belief, sign * h, over, q.R[i], bounded, DOUBT, q.doubt.fake)
+    return one, ca.logic_and(used, one.trust > 0.5)
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
@@ -219,66 +285,6 @@ def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:
     n, p = setup.model.n, setup.model.p
     G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], u)
     return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
-
-
-def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> Gaussian:
-    """The belief that an estimate shows.
-
-    Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
-    stronger.
-    """
-    limited, chance = limit_widths(setup, q, belief)
-    if setup.augmentation.alternative is None:
-        return limited
-    stronger, odds = setup.augmentation.alternative(q, belief)
-    stronger, likelier = limit_widths(setup, q, stronger)
-    share = 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0)))
-    return mix(stronger, limited, share)
-
-
-def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
-    if not setup.bounds:
-        return belief, 0.0
-    return within_ranges(q, setup.model.n, belief)
-
-
-def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """The belief with the mean that it has if every width lies in its claimed range.
-
-    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
-    would claim too much.
-
-    Returns:
-        (belief, the log of the chance that every width lies in its range).
-    """
-    cut = belief
-    log_chance = 0.0
-    for i in range(q.ranges.shape[0]):
-        cut, chance = truncate_to(cut, n + i, q.ranges[i, 0], q.ranges[i, 1])
-        log_chance += chance
-    return Gaussian(cut.mean, belief.cov), log_chance
-
-
-def with_unknowns(
-    setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
-) -> Estimate:
-    """The estimate with w and theta where there are such unknowns; u: the last input."""
-    augmentation, model, n = setup.augmentation, setup.model, setup.model.n
-    if len(augmentation.cov):
-        extra = shown.mean[n + 2 * model.p :]
-        if augmentation.disturbance is None:
-            x = shown.mean[:n]
-            w = q.rate @ (augmentation.move(q, x, extra, u)[0] - model.move(q.model, x, u))
-        else:
-            w = augmentation.disturbance(q, extra)
-        estimated = estimated._replace(w=w)
-    count = len(augmentation.parameters)
-    if count:
-        theta = q.model[list(augmentation.parameters)] + shown.mean[-count:]
-        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
-        estimated = estimated._replace(theta=theta, theta_std=theta_std)
-    return estimated
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
