@@ -213,6 +213,7 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
         silence=False,
         blind=blind,
         uncertain={"g": 0.5, "k": 0.2},
+        glitches=0.0,
         **SHAKEN,
     )
     observer = options.build(model, where)
@@ -244,7 +245,7 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
         ) ** 2 == pytest.approx(np.diag(P)[:8], rel=1e-9, abs=1e-12)
         F = slope(lambda X, u=u: pendulums(X, u, Ts), X)
         X, P = pendulums(X, u, Ts), F @ P @ F.T + Q
-        assert state.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
+        assert state.filter.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
 
 
 def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
@@ -266,6 +267,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         "disturbance": [0.3, 0.5],
         "correlation_time": 0.2,
         "drift": 0.01,
+        "glitches": 0.0,
     }
     pair = [
         Extended(**common, joints=joints).build(model, where) for joints in ("coupled", "separate")
@@ -287,7 +289,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         states = [after for after, _ in both]
         agree(both[0][1], both[1][1])
     assert (both[0][1].width_std < 0.5 * PRIOR).all()
-    assert [len(state.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
+    assert [len(state.filter.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
 
 
 # --- What it finds out

@@ -136,6 +136,9 @@ def collect(problem: Problem, signal: Outputs, error: float | None, began: float
         "w_hat": estimate.w,
         "theta_hat": estimate.theta,
         "theta_std": estimate.theta_std,
+        "consistent": estimate.consistent,
+        "refused": estimate.refused,
+        "restarts": estimate.restarts,
     }
     return Run(
         t=t,

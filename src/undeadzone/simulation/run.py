@@ -47,6 +47,9 @@ class Run:
         w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
         theta_std: standard deviations of theta_hat.
+        consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
+        refused: readings that the observer took for wrong so far (N x p).
+        restarts: how often the observer lost its state so far (N x 1).
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
@@ -74,6 +77,9 @@ class Run:
     w_hat: Floats | None = None
     theta_hat: Floats | None = None
     theta_std: Floats | None = None
+    consistent: Floats | None = None
+    refused: Floats | None = None
+    restarts: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -199,6 +205,7 @@ class Run:
             "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
+            **({} if self.consistent is None else self._judgement()),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
@@ -208,6 +215,17 @@ class Run:
             "seconds": self.info.seconds,
         }
         return finite(numbers)
+
+    def _judgement(self) -> dict[str, Any]:
+        """What the observer says of its readings in the end."""
+        assert self.consistent is not None
+        assert self.refused is not None
+        assert self.restarts is not None
+        return {
+            "consistent": bool(self.consistent[-1, 0]),
+            "refused": _one_or_list(self.refused[-1]),
+            "restarts": int(self.restarts[-1, 0]),
+        }
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

@@ -20,6 +20,8 @@ GLITCHES = 0.05  # share of the readings that are wrong, unless it is claimed
 REACH = 10.0  # largest claimed widths over which a glitch is spread
 FAKE = 0.02  # share of the glitches that are a silence
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
+PATIENCE = 0.54  # quarter periods over which the share of refused readings is averaged
+FEWEST = 6.0  # readings over which it is averaged at least
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -34,6 +36,7 @@ class Doubt(NamedTuple):
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
+        forget: share of the mean share of refused readings that is left after a reading.
     """
 
     glitch: Floats
@@ -43,6 +46,7 @@ class Doubt(NamedTuple):
     fade: Floats
     keep: Floats
     std: Floats
+    forget: Floats
 
 
 def doubt_numbers(model: System, sensor: Zone, prior: Prior, glitches: float) -> Doubt:
@@ -67,6 +71,7 @@ def doubt_numbers(model: System, sensor: Zone, prior: Prior, glitches: float) ->
         fade=np.exp(-model.Ts / (SPAN * quarter)),
         keep=np.exp(-model.Ts / (HISTORY * quarter)),
         std=prior.std,
+        forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
     )
 
 

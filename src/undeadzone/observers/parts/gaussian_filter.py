@@ -38,6 +38,7 @@ class Augmentation(NamedTuple):
             throughout; None: all.
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
+        constants: how many of the last unknowns are errors of the model, which never change.
     """
 
     params: Any
@@ -50,6 +51,7 @@ class Augmentation(NamedTuple):
     disturbance: Callable[[Any, Any], Any] | None = None
     entries: ca.Sparsity | None = None
     parameters: tuple[int, ...] = ()
+    constants: int = 0
 
 
 class Params(NamedTuple):

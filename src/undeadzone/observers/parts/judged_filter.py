@@ -84,13 +84,16 @@ def judged(member: Member, model: System, widens: bool, traits: Traits = NO_TRAI
 def judged_step(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """One sample of the filter, and what it shows after its readings were judged."""
+    """One sample of the filter, and what it shows after its readings were judged.
+
+    A restart shows at the next sample: it may come from the input, on which no estimate depends.
+    """
     step = setup.member.step(q, s.filter, u, reading)
     record = recorded(q, s.record, step)
     estimated = step.estimate._replace(
         consistent=ca.logic_and(step.fits > 0.5, fitting(record)),
         refused=record.refused,
-        restarts=record.restarts,
+        restarts=s.record.restarts,
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)

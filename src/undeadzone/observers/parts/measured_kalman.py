@@ -14,16 +14,10 @@ import numpy as np
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import (
     Gaussian,
-    Weighed,
     advance,
-    linearise,
     predict,
     symmetric,
     triangle,
-    truncate,
-    truncate_unless_fake,
-    update,
-    update_unless_glitch,
 )
 from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
@@ -34,14 +28,16 @@ from undeadzone.observers.parts.gaussian_filter import (
     motion,
     to_estimate,
 )
+from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
 from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.plants.system import System
-from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
+from undeadzone.sensor import Zone, present
 
-# A silent sensor counts where the belief contradicts it by more than 5 %.
-DOUBT = 1.6448536269514722
+TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
+RECENT = 0.1  # what is left of `State.opened` while it counts
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
 LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
@@ -53,6 +49,8 @@ class State(NamedTuple):
         last, previous: the last two readings, 0 where one was refused (p) [y].
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         u: the last input (m).
+        share: mean share of refused readings of late (p).
+        opened: 1 where the belief was opened just now, fading after that (1).
     """
 
     mean: Any
@@ -61,22 +59,8 @@ class State(NamedTuple):
     previous: Any
     wait: Any
     u: Any
-
-
-class Heard(NamedTuple):
-    """What is known after a reading.
-
-    Attributes:
-        belief: mean and covariance of [x; d; extra].
-        wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
-        trust: probability that the reading was not wrong (p).
-        log: log of the density with which it was foretold.
-    """
-
-    belief: Gaussian
-    wait: Any
-    trust: Any
-    log: Any
+    share: Any
+    opened: Any
 
 
 def measured_filter(
@@ -97,7 +81,8 @@ def measured_filter(
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(m))
+        each = np.zeros(p)
+        return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), each, np.zeros(1))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches)
@@ -120,9 +105,11 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
     mean, cov, restarted = sound(setup, q, predicted(setup, q, heard.belief, u))
-    last = ca.if_else(heard.trust < 0.5, 0.0, y) if setup.doubts else y
+    after = State(mean, cov, y, s.last, heard.wait, u, s.share, s.opened)
+    if setup.doubts:
+        after = reconsidered(setup, q, after, side, heard.trust)
     return Step(
-        state=State(mean, cov, last, s.last, heard.wait, u),
+        state=after,
         estimate=estimated,
         log=heard.log if setup.doubts else likelihood(estimated),
         trust=heard.trust,
@@ -151,6 +138,48 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
     return ca.if_else(stuck, 0.0, side)
 
 
+def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
+    """The state without the readings that were refused; opened where most of late were.
+
+    An opened belief gains the prior's variances of state, disturbance and bias; of widths too where
+    it was opened not long ago.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        s: the state after the sample.
+        side: the sides on which readings were used (p).
+        trust: probability that a reading was not wrong (p).
+    """
+    refused = trust < 0.5
+    asked = ca.logic_or(side != 0, refused)
+    forget = q.doubt.forget
+    share = ca.if_else(asked, forget * s.share + (1 - forget) * refused, s.share)
+    opens = ca.mmax(share) > TOO_MANY
+    every, moving = (ca.DM(1.0 * of(setup)) for of in (everything, motion_alone))
+    gained = ca.if_else(s.opened > RECENT, every, moving) * q.cov
+    return s._replace(
+        cov=s.cov + ca.if_else(opens, gained, 0.0),
+        last=ca.if_else(refused, 0.0, s.last),
+        share=ca.if_else(opens, 0.0, share),
+        opened=ca.if_else(opens, 1.0, q.doubt.keep * s.opened),
+    )
+
+
+def everything(setup: Setup) -> Mask:
+    """Which entries that are kept are variances."""
+    rows, columns = setup.entries.get_triplet()
+    return np.array(rows) == np.array(columns)
+
+
+def motion_alone(setup: Setup) -> Mask:
+    """Which entries that are kept are variances of a state, a disturbance or a bias."""
+    n, known = setup.model.n, setup.model.n + 2 * setup.model.p
+    rows = np.array(setup.entries.get_triplet()[0])
+    last = setup.entries.size1() - setup.augmentation.constants
+    return everything(setup) & ((rows < n) | ((rows >= known) & (rows < last)))
+
+
 def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
     """The belief if it is one of finite numbers and positive variances, else the prior.
 
@@ -163,109 +192,6 @@ def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
     fine = ca.logic_and(size < LIMIT, least >= 0)
     mean = ca.if_else(fine, belief.mean, q.mean)
     return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
-
-
-def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
-    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
-    n, p = setup.model.n, setup.model.p
-    z = setup.model.output(q.model, X[:n])[i]
-    return z - offset(side, X[n + i], X[n + p + i])
-
-
-def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Weighed:
-    """The belief after the readings on the sides that are sure, one output at a time.
-
-    Args:
-        setup: the filter.
-        q: its numbers.
-        belief: the belief before the reading.
-        y: reading, 0 where it is missing (p) [y].
-        side: the sides that are sure (p), 0 where none is.
-
-    Returns:
-        Innovations, their standard deviations and trust (p each), and the sum of the logs.
-    """
-    each = []
-    for i in range(setup.model.p):
-        active = side[i] != 0
-        branch = 0.0 if setup.jump else side[i]
-        expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
-        e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        if setup.doubts:
-            odds, reach = q.doubt.glitch, q.doubt.reach[i]
-            one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
-        else:
-            after, S = update(belief, h, e, q.R[i], active)
-            one = Weighed(after, e, ca.sqrt(S), ca.SX(1.0), 0.0)
-        belief = one.belief
-        each.append(one)
-    return Weighed(
-        belief=belief,
-        e=ca.vertcat(*(one.e for one in each)),
-        std=ca.vertcat(*(one.std for one in each)),
-        trust=ca.vertcat(*(one.trust for one in each)),
-        log=sum(one.log for one in each),
-    )
-
-
-def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) -> Heard:
-    """What is known given that z is inside the edges of a silent sensor.
-
-    The z of a jump sensor is beyond the edge that it is on, besides.
-
-    Args:
-        setup: the filter.
-        q: its numbers.
-        known: what is known after the readings on active sides.
-        silent: whether each output is silent (p).
-        side: the sides that are sure (p).
-    """
-    waits: list[Any] = []
-    belief, log = known.belief, known.log
-    trust = ca.SX(known.trust)
-    for edge in (RIGHT, LEFT):
-        for i in range(setup.model.p):
-            outside = (side[i] == edge) if setup.jump else 0.0
-            waiting = known.wait[len(waits)]
-            bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
-            one, used = heard_edge(setup, q, belief, i, edge, silent[i], outside, bounded)
-            belief = one.belief
-            log += one.log
-            trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, setup.lasting, waiting - 1))
-    return Heard(belief, ca.vertcat(*waits), trust, log)
-
-
-def heard_edge(
-    setup: Setup,
-    q: Params,
-    belief: Gaussian,
-    i: int,
-    edge: float,
-    silent: Any,
-    outside: Any,
-    bounded: Any,
-) -> tuple[Weighed, Any]:
-    """What one edge says, and whether it need not be heard again for a while.
-
-    Args:
-        setup: the filter.
-        q: its numbers.
-        belief: the belief so far.
-        i: number of the output.
-        edge: right or left.
-        silent: whether the output is silent.
-        outside: whether z is beyond the edge instead, by a jump sensor's reading.
-        bounded: whether the edge is heard.
-    """
-    excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
-    sign = edge * (1 - 2 * outside)
-    over = sign * excess - ca.if_else(silent, q.gate[i] / q.slope[i], 0.0)
-    if not setup.doubts:
-        after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
-        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
-    one, used = truncate_unless_fake(belief, sign * h, over, q.R[i], bounded, DOUBT, q.doubt.fake)
-    return one, ca.logic_and(used, one.trust > 0.5)
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
