@@ -87,7 +87,14 @@ class Censored(
         lasting = max(1.0, correlation / Ts)
         glitches = glitch_share(self.glitches)
         member = measured_filter(
-            model, sensor, prior, augmentation, lasting, self.silence, glitches=glitches
+            model,
+            sensor,
+            prior,
+            augmentation,
+            lasting,
+            self.silence,
+            glitches=glitches,
+            claimed=self.disturbance is not None,
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])

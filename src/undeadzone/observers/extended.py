@@ -115,6 +115,7 @@ class Extended(
             order=1,
             blind=self.blind,
             glitches=glitches,
+            claimed=self.disturbance is not None,
         )
         traits = Traits(
             adapts=not self.blind,

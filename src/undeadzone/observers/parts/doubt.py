@@ -22,6 +22,9 @@ FAKE = 0.02  # share of the glitches that are a silence
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
 PATIENCE = 0.54  # quarter periods over which the share of refused readings is averaged
 FEWEST = 6.0  # readings over which it is averaged at least
+# Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
+# and where it is a default, whose colour is not that of the true one.
+CHANCE, CHANCE_OF_DEFAULTS = 1.8, 3.5
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -37,6 +40,7 @@ class Doubt(NamedTuple):
         keep: share of the mean of its squares that is left after a step.
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
         forget: share of the mean share of refused readings that is left after a reading.
+        most: mean square of the sums of innovations that is taken for chance.
     """
 
     glitch: Floats
@@ -47,9 +51,12 @@ class Doubt(NamedTuple):
     keep: Floats
     std: Floats
     forget: Floats
+    most: Floats
 
 
-def doubt_numbers(model: System, sensor: Zone, prior: Prior, glitches: float) -> Doubt:
+def doubt_numbers(
+    model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
+) -> Doubt:
     """The numbers of the doubt.
 
     Args:
@@ -57,6 +64,7 @@ def doubt_numbers(model: System, sensor: Zone, prior: Prior, glitches: float) ->
         sensor: the dead zone.
         prior: what the filter assumes before the first reading.
         glitches: probability that a reading is wrong; 0: none is.
+        claimed: whether the disturbance is claimed, and no default.
     """
     assert model.flow is not None
     assert model.Ts is not None
@@ -72,6 +80,7 @@ def doubt_numbers(model: System, sensor: Zone, prior: Prior, glitches: float) ->
         keep=np.exp(-model.Ts / (HISTORY * quarter)),
         std=prior.std,
         forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
+        most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
     )
 
 

@@ -16,7 +16,6 @@ from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.member import Member, Step
 from undeadzone.plants.system import System
 
-MOST = 2.2  # mean square of the sums of innovations that is taken for chance
 FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
 NO_TRAITS = Traits()
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
@@ -29,6 +28,7 @@ class Record(NamedTuple):
         total: fading sum of the normalised innovations (p).
         count: what its variance is if the claims are true (p).
         ratio: slow mean of total^2 / count, 1 if the claims are true (p).
+        offset: fading mean of the innovations, of refused readings too (p) [z].
         share: fading share of refused readings among those that were used (p).
         refused: number of refused readings (p).
         restarts: how often the filter lost its state (1).
@@ -37,6 +37,7 @@ class Record(NamedTuple):
     total: Any
     count: Any
     ratio: Any
+    offset: Any
     share: Any
     refused: Any
     restarts: Any
@@ -76,7 +77,7 @@ def judged(member: Member, model: System, widens: bool, traits: Traits = NO_TRAI
 
     def init(q: Params) -> State:
         none = np.zeros(p)
-        return State(member.init(q), Record(none, none, np.ones(p), none, none, np.zeros(1)))
+        return State(member.init(q), Record(none, none, np.ones(p), none, none, none, np.zeros(1)))
 
     return Observer(member.params, init, partial(judged_step, setup), traits=traits)
 
@@ -91,7 +92,7 @@ def judged_step(
     step = setup.member.step(q, s.filter, u, reading)
     record = recorded(q, s.record, step)
     estimated = step.estimate._replace(
-        consistent=ca.logic_and(step.fits > 0.5, fitting(record)),
+        consistent=ca.logic_and(step.fits > 0.5, fitting(q, record)),
         refused=record.refused,
         restarts=s.record.restarts,
     )
@@ -114,41 +115,47 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
     refused = step.trust < 0.5
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
+    offset = fade * record.offset + (1 - fade) * e
     return Record(
         total=total,
         count=count,
         ratio=ratio,
+        offset=ca.if_else(used, offset, record.offset),
         share=ca.if_else(asked, share, record.share),
         refused=record.refused + refused,
         restarts=record.restarts + step.restarted,
     )
 
 
-def fitting(record: Record) -> Any:
+def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    return ca.logic_and(ca.mmax(record.ratio) <= MOST, ca.mmax(record.share) <= LOST)
+    return ca.logic_and(ca.mmax(record.ratio) <= q.doubt.most, ca.mmax(record.share) <= LOST)
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
     """The estimate with standard deviations that the innovations bear out.
 
-    They are multiplied by the root of the largest mean square of sums, where that is no chance, and
-    are those of the prior at least where most readings were refused.
+    Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
+    and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
+    readings were refused they are those of the prior at least.
     """
     worst = ca.mmax(record.ratio)
-    factor = ca.if_else(worst > MOST, ca.sqrt(worst), 1.0)
+    factor = ca.if_else(worst > q.doubt.most, ca.sqrt(worst), 1.0)
+    fits = fitting(q, record)
+    off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
-    prior = q.doubt.std
 
-    def shown(std: Any, least: Any) -> Any:
-        return ca.if_else(lost, ca.fmax(factor * std, least), factor * std)
+    def shown(std: Any, off: Any, least: Any) -> Any:
+        wider = ca.if_else(fits, std, ca.sqrt((factor * std) ** 2 + off**2))
+        return ca.if_else(lost, ca.fmax(wider, least), wider)
 
     n, p = model.n, model.p
-    right, left = prior[n : n + p], prior[n + p :]
+    x_std, right, left = ca.vertsplit(ca.SX(q.doubt.std), [0, n, n + p, n + 2 * p])
+    scale = x_std / ca.fmax(ca.mmax(x_std), 1e-300)
     return estimated._replace(
-        x_std=shown(estimated.x_std, prior[:n]),
-        right_std=shown(estimated.right_std, right),
-        left_std=shown(estimated.left_std, left),
-        width_std=shown(estimated.width_std, ca.sqrt(right**2 + left**2)),
+        x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),
+        right_std=shown(estimated.right_std, off, right),
+        left_std=shown(estimated.left_std, off, left),
+        width_std=shown(estimated.width_std, off, ca.sqrt(right**2 + left**2)),
         theta_std=factor * estimated.theta_std,
     )

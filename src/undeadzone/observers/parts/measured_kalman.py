@@ -73,8 +73,9 @@ def measured_filter(
     order: Literal[1, 2] = 2,
     blind: bool = False,
     glitches: float = 0.0,
+    claimed: bool = True,
 ) -> Member:
-    """The filter; `Setup` explains the arguments. glitches: share of the readings that is wrong."""
+    """The filter; `Setup` and `doubt_numbers` explain the arguments."""
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind, doubts)
@@ -85,7 +86,7 @@ def measured_filter(
         return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), each, np.zeros(1))
 
     params = filter_numbers(model, sensor, prior, augmentation)
-    doubt = doubt_numbers(model, sensor, prior, glitches)
+    doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
     return Member(params._replace(doubt=doubt), init, partial(filter_step, setup))
 
 
