@@ -364,15 +364,19 @@ def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
         "correlation_time": 0.1,
     }
     loaded = believed.params + 0.5 * np.array([name == "payload" for name in believed.names])
-    told, untold = (
-        watcher(Extended(**options, uncertain=uncertain), believed, zone(2))(
+    told, untold, trusting = (
+        watcher(Extended(**options, uncertain=uncertain, glitches=share), believed, zone(2))(
             path, 2, widths, params=loaded
         )
-        for uncertain in ({"payload": 0.5}, {})
+        for uncertain, share in (({"payload": 0.5}, 0.05), ({}, 0.05), ({}, 0.0))
     )
     assert told.extra[-1] == pytest.approx(0.5, abs=0.01)
     assert (np.abs(told.right(widths)) < 3).all()
-    assert (np.abs(untold.right(widths)) > 5).any()
+    assert told.estimate.consistent[-1] == 1
+    # untold it is wrong, and knows it unless it takes all readings for right
+    assert (np.abs(untold.right(widths)) < 3).all()
+    assert untold.estimate.consistent[-1] == 0
+    assert (np.abs(trusting.right(widths)) > 5).any()
 
 
 def test_blind_settles_at_the_error_of_the_dead_zone() -> None:
