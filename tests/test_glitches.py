@@ -122,7 +122,7 @@ def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
         )
     )
     summary = run.summary()
-    assert (summary["consistent"], summary["refused"], summary["restarts"]) == (True, 0.0, 0)
+    assert (summary["consistent"], summary["refused"], summary["restarts"]) == (True, 0, 0)
     assert {"consistent[0]", "refused[0]", "restarts[0]"} <= set(run.columns())
 
 

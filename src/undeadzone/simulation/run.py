@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.simulation.run_columns import to_columns, unit_of
+from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
 from undeadzone.support.arrays import Floats, finite
@@ -205,7 +205,7 @@ class Run:
             "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
-            **({} if self.consistent is None else self._judgement()),
+            **judgement(self.consistent, self.refused, self.restarts),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
@@ -215,17 +215,6 @@ class Run:
             "seconds": self.info.seconds,
         }
         return finite(numbers)
-
-    def _judgement(self) -> dict[str, Any]:
-        """What the observer says of its readings in the end."""
-        assert self.consistent is not None
-        assert self.refused is not None
-        assert self.restarts is not None
-        return {
-            "consistent": bool(self.consistent[-1, 0]),
-            "refused": _one_or_list(self.refused[-1]),
-            "restarts": int(self.restarts[-1, 0]),
-        }
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

@@ -24,7 +24,7 @@ PATIENCE = 0.54  # quarter periods over which the share of refused readings is a
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
 # and where it is a default, whose colour is not that of the true one.
-CHANCE, CHANCE_OF_DEFAULTS = 1.8, 3.5
+CHANCE, CHANCE_OF_DEFAULTS = 2.0, 4.0
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
