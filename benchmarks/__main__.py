@@ -20,6 +20,7 @@ NAMES = (
     "speed",
     "precision",
     "coverage",
+    "glitches",
     "arm_coverage",
     "arm_operations",
     "certificates",

@@ -126,7 +126,7 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     ]
     outputs = [
         ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)),
-        ca.vertcat(x, *estimate, state.mean),
+        ca.vertcat(x, *estimate, state.filter.mean),
     ]
     names = (["s", "w", "p"], ["next", "out"])
     step = ca.Function("watch", inputs, outputs, *names, {"cse": True})

@@ -25,11 +25,13 @@ class World(NamedTuple):
         disturbance: relative to the largest |u|
         bias: in z
         tolerance: relative error of the model
+        late: step of the bias after half of the time, in z; none claims it
     """
 
     disturbance: float = 0.0
     bias: float = 0.0
     tolerance: float = 0.0
+    late: float = 0.0
 
 
 WORLDS = {"noise only": World(), "disturbed": World(0.05, 0.2, 0.05)}
@@ -46,6 +48,7 @@ class Problems(NamedTuple):
         u, y: inputs and readings (samples x K)
         x: the last state (K x n)
         d: the widths d_r, d_l (K x 2)
+        z: true outputs (samples x K)
     """
 
     models: list[Matrices]
@@ -58,6 +61,7 @@ class Problems(NamedTuple):
     y: Floats
     x: Floats
     d: Floats
+    z: Floats
 
 
 def problems(reach: str, world: World, order: int, count: int, seed: int) -> Problems:
@@ -88,12 +92,13 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
     bias = rng.normal(size=count) * bias_rms
     plants = [zoh(_wrong(rng, model, world.tolerance), STEP) for model in models]
     A, B, C = (np.stack(part) for part in zip(*plants, strict=True))
-    y = np.empty_like(u)
+    y, z = np.empty_like(u), np.empty_like(u)
+    late = np.where(t > DURATION / 2, world.late, 0.0)[:, None] / static
     for k in range(t.size):
-        last, z = x, np.einsum("kij,kj->ki", C, x)[:, 0]
-        y[k] = deadzone(z, d[:, 0], d[:, 1]) + noise * rng.normal(size=count)
-        x = np.einsum("kij,kj->ki", A, x) + B[:, :, 0] * (u[k] + w[k] + bias)[:, None]
-    return Problems(models, noise, w_rms, bias_rms, world, x_std, u, y, last, d)
+        last, z[k] = x, np.einsum("kij,kj->ki", C, x)[:, 0]
+        y[k] = deadzone(z[k], d[:, 0], d[:, 1]) + noise * rng.normal(size=count)
+        x = np.einsum("kij,kj->ki", A, x) + B[:, :, 0] * (u[k] + w[k] + bias + late[k])[:, None]
+    return Problems(models, noise, w_rms, bias_rms, world, x_std, u, y, last, d, z)
 
 
 def _excursion(rng: np.random.Generator, reach: str, d: Floats) -> tuple[Floats, Floats]:

@@ -213,6 +213,7 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
         silence=False,
         blind=blind,
         uncertain={"g": 0.5, "k": 0.2},
+        glitches=0.0,
         **SHAKEN,
     )
     observer = options.build(model, where)
@@ -236,15 +237,18 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
                 X, P = X + K * (y[i] - reading(X, take)[i]), P - np.outer(K, h @ P)
                 P = (P + P.T) / 2
         state, estimate = step(state, u, y, side)
+        expected = X[:8].copy()
+        if not blind:  # shown inside the claimed ranges
+            expected[4:6], expected[6:] = np.clip(X[4:6], *RANGE), np.clip(X[6:8], 0.0, 0.1)
         assert np.concatenate([estimate.x, estimate.right, estimate.left]) == pytest.approx(
-            X[:8], rel=1e-9, abs=1e-9
+            expected, rel=1e-9, abs=1e-9
         )
         assert np.concatenate(
             [estimate.x_std, estimate.right_std, estimate.left_std]
         ) ** 2 == pytest.approx(np.diag(P)[:8], rel=1e-9, abs=1e-12)
         F = slope(lambda X, u=u: pendulums(X, u, Ts), X)
         X, P = pendulums(X, u, Ts), F @ P @ F.T + Q
-        assert state.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
+        assert state.filter.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
 
 
 def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
@@ -266,6 +270,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         "disturbance": [0.3, 0.5],
         "correlation_time": 0.2,
         "drift": 0.01,
+        "glitches": 0.0,
     }
     pair = [
         Extended(**common, joints=joints).build(model, where) for joints in ("coupled", "separate")
@@ -287,7 +292,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         states = [after for after, _ in both]
         agree(both[0][1], both[1][1])
     assert (both[0][1].width_std < 0.5 * PRIOR).all()
-    assert [len(state.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
+    assert [len(state.filter.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
 
 
 # --- What it finds out
@@ -359,15 +364,19 @@ def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
         "correlation_time": 0.1,
     }
     loaded = believed.params + 0.5 * np.array([name == "payload" for name in believed.names])
-    told, untold = (
-        watcher(Extended(**options, uncertain=uncertain), believed, zone(2))(
+    told, untold, trusting = (
+        watcher(Extended(**options, uncertain=uncertain, glitches=share), believed, zone(2))(
             path, 2, widths, params=loaded
         )
-        for uncertain in ({"payload": 0.5}, {})
+        for uncertain, share in (({"payload": 0.5}, 0.05), ({}, 0.05), ({}, 0.0))
     )
     assert told.extra[-1] == pytest.approx(0.5, abs=0.01)
     assert (np.abs(told.right(widths)) < 3).all()
-    assert (np.abs(untold.right(widths)) > 5).any()
+    assert told.estimate.consistent[-1] == 1
+    # untold it is wrong, and knows it unless it takes all readings for right
+    assert (np.abs(untold.right(widths)) < 3).all()
+    assert untold.estimate.consistent[-1] == 0
+    assert (np.abs(trusting.right(widths)) > 5).any()
 
 
 def test_blind_settles_at_the_error_of_the_dead_zone() -> None:

@@ -50,6 +50,9 @@ class Estimate(NamedTuple):
         w: what the model leaves out (n), x' = f(x, u) + w.
         theta: parameters of the model that the observer estimates.
         theta_std: standard deviations of theta.
+        consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
+        refused: readings that were taken for wrong so far (p).
+        restarts: how often the observer lost its state and began anew (1).
     """
 
     x: Any
@@ -66,6 +69,9 @@ class Estimate(NamedTuple):
     w: Any = NONE
     theta: Any = NONE
     theta_std: Any = NONE
+    consistent: Any = NONE
+    refused: Any = NONE
+    restarts: Any = NONE
 
 
 _COLUMNS = {
@@ -249,9 +255,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        none,
-        none,
-        none,
+        *[none] * 6,
     )
 
 

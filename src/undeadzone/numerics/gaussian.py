@@ -11,6 +11,11 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
+TAIL = (
+    10.0  # standard deviations of the innovation over which a glitch is spread, besides its reach
+)
+
 
 class Gaussian(NamedTuple):
     """A normal distribution of N variables.
@@ -22,6 +27,24 @@ class Gaussian(NamedTuple):
 
     mean: Any
     cov: Any
+
+
+class Weighed(NamedTuple):
+    """What is known after a reading, or a silence, that may be wrong.
+
+    Attributes:
+        belief: mean and covariance of the mixture of both cases.
+        e: innovation, at most `CLIP` standard deviations; 0 of a silence.
+        std: standard deviation of what was foretold.
+        trust: probability that it is not wrong; 1 where it was not used.
+        log: log of the density, or of the chance, with which it was foretold; 0 where not used.
+    """
+
+    belief: Gaussian
+    e: Any
+    std: Any
+    trust: Any
+    log: Any
 
 
 def triangle(cov: Any, entries: ca.Sparsity) -> Any:
@@ -113,6 +136,46 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(cov)), S
 
 
+def update_unless_glitch(
+    belief: Gaussian, h: Any, e: Any, R: Any, use: Any, odds: Any, reach: Any
+) -> Weighed:
+    """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
+
+    A glitch says nothing of x and is evenly spread.
+
+    Args:
+        belief: of x (N).
+        h: row of the reading (1 x N).
+        e: innovation, the reading less what was expected.
+        R: variance of v.
+        use: 0 leaves the belief as it is.
+        odds: log of the odds of a glitch before the reading is seen.
+        reach: range over which a glitch is spread, besides `TAIL` standard deviations.
+    """
+    mean, P = belief
+    S = ca.fmax(h @ P @ h.T, 0.0) + R
+    std = ca.sqrt(S)
+    r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
+    near = r * std
+    wrong = odds - ca.log(reach + TAIL * std)
+    right = -(r**2) / 2 - ca.log(2 * math.pi * S) / 2
+    trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
+    weight = ca.if_else(use, trust, 0.0)
+    K = P @ h.T / S
+    half = P - K @ (h @ P)
+    joseph = half - (half @ h.T) @ K.T + R * (K @ K.T)
+    between = weight * (1 - weight) * near**2 * (K @ K.T)
+    cov = _from_upper((1 - weight) * P + weight * joseph + between)
+    after = Gaussian(mean + weight * near * K, cov)
+    log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
+    return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
+
+
+def log_of_sum(a: Any, b: Any) -> Any:
+    """log(e^a + e^b)."""
+    return ca.fmax(a, b) + ca.log(1 + ca.exp(-ca.fabs(a - b)))
+
+
 def truncate(
     belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float
 ) -> tuple[Gaussian, Any]:
@@ -137,6 +200,34 @@ def truncate(
     along = P @ h.T / std
     cov = P - ratio * (ratio + alpha) * (along @ along.T)
     return Gaussian(mean - ratio * along, _from_upper(cov)), used
+
+
+def truncate_unless_fake(
+    belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float, fake: Any
+) -> tuple[Weighed, Any]:
+    """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
+
+    Mean and covariance of the mixture are matched.
+
+    Args:
+        belief, h, excess, R, use, limit: as `truncate` takes them.
+        fake: log of the probability that a silence is fake.
+
+    Returns:
+        What is known, and 1 where the bound was used.
+    """
+    mean, P = belief
+    std = ca.sqrt(ca.fmax(h @ P @ h.T, 0.0) + R)
+    alpha = ca.fmax(-excess / std, -CLIP)
+    used = ca.logic_and(use, alpha < limit)
+    chance = log_chance(alpha)
+    trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
+    ratio = ca.if_else(used, hazard(alpha), 0.0)
+    along = P @ h.T / std
+    lost = trust * ratio * (ratio + alpha) - trust * (1 - trust) * ratio**2
+    after = Gaussian(mean - trust * ratio * along, _from_upper(P - lost * (along @ along.T)))
+    log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
+    return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
 
 
 def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
@@ -174,6 +265,15 @@ def hazard(alpha: Any) -> Any:
     near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
     exact = ca.exp(-(near**2) / 2) / (math.sqrt(math.pi / 2) * (1 + ca.erf(near / math.sqrt(2))))
     return ca.if_else(alpha > -5.0, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
+
+
+def log_chance(alpha: Any) -> Any:
+    """log Phi(alpha) of the standard normal distribution; below -5 by its asymptote."""
+    near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
+    exact = ca.log((1 + ca.erf(near / math.sqrt(2))) / 2)
+    series = ca.log(1 - (1 - 3 / far**2) / far**2)
+    asymptote = -(far**2) / 2 - ca.log(far) - math.log(2 * math.pi) / 2 + series
+    return ca.if_else(alpha > -5.0, exact, asymptote)
 
 
 def _density(x: Any) -> Any:

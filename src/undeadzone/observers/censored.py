@@ -10,7 +10,9 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import default_disturbance
 from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.doubt import glitch_share
 from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
@@ -83,10 +85,20 @@ class Censored(
         tolerance = tolerances(model, self.tolerance)
         augmentation = unknowns(model, colour, rms, bias, calibrated, tolerance)
         lasting = max(1.0, correlation / Ts)
-        member = measured_filter(model, sensor, prior, augmentation, lasting, self.silence)
-        if self.levels == 1 or not rms.any():
-            return member
-        return bank(member, [partial(weakened, level) for level in range(self.levels)])
+        glitches = glitch_share(self.glitches)
+        member = measured_filter(
+            model,
+            sensor,
+            prior,
+            augmentation,
+            lasting,
+            self.silence,
+            glitches=glitches,
+            claimed=self.disturbance is not None,
+        )
+        if self.levels > 1 and rms.any():
+            member = bank(member, [partial(weakened, level) for level in range(self.levels)])
+        return judged(member, model, widens=glitches > 0)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

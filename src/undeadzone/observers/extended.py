@@ -13,7 +13,9 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import default_disturbance
+from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import Augmentation
+from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_tolerance import named
 from undeadzone.observers.parts.prior import Prior, build_prior
@@ -48,6 +50,9 @@ class Extended(
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
             of the plant's period, 1/4 s if it only integrates.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
+            A blind filter takes all for right.
         uncertain: standard deviations of named parameters of the model, which become constant
             unknowns.
         silence: hear that a silent sensor bounds z, and that widths lie in their ranges.
@@ -65,6 +70,7 @@ class Extended(
     disturbance: Array | None = None
     correlation_time: float | None = None
     drift: float = 0.0
+    glitches: float = GLITCHES
     uncertain: dict[str, float] = {}
     silence: bool = True
     blind: bool = False
@@ -98,15 +104,25 @@ class Extended(
         augmentation = self._augmentation(model, correlation, rms, Ts)
         lasting = max(1.0, correlation / Ts)
         bounds = self.silence and not self.blind
-        observer = measured_filter(
-            model, sensor, prior, augmentation, lasting, bounds, order=1, blind=self.blind
+        glitches = glitch_share(self.glitches)
+        member = measured_filter(
+            model,
+            sensor,
+            prior,
+            augmentation,
+            lasting,
+            bounds,
+            order=1,
+            blind=self.blind,
+            glitches=glitches,
+            claimed=self.disturbance is not None,
         )
         traits = Traits(
             adapts=not self.blind,
             uncertain=tuple(self.uncertain),
             start_std=None if self.x_std is None else prior.std[: model.n],
         )
-        return observer._replace(traits=traits)
+        return judged(member, model, glitches > 0 and not self.blind, traits)
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""

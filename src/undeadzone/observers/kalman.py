@@ -9,7 +9,9 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import white
+from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.system import System
@@ -38,6 +40,8 @@ class Kalman(
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
             [u]; default 0.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
     """
 
     right: Array
@@ -46,6 +50,7 @@ class Kalman(
     x_std: Array | None = None
     disturbance: Array = 0.0
     drift: float = 0.0
+    glitches: float = GLITCHES
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model.
@@ -67,4 +72,6 @@ class Kalman(
             model, sensor, self.right, self.left, self.noise, self.x_std, self.drift
         )
         rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
-        return measured_filter(model, sensor, prior, white(model, rms**2))
+        glitches = glitch_share(self.glitches)
+        member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
+        return judged(member, model, widens=glitches > 0)

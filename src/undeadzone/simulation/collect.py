@@ -140,6 +140,9 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "w_hat": estimate.w,
         "theta_hat": estimate.theta,
         "theta_std": estimate.theta_std,
+        "consistent": estimate.consistent,
+        "refused": estimate.refused,
+        "restarts": estimate.restarts,
     }
     return Run(
         t=t,

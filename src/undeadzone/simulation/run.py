@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.simulation.run_columns import to_columns, unit_of
+from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
 from undeadzone.support.arrays import Floats, finite
@@ -48,6 +48,9 @@ class Run:
         w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
         theta_std: standard deviations of theta_hat.
+        consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
+        refused: readings that the observer took for wrong so far (N x p).
+        restarts: how often the observer lost its state so far (N x 1).
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
@@ -75,6 +78,9 @@ class Run:
     w_hat: Floats | None = None
     theta_hat: Floats | None = None
     theta_std: Floats | None = None
+    consistent: Floats | None = None
+    refused: Floats | None = None
+    restarts: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -217,6 +223,7 @@ class Run:
             "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
+            **judgement(self.consistent, self.refused, self.restarts),
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,

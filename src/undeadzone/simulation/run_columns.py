@@ -26,6 +26,9 @@ UNITS: Final = {
     "B": "1",
     "theta_hat": "1",
     "theta_std": "1",
+    "consistent": "1",
+    "refused": "1",
+    "restarts": "1",
     "tip": "m",
     "tip_hat": "m",
     "tip_r": "m",
@@ -62,6 +65,24 @@ def from_columns(
         if parts or name in needed:
             arrays[name] = np.stack(parts, axis=1)
     return arrays
+
+
+def judgement(
+    consistent: Floats | None, refused: Floats | None, restarts: Floats | None
+) -> dict[str, Any]:
+    """What an observer says of its readings in the end of a run; nothing where it says nothing.
+
+    Args:
+        consistent, restarts: whether they fit, and how often it began anew (N x 1).
+        refused: how many it took for wrong (N x p).
+    """
+    if consistent is None or refused is None or restarts is None:
+        return {}
+    return {
+        "consistent": bool(consistent[-1, 0]),
+        "refused": int(refused[-1].sum()),
+        "restarts": int(restarts[-1, 0]),
+    }
 
 
 def unit_of(name: str, units: Units) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 
+from undeadzone.observers.parts.doubt import GLITCHES
 from undeadzone.support.arrays import Array
 
 
@@ -30,6 +31,8 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         tolerance: relative rms error of the model: of every entry of A and B but in rows that only
             say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear
             plant.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
     """
 
     right: Array
@@ -42,6 +45,7 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     bias: Array | None = None
     calibrated: float = 0.7
     tolerance: float | dict[str, float] = 0.05
+    glitches: float = GLITCHES
 
     def claims(self) -> dict[str, Any]:
         """The claims by name."""

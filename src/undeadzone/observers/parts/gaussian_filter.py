@@ -38,6 +38,7 @@ class Augmentation(NamedTuple):
             throughout; None: all.
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
+        constants: how many of the last unknowns are errors of the model, which never change.
     """
 
     params: Any
@@ -50,6 +51,7 @@ class Augmentation(NamedTuple):
     disturbance: Callable[[Any, Any], Any] | None = None
     entries: ca.Sparsity | None = None
     parameters: tuple[int, ...] = ()
+    constants: int = 0
 
 
 class Params(NamedTuple):
@@ -66,6 +68,7 @@ class Params(NamedTuple):
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
+        doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
     """
 
     model: Any
@@ -78,6 +81,7 @@ class Params(NamedTuple):
     cov: Floats
     ranges: Floats
     rate: Floats
+    doubt: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:

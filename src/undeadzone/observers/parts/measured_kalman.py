@@ -11,19 +11,15 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
-    linearise,
-    mix,
     predict,
     symmetric,
     triangle,
-    truncate,
-    truncate_to,
-    update,
 )
+from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
     Params,
@@ -32,13 +28,17 @@ from undeadzone.observers.parts.gaussian_filter import (
     motion,
     to_estimate,
 )
+from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
+from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.plants.system import System
-from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
+from undeadzone.sensor import Zone, present
 
-DOUBT = (
-    1.6448536269514722  # a silent sensor counts where the belief contradicts it by more than 5 %
-)
+TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
+RECENT = 0.1  # what is left of `State.opened` while it counts
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
 class State(NamedTuple):
@@ -46,9 +46,11 @@ class State(NamedTuple):
 
     Attributes:
         mean, cov: mean and covariance (its `triangle`) before the reading.
-        last, previous: the last two readings (p) [y].
+        last, previous: the last two readings, 0 where one was refused (p) [y].
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         u: the last input (m).
+        share: mean share of refused readings of late (p).
+        opened: 1 where the belief was opened just now, fading after that (1).
     """
 
     mean: Any
@@ -57,36 +59,8 @@ class State(NamedTuple):
     previous: Any
     wait: Any
     u: Any
-
-
-class Setup(NamedTuple):
-    """What the parts of one filter share.
-
-    Attributes:
-        model: the sampled model.
-        sensor: the dead zone.
-        augmentation: the unknowns beside [x; d].
-        entries: entries of the covariance's upper triangle that are kept.
-        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
-            is not heard again.
-        bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
-        order: order of the prediction.
-        blind: whether it takes every reading for z itself.
-    """
-
-    model: System
-    sensor: Zone
-    augmentation: Augmentation
-    entries: ca.Sparsity
-    lasting: float
-    bounds: bool
-    order: Literal[1, 2]
-    blind: bool
-
-    @property
-    def jump(self) -> bool:
-        """Whether the sensor is of the jump kind."""
-        return self.sensor.kind == "jump"
+    share: Any
+    opened: Any
 
 
 def measured_filter(
@@ -98,108 +72,127 @@ def measured_filter(
     bounds: bool = False,
     order: Literal[1, 2] = 2,
     blind: bool = False,
-) -> Observer:
-    """The filter as an observer; `Setup` explains the arguments."""
+    glitches: float = 0.0,
+    claimed: bool = True,
+) -> Member:
+    """The filter; `Setup` and `doubt_numbers` explain the arguments."""
     entries = kept_entries(model, augmentation)
-    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind)
+    doubts = glitches > 0 and not blind
+    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind, doubts)
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        return State(q.mean, q.cov, np.zeros(p), np.zeros(p), np.zeros(2 * p), np.zeros(m))
+        each = np.zeros(p)
+        return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), each, np.zeros(1))
 
     params = filter_numbers(model, sensor, prior, augmentation)
-    return Observer(params, init, partial(filter_step, setup))
+    doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
+    return Member(params._replace(doubt=doubt), init, partial(filter_step, setup))
 
 
-def filter_step(
-    setup: Setup, q: Params, s: State, u: Any, reading: Reading
-) -> tuple[State, Estimate]:
+def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """One sample: correct by the reading, use what bounds, estimate, predict."""
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y, 0.0)
-    if setup.blind:
-        side = seen
-    elif setup.jump:
-        side = reading.side
-    else:
-        side = sure_side(y, s.last, s.previous, q.gate)
+    side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
-    belief, e, e_std = correct(setup, q, before, y, side)
-    wait = s.wait
+    corrected = correct(setup, q, before, y, side)
+    heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
         silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
-        belief, wait = use_bounds(setup, q, belief, silent, side, wait)
-    after = predicted(setup, q, belief, u)
-    shown = shown_belief(setup, q, belief)
-    estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, e_std)
+        heard = use_bounds(setup, q, heard, silent, side)
+    shown, fits = shown_belief(setup, q, heard.belief)
+    e, std = corrected.e, corrected.std
+    estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
-    return State(after.mean, triangle(after.cov, setup.entries), y, s.last, wait, u), estimated
+    mean, cov, restarted = sound(setup, q, predicted(setup, q, heard.belief, u))
+    after = State(mean, cov, y, s.last, heard.wait, u, s.share, s.opened)
+    if setup.doubts:
+        after = reconsidered(setup, q, after, side, heard.trust)
+    return Step(
+        state=after,
+        estimate=estimated,
+        log=heard.log if setup.doubts else likelihood(estimated),
+        trust=heard.trust,
+        fits=fits,
+        restarted=restarted,
+    )
 
 
-def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
-    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
-    n, p = setup.model.n, setup.model.p
-    z = setup.model.output(q.model, X[:n])[i]
-    return z - offset(side, X[n + i], X[n + p + i])
-
-
-def correct(
-    setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any
-) -> tuple[Gaussian, Any, Any]:
-    """The belief after the readings on the sides that are sure, one output at a time.
+def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
+    """The sides on which the readings are used (p), 0 where none is sure.
 
     Args:
         setup: the filter.
         q: its numbers.
-        belief: the belief before the reading.
+        s: its state.
+        reading: what was read.
         y: reading, 0 where it is missing (p) [y].
-        side: the sides that are sure (p), 0 where none is.
-
-    Returns:
-        (belief, innovations (p), their standard deviations (p)).
+        seen: whether it is there (p).
     """
-    innovations, stds = [], []
-    for i in range(setup.model.p):
-        active = side[i] != 0
-        branch = 0.0 if setup.jump else side[i]
-        expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
-        e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        belief, S = update(belief, h, e, q.R[i], active)
-        innovations.append(e)
-        stds.append(ca.sqrt(S))
-    return belief, ca.vertcat(*innovations), ca.vertcat(*stds)
+    if setup.blind:
+        return seen
+    side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
+    if not setup.doubts:
+        return side
+    stuck = ca.logic_and(y == s.last, q.doubt.noisy)
+    return ca.if_else(stuck, 0.0, side)
 
 
-def use_bounds(
-    setup: Setup, q: Params, belief: Gaussian, silent: Any, side: Any, wait: Any
-) -> tuple[Gaussian, Any]:
-    """The belief given that z is inside the edges of a silent sensor.
+def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
+    """The state without the readings that were refused; opened where most of late were.
 
-    The z of a jump sensor is beyond the edge that it is on, besides.
+    An opened belief gains the prior's variances of state, disturbance and bias; of widths too where
+    it was opened not long ago.
 
     Args:
         setup: the filter.
         q: its numbers.
-        belief: the belief after the readings on active sides.
-        silent: whether each output is silent (p).
-        side: the sides that are sure (p).
-        wait: steps to wait per edge, right edges, then left ones (2p).
+        s: the state after the sample.
+        side: the sides on which readings were used (p).
+        trust: probability that a reading was not wrong (p).
+    """
+    refused = trust < 0.5
+    asked = ca.logic_or(side != 0, refused)
+    forget = q.doubt.forget
+    share = ca.if_else(asked, forget * s.share + (1 - forget) * refused, s.share)
+    opens = ca.mmax(share) > TOO_MANY
+    every, moving = (ca.DM(1.0 * of(setup)) for of in (everything, motion_alone))
+    gained = ca.if_else(s.opened > RECENT, every, moving) * q.cov
+    return s._replace(
+        cov=s.cov + ca.if_else(opens, gained, 0.0),
+        last=ca.if_else(refused, 0.0, s.last),
+        share=ca.if_else(opens, 0.0, share),
+        opened=ca.if_else(opens, 1.0, q.doubt.keep * s.opened),
+    )
+
+
+def everything(setup: Setup) -> Mask:
+    """Which entries that are kept are variances."""
+    rows, columns = setup.entries.get_triplet()
+    return np.array(rows) == np.array(columns)
+
+
+def motion_alone(setup: Setup) -> Mask:
+    """Which entries that are kept are variances of a state, a disturbance or a bias."""
+    n, known = setup.model.n, setup.model.n + 2 * setup.model.p
+    rows = np.array(setup.entries.get_triplet()[0])
+    last = setup.entries.size1() - setup.augmentation.constants
+    return everything(setup) & ((rows < n) | ((rows >= known) & (rows < last)))
+
+
+def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
+    """The belief if it is one of finite numbers and positive variances, else the prior.
 
     Returns:
-        (belief, steps to wait per edge).
+        (mean, covariance (its `triangle`), 1 where it is the prior).
     """
-    waits: list[Any] = []
-    for edge in (RIGHT, LEFT):
-        for i in range(setup.model.p):
-            outside = (side[i] == edge) if setup.jump else 0.0
-            rested = wait[len(waits)] <= 0
-            bounded = ca.logic_and(ca.logic_or(silent[i], outside), rested)
-            excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
-            sign = edge * (1 - 2 * outside)
-            slack = ca.if_else(silent[i], q.gate[i] / q.slope[i], 0.0)
-            belief, used = truncate(belief, sign * h, sign * excess - slack, q.R[i], bounded, DOUBT)
-            waits.append(ca.if_else(used, setup.lasting, wait[len(waits)] - 1))
-    return belief, ca.vertcat(*waits)
+    cov = triangle(belief.cov, setup.entries)
+    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
+    least = ca.mmin(ca.densify(ca.diag(belief.cov)))
+    fine = ca.logic_and(size < LIMIT, least >= 0)
+    mean = ca.if_else(fine, belief.mean, q.mean)
+    return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
@@ -219,66 +212,6 @@ def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:
     n, p = setup.model.n, setup.model.p
     G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], u)
     return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
-
-
-def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> Gaussian:
-    """The belief that an estimate shows.
-
-    Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
-    stronger.
-    """
-    limited, chance = limit_widths(setup, q, belief)
-    if setup.augmentation.alternative is None:
-        return limited
-    stronger, odds = setup.augmentation.alternative(q, belief)
-    stronger, likelier = limit_widths(setup, q, stronger)
-    share = 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0)))
-    return mix(stronger, limited, share)
-
-
-def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
-    if not setup.bounds:
-        return belief, 0.0
-    return within_ranges(q, setup.model.n, belief)
-
-
-def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """The belief with the mean that it has if every width lies in its claimed range.
-
-    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
-    would claim too much.
-
-    Returns:
-        (belief, the log of the chance that every width lies in its range).
-    """
-    cut = belief
-    log_chance = 0.0
-    for i in range(q.ranges.shape[0]):
-        cut, chance = truncate_to(cut, n + i, q.ranges[i, 0], q.ranges[i, 1])
-        log_chance += chance
-    return Gaussian(cut.mean, belief.cov), log_chance
-
-
-def with_unknowns(
-    setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
-) -> Estimate:
-    """The estimate with w and theta where there are such unknowns; u: the last input."""
-    augmentation, model, n = setup.augmentation, setup.model, setup.model.n
-    if len(augmentation.cov):
-        extra = shown.mean[n + 2 * model.p :]
-        if augmentation.disturbance is None:
-            x = shown.mean[:n]
-            w = q.rate @ (augmentation.move(q, x, extra, u)[0] - model.move(q.model, x, u))
-        else:
-            w = augmentation.disturbance(q, extra)
-        estimated = estimated._replace(w=w)
-    count = len(augmentation.parameters)
-    if count:
-        theta = q.model[list(augmentation.parameters)] + shown.mean[-count:]
-        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
-        estimated = estimated._replace(theta=theta, theta_std=theta_std)
-    return estimated
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:

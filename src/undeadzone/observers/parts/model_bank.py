@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.observers.parts.member import Member, Step
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 
@@ -28,11 +29,11 @@ class State(NamedTuple):
     odds: Any
 
 
-def bank(member: Observer, variants: Sequence[Callable[[Any], Any]]) -> Observer:
-    """The mixture of K observers, as likely as each other at first (Magill 1965).
+def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
+    """The mixture of K filters, as likely as each other at first (Magill 1965).
 
     Args:
-        member: an observer that gives `innovation_std`.
+        member: the filter.
         variants: each makes the numbers of one member from those of `member`; all start from its
             state.
     """
@@ -40,27 +41,24 @@ def bank(member: Observer, variants: Sequence[Callable[[Any], Any]]) -> Observer
     def init(q: Any) -> State:
         return State(tuple(member.init(q) for _ in variants), np.zeros(len(variants)))
 
-    def step(q: Any, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-        moved, estimates = [], []
+    def step(q: Any, s: State, u: Any, reading: Reading) -> Step:
+        steps = []
         for variant, state in zip(variants, s.members, strict=True):
-            after, estimated = member.step(variant(q), state, u, reading)
-            moved.append(after)
-            estimates.append(estimated)
-        odds = s.odds + ca.vertcat(*(likelihood(one) for one in estimates))
+            steps.append(member.step(variant(q), state, u, reading))
+        odds = s.odds + ca.vertcat(*(one.log for one in steps))
         odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
         share = ca.exp(odds)
-        return State(tuple(moved), odds), mixture(estimates, share / ca.sum1(share))
+        share = share / ca.sum1(share)
+        return Step(
+            state=State(tuple(one.state for one in steps), odds),
+            estimate=mixture([one.estimate for one in steps], share),
+            log=0.0,
+            trust=weighted_mean(share, [one.trust for one in steps]),
+            fits=weighted_mean(share, [one.fits for one in steps]),
+            restarted=sum(one.restarted for one in steps) > 0,
+        )
 
-    return Observer(member.params, init, step, traits=member.traits)
-
-
-def likelihood(estimated: Estimate) -> Any:
-    """The log of the density of the readings that were used, up to a constant.
-
-    An innovation of 0 was not used.
-    """
-    e, std = estimated.innovation, estimated.innovation_std
-    return ca.sum1(ca.if_else(e != 0, -((e / std) ** 2) / 2 - ca.log(std), 0.0))
+    return Member(member.params, init, step)
 
 
 def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:

@@ -178,6 +178,7 @@ def unknowns(
         partial(noise_of_unknowns, setup),
         alternative=partial(small_bias, setup) if may_be_small else None,
         bilinear=partial(tolerance_times_state, setup) if tolerance.entries else None,
+        constants=tolerance.std.size,
     )
 
 

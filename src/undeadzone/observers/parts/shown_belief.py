@@ -1,0 +1,129 @@
+"""What a measured-side filter shows of its belief: widths in their claimed ranges, w, theta."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+
+from undeadzone.interfaces import Estimate
+from undeadzone.numerics.gaussian import Gaussian, mix, truncate_to
+from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+
+FAR = 4.5  # standard deviations beyond its range from which a width refutes its claims
+
+
+class Setup(NamedTuple):
+    """What the parts of one filter share.
+
+    Attributes:
+        model: the sampled model.
+        sensor: the dead zone.
+        augmentation: the unknowns beside [x; d].
+        entries: entries of the covariance's upper triangle that are kept.
+        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
+            is not heard again.
+        bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
+        order: order of the prediction.
+        blind: whether it takes every reading for z itself.
+        doubts: whether a reading may be wrong.
+    """
+
+    model: System
+    sensor: Zone
+    augmentation: Augmentation
+    entries: ca.Sparsity
+    lasting: float
+    bounds: bool
+    order: Literal[1, 2]
+    blind: bool
+    doubts: bool
+
+    @property
+    def jump(self) -> bool:
+        """Whether the sensor is of the jump kind."""
+        return self.sensor.kind == "jump"
+
+
+def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief that an estimate shows, and whether its widths may lie in their ranges.
+
+    Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
+    stronger.
+    """
+    limited, chance = limit_widths(setup, q, belief)
+    if setup.augmentation.alternative is not None:
+        stronger, odds = setup.augmentation.alternative(q, belief)
+        stronger, likelier = limit_widths(setup, q, stronger)
+        share = 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0)))
+        limited = mix(stronger, limited, share)
+    if setup.blind:
+        return limited, 1.0
+    return clipped(setup, q, limited)
+
+
+def clipped(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief with every width's mean in its claimed range, and whether it may lie there.
+
+    A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
+    """
+    n, count = setup.model.n, q.ranges.shape[0]
+    widths = belief.mean[n : n + count]
+    inside = ca.fmax(ca.fmin(widths, q.ranges[:, 1]), q.ranges[:, 0])
+    excess = widths - inside
+    variances = ca.diag(belief.cov)[n : n + count]
+    refuted = excess**2 > FAR**2 * variances
+    mean = ca.vertcat(belief.mean[:n], inside, belief.mean[n + count :])
+    cov = belief.cov
+    if setup.doubts:
+        rest = cov.shape[0] - n - count
+        gained = ca.diag(ca.if_else(refuted, excess**2, 0.0))
+        cov = cov + ca.diagcat(ca.SX(n, n), gained, ca.SX(rest, rest))
+    return Gaussian(mean, cov), ca.logic_not(ca.mmax(refuted))
+
+
+def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
+    if not setup.bounds:
+        return belief, 0.0
+    return within_ranges(q, setup.model.n, belief)
+
+
+def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief with the mean that it has if every width lies in its claimed range.
+
+    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
+    would claim too much.
+
+    Returns:
+        (belief, the log of the chance that every width lies in its range).
+    """
+    cut = belief
+    log_chance = 0.0
+    for i in range(q.ranges.shape[0]):
+        cut, chance = truncate_to(cut, n + i, q.ranges[i, 0], q.ranges[i, 1])
+        log_chance += chance
+    return Gaussian(cut.mean, belief.cov), log_chance
+
+
+def with_unknowns(
+    setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
+) -> Estimate:
+    """The estimate with w and theta where there are such unknowns; u: the last input."""
+    augmentation, model, n = setup.augmentation, setup.model, setup.model.n
+    if len(augmentation.cov):
+        extra = shown.mean[n + 2 * model.p :]
+        if augmentation.disturbance is None:
+            x = shown.mean[:n]
+            w = q.rate @ (augmentation.move(q, x, extra, u)[0] - model.move(q.model, x, u))
+        else:
+            w = augmentation.disturbance(q, extra)
+        estimated = estimated._replace(w=w)
+    count = len(augmentation.parameters)
+    if count:
+        theta = q.model[list(augmentation.parameters)] + shown.mean[-count:]
+        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
+        estimated = estimated._replace(theta=theta, theta_std=theta_std)
+    return estimated

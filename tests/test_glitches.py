@@ -1,0 +1,243 @@
+"""Filters on readings that are wrong, and on a world that is not as claimed."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from benchmarks import coverage, glitches
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+import undeadzone as uz
+from scenes import PAPER_PLANT, scene
+from undeadzone.errors import InputError
+from undeadzone.numerics import gaussian
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.plants.system import sampled
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats
+
+TS, AT = 0.01, 500  # sample time [s], sample of the first wrong reading
+PLANT = uz.Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]])
+SENSOR = uz.Sensor(right=1.0, left=0.7, noise=0.01)
+FILTERS = {
+    "kalman": uz.Kalman(right=[0.0, 3.0]),
+    "censored": uz.Censored(right=[0.0, 3.0]),
+    "extended": uz.Extended(right=[0.0, 3.0]),
+}
+
+
+@cache
+def drive() -> tuple[Floats, Floats, Floats]:
+    """(u, z, y) of the paper's plant for 12 s, |z| <= 5, its readings right."""
+    model, rng, x = sampled(PAPER_PLANT, TS).linear, np.random.default_rng(0), np.zeros(2)
+    rows = []
+    for k in range(1200):
+        u, z = 30 * math.cos(math.pi * k * TS), float((model.C @ x)[0])
+        rows.append((u, z, z - max(min(z, 1.0), -0.7) + 0.01 * rng.normal()))
+        x = model.A @ x + model.B[:, 0] * u
+    u, z, y = np.array(rows).T
+    return u, z, y
+
+
+def watched(name: str, y: Floats) -> tuple[float, Any]:
+    """(rms of z - z^ from 2 s after a wrong reading on, the last estimate); all are finite."""
+    u, z, _ = drive()
+    online = uz.Online(FILTERS[name], PLANT, SENSOR, TS)
+    errors = []
+    for k in range(len(y)):
+        estimate = online.update(y[k], u[k])
+        assert np.isfinite(np.concatenate(estimate)).all()
+        assert 0.0 <= estimate.right[0] <= 3.0
+        assert 0.0 <= estimate.left[0] <= 3.0
+        errors.append(estimate.z[0] - z[k])
+    return float(np.sqrt(np.mean(np.square(errors[AT + 200 :])))), estimate
+
+
+@cache
+def usual(name: str) -> float:
+    """What the filter comes to on readings that are right."""
+    return watched(name, drive()[2])[0]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize(
+    ("size", "count"), [(20.0, 1), (100.0, 1), (-1e6, 1), (0.99e300, 1), (20.0, 5), (1e4, 5)]
+)
+def test_a_glitch_is_refused_and_leaves_no_trace(name: str, size: float, count: int) -> None:
+    y = drive()[2].copy()
+    y[AT : AT + count] = size
+    rms, last = watched(name, y)
+    assert rms <= 1.2 * usual(name)
+    assert abs(last.right - 1.0) < 2.5 * last.right_std
+    assert abs(last.left - 0.7) < 2.5 * last.left_std
+    assert last.refused == count
+    assert last.restarts == 0
+    assert last.consistent
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_stuck_sensor_says_nothing_new(name: str) -> None:
+    y = drive()[2].copy()
+    start = AT + int(np.argmax(np.abs(y[AT : AT + 200])))
+    y[start : start + 50] = y[start]
+    assert watched(name, y)[0] <= 1.5 * usual(name)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_first_reading_that_is_wrong_is_not_for_ever(name: str) -> None:
+    y = drive()[2].copy()
+    y[:3] = 50.0
+    rms, last = watched(name, y)
+    assert rms <= 2.0 * usual(name)
+    assert abs(last.right - 1.0) < 2.5 * last.right_std
+
+
+def test_a_belief_that_is_no_number_begins_anew_and_says_so() -> None:
+    """An input that the plant cannot have drives the state beyond every number."""
+    u, _, y = drive()
+    online = uz.Online(FILTERS["censored"], PLANT, SENSOR, TS)
+    for k in range(300):
+        online.update(y[k], u[k])
+    online.update(y[300], 1e200)
+    for k in range(301, 310):
+        estimate = online.update(y[k], u[k])
+        assert np.isfinite(np.concatenate(estimate)).all()
+        assert np.isfinite(online._step.state).all()
+    assert estimate.restarts == 1
+
+
+def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
+    run = simulate(
+        scene(
+            sensor={"noise": 0.01},
+            observer={"method": "kalman", "right": [0.5, 2.0]},
+            simulation={"time": "sampled", "step": 0.01, "duration": 3.0},
+        )
+    )
+    summary = run.summary()
+    assert (summary["consistent"], summary["refused"], summary["restarts"]) == (True, 0, 0)
+    assert {"consistent[0]", "refused[0]", "restarts[0]"} <= set(run.columns())
+
+
+# --- Over random problems
+
+
+@pytest.mark.parametrize("kind", ["one of 1e299", "five alike", "10 % are 0"])
+def test_wrong_readings_cost_next_to_nothing(kind: str) -> None:
+    spoil, _ = glitches.KINDS[kind]
+    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 80, 4)
+    clean = glitches.observe(coverage.censored, posed)
+    wrong = spoil(np.random.default_rng(5), posed.y)
+    outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))
+    assert np.median(outcome.rms / clean.rms) < 1.05
+    assert np.quantile(outcome.rms / clean.rms, 0.9) < 1.3
+    assert outcome.verdict.covered().min() > clean.verdict.covered().min() - 0.04
+
+
+def test_a_tenth_of_wrong_readings_leaves_the_truth_covered() -> None:
+    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 120, 4)
+    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
+    outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))
+    assert outcome.verdict.covered().min() >= 0.9
+
+
+def test_doubt_is_free_where_readings_are_right() -> None:
+    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 100, 4)
+    doubting, sure = (
+        glitches.observe(build, posed)
+        for build in (coverage.censored, glitches.trusting(coverage.censored))
+    )
+    assert np.median(doubting.rms / sure.rms) < 1.02
+    assert doubting.verdict.covered().min() > sure.verdict.covered().min() - 0.02
+    assert np.mean(doubting.consistent == 0) <= 0.1  # 8 % of many
+
+
+def test_a_late_bias_is_noticed_and_covered() -> None:
+    """A step of five claimed rms: intervals that were .4 to .8 right are right again."""
+    world = glitches.SHAKEN._replace(late=1.0)
+    posed = coverage.problems("both edges", world, 2, 100, 4)
+    doubting, sure = (
+        glitches.observe(build, posed)
+        for build in (coverage.censored, glitches.trusting(coverage.censored))
+    )
+    assert doubting.verdict.covered().min() > max(0.9, sure.verdict.covered().min())
+    assert np.mean(doubting.consistent == 0) > 0.4
+
+
+def test_a_filter_that_claims_to_know_all_is_seen_to_be_wrong() -> None:
+    world = glitches.QUIET._replace(late=1.0)
+    posed = coverage.problems("both edges", world, 2, 60, 4)
+    outcome = glitches.observe(coverage.kalman, posed)
+    assert np.mean(outcome.consistent == 0) > 0.9
+
+
+# --- Its formulas
+
+
+def numbers(*parts: Any) -> list[Floats]:
+    return [np.asarray(ca.evalf(ca.SX(part)).full()) for part in parts]
+
+
+@given(st.floats(-8, 8), st.floats(0.05, 3.0), st.floats(0.01, 0.4))
+def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share: float) -> None:
+    """One unknown of variance 2 and its reading, or a glitch of even density."""
+    P, reach = 2.0, 30.0
+    S = P + R
+    regular = (1 - share) * norm.pdf(e, scale=np.sqrt(S))
+    wrong = share / (reach + gaussian.TAIL * np.sqrt(S))
+    beta, gain = regular / (regular + wrong), P / S
+    odds = np.log(share / (1 - share))
+    known = gaussian.update_unless_glitch(
+        Gaussian(ca.SX(1.0), ca.SX(P)), ca.SX(1.0), ca.SX(e), R, 1.0, odds, reach
+    )
+    mean, cov, trust, log = numbers(*known.belief, known.trust, known.log)
+    spread = beta * (P - gain * P) + (1 - beta) * P + beta * (1 - beta) * (gain * e) ** 2
+    assert trust[0, 0] == pytest.approx(beta, rel=1e-9)
+    assert mean[0, 0] == pytest.approx(1.0 + beta * gain * e)
+    assert cov[0, 0] == pytest.approx(spread)
+    assert log[0, 0] == pytest.approx(np.log((regular + wrong) / (1 - share)))
+
+
+@pytest.mark.parametrize("e", [1e3, -1e9, 1e299])
+def test_a_huge_reading_leaves_the_belief_to_the_last_bit(e: float) -> None:
+    belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(np.array([[2.0, 0.3], [0.3, 1.0]])))
+    h = ca.SX([[1.0, -1.0]])
+    known = gaussian.update_unless_glitch(belief, h, ca.SX(e), 0.1, 1.0, -3.0, 20.0)
+    for before, after in zip(numbers(*belief), numbers(*known.belief), strict=True):
+        assert after == pytest.approx(before, rel=1e-15)
+
+
+def test_the_log_of_a_chance_agrees_with_scipy() -> None:
+    alpha = np.linspace(-30, 5, 701)
+    (log,) = numbers(gaussian.log_chance(ca.SX(alpha)))
+    assert log[:, 0] == pytest.approx(norm.logcdf(alpha), rel=1e-4)
+
+
+@given(st.floats(-25, 1.5))
+def test_a_silence_that_nothing_explains_is_fake(alpha: float) -> None:
+    """Beyond what a thousandth explains, the belief stays."""
+    belief = Gaussian(ca.SX(-alpha), ca.SX(1.0))
+    known, used = gaussian.truncate_unless_fake(
+        belief, ca.SX(1.0), ca.SX(-alpha), 0.0, 1.0, 1.6, np.log(1e-3)
+    )
+    mean, cov, trust = numbers(*known.belief, known.trust)
+    chance = norm.cdf(alpha)
+    beta = chance / (chance + 1e-3)
+    ratio = np.exp(norm.logpdf(alpha) - norm.logcdf(alpha))
+    assert trust[0, 0] == pytest.approx(beta, rel=1e-3, abs=1e-9)
+    assert mean[0, 0] == pytest.approx(-alpha - beta * ratio, rel=1e-3, abs=1e-3)
+    assert cov[0, 0] > 0
+    assert float(ca.DM(ca.evalf(ca.SX(used)))) == 1.0
+
+
+@pytest.mark.parametrize("glitches", [-0.1, 0.6])
+def test_a_share_of_wrong_readings_is_one(glitches: float) -> None:
+    with pytest.raises(InputError, match=r"observer\.glitches"):
+        uz.Online(uz.Kalman(right=[0.0, 3.0], glitches=glitches), PLANT, SENSOR, TS)
