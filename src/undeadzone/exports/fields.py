@@ -109,6 +109,9 @@ def estimate_meanings(units: Units) -> dict[str, str]:
         "w": f"what the model leaves out, x' = f(x, u) + w [({states})/s]",
         "theta": "estimated parameters of the model",
         "theta_std": "standard deviations of theta",
+        "consistent": "1 where the readings of late fit the claims, else 0",
+        "refused": "readings taken for wrong so far",
+        "restarts": "how often the observer lost its state and began anew",
     }
 
 

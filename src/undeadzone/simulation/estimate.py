@@ -7,13 +7,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate, NumericObserver
+from undeadzone.interfaces import Estimate
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.observers import Kalman
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.estimation import Estimation
@@ -76,7 +78,7 @@ def estimate(
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
     estimated, sides, B = follower.follow(regular, progress)
-    smoothed = _smoothed(scenario, follower, regular) if smoothing else {}
+    smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
     return _collected(regular, estimated, sides, B, known(), smoothed)
 
 
@@ -143,14 +145,22 @@ def _limited(regular: Regular, source: str) -> Regular:
     return regular
 
 
-def _smoothed(scenario: Scenario, follower: Follower, regular: Regular) -> dict[str, Floats]:
-    """The smoothed signals by name; none where the method has no smoother."""
-    observer, model = follower.observer, follower.model
-    if isinstance(observer, NumericObserver) or not can_smooth(scenario.observer, model):
+def _smoothed(
+    scenario: Scenario, follower: Follower, regular: Regular, estimated: Estimate
+) -> dict[str, Floats]:
+    """The smoothed signals by name; none where the method has no smoother.
+
+    The readings that the filter refused are missing to the smoother.
+    """
+    options, model = scenario.observer, follower.model
+    if not isinstance(options, Kalman) or not can_smooth(options, model) or not regular.t.size:
         return {}
-    if not regular.t.size:
-        return {}
-    smoothed = smooth(model, observer, follower.zone.threshold, regular.y, regular.u)
+    plain = msgspec.structs.replace(options, glitches=0.0).build(model, follower.zone)
+    y = regular.y
+    if estimated.refused.size:
+        refused = np.diff(estimated.refused, axis=0, prepend=0.0) > 0
+        y = np.where(refused, np.nan, y)
+    smoothed = smooth(model, plain, follower.zone.threshold, y, regular.u)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,

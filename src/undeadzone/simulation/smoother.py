@@ -64,6 +64,9 @@ def can_smooth(options: ObserverOptions, model: System) -> bool:
 def smooth(model: System, observer: Observer, threshold: Floats, y: Floats, u: Floats) -> Smoothed:
     """The smoothed estimates along a log.
 
+    The equations hold for readings that are taken as they are or not at all: give the filter
+    without glitches, and readings of which those that it would refuse are missing.
+
     Args:
         model: the sampled, linear model.
         observer: the filter `kalman` that is built for it.
@@ -95,12 +98,13 @@ def _filtered(
     where: Out = tree.slices(shapes)
     inner, _ = tree.slices((observer.init(observer.params), np.zeros(model.m)))
     states = rows[:, graph.size1_out(1) :]
-    mean = states[:, inner.mean]
+    belief = inner.filter
+    mean = states[:, belief.mean]
     size = mean.shape[1]
     row, column = ca.Sparsity.upper(size).get_triplet()
     cov = np.empty((len(rows), size, size))
-    cov[:, row, column] = states[:, inner.cov]
-    cov[:, column, row] = states[:, inner.cov]
+    cov[:, row, column] = states[:, belief.cov]
+    cov[:, column, row] = states[:, belief.cov]
     estimate: Estimate = where.estimate
     return _Forward(
         mean, cov, rows[:, estimate.innovation], rows[:, estimate.innovation_std] ** 2, y > 0

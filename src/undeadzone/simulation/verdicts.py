@@ -18,6 +18,8 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random
 from undeadzone.support.arrays import Floats
 
+NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
+
 
 def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
     """What the readings of a linear plant tell, by the rule that nonlinear plants have too.
@@ -66,7 +68,9 @@ def _limited(
     verdict: Verdict, std: dict[str, float], right: float, left: float, swing: float
 ) -> Verdict:
     """A verdict with its deviations; what they exceed is not known."""
-    most = largest_deviations(right, left, swing)
+    negligible = NEGLIGIBLE * swing
+    largest = largest_deviations(right, left, swing)
+    most = {name: max(value, negligible) for name, value in largest.items()}
     known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
     reasons = (*verdict.reasons, *vague(std, most, right, left))
     return Verdict(**known, reasons=reasons, std=std)

@@ -16,6 +16,7 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 
 EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
+SMALLEST = 1e-100  # rms of a reading where nothing has a width: information must not overflow
 BLURRED = 1e-4  # the same beside process noise, whose vague directions rounding would hide
 
 
@@ -94,7 +95,7 @@ def deviations(
         linear, process, bias, prior = _coloured(linear, schedule.Ts, colour, process, bias)
     n, p = linear.A.shape[0], linear.C.shape[0]
     least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
-    variance = np.maximum(noise, least) ** 2
+    variance = np.maximum(np.maximum(noise, least), SMALLEST) ** 2
     if arrive is not None:
         variance = variance / arrive
     fisher = information(linear, schedule, variance, step, duration, bias, process)
