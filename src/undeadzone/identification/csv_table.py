@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,12 +9,11 @@ import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.logs.column import Column, split_unit
+from undeadzone.logs.dialect import BRACKETED, is_content, split
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import LARGEST_TABLE, read_bytes, reason
 
-REMARKS = ("#", "%", "//")
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf")
-BRACKETED = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
 class Table(NamedTuple):
@@ -48,7 +46,7 @@ def read_csv(path: Path) -> Table:
     if not rows:
         raise FileError(f"{path}: holds no samples")
     separator = _separator(rows)
-    cells = [_split(row, separator) for row in rows]
+    cells = [split(row, separator) for row in rows]
     heads = _header_rows(cells)
     header = cells[0] if heads else []
     units = cells[1] if heads == 2 else []
@@ -90,8 +88,7 @@ def _lines_with_content(text: str) -> tuple[list[int], list[str]]:
     """Line numbers and texts of the lines that are neither empty nor remarks."""
     numbers, rows = [], []
     for number, line in enumerate(text.splitlines(), 1):
-        stripped = line.strip()
-        if stripped and not stripped.startswith(REMARKS):
+        if is_content(line):
             numbers.append(number)
             rows.append(line.strip("\r\n"))
     return numbers, rows
@@ -104,14 +101,6 @@ def _separator(rows: list[str]) -> str:
         if candidate in sample:
             return candidate
     return " "
-
-
-def _split(row: str, separator: str) -> list[str]:
-    """The cells of a line, without blanks and quotes around them; one separator may end it."""
-    if separator == " ":
-        return row.split()
-    cells = [cell.strip().strip('"').strip() for cell in row.split(separator)]
-    return cells
 
 
 def _header_rows(cells: list[list[str]]) -> int:

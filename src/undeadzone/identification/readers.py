@@ -12,9 +12,8 @@ from undeadzone.errors import InputError
 from undeadzone.identification.columns import choose
 from undeadzone.identification.csv_table import read_csv
 from undeadzone.identification.log import Log, make_log
-from undeadzone.logs.column import Column
+from undeadzone.logs.column import Column, numbers
 from undeadzone.logs.containers import of_frame, of_mat, of_npz
-from undeadzone.support.arrays import Floats
 
 
 def read_log(
@@ -67,9 +66,9 @@ def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
     Raises:
         InputError: arrays of different lengths, or what is not numeric.
     """
-    readings = _numbers("y", y)
-    moved = _numbers("u", u)
-    times = _numbers("t", t)
+    readings = numbers("y", y, "iuf")
+    moved = numbers("u", u, "iuf")
+    times = numbers("t", t, "iuf")
     if readings.ndim == 2 and 1 in readings.shape:
         readings = readings.ravel()
     if readings.ndim != 1:
@@ -89,14 +88,3 @@ def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
     for k, name in enumerate(names):
         inputs.append(Column(name, "", moved[:, k]))
     return make_log(Column("t", "s", times), inputs, Column("y", "", readings), "arrays")
-
-
-def _numbers(key: str, value: Any) -> Floats:
-    """An array of floats. Raises InputError."""
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise InputError(f"{key}: expected numbers in a rectangular list") from None
-    if array.dtype.kind not in "iuf":
-        raise InputError(f"{key}: expected numbers, found {array.dtype}")
-    return array.astype(float)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
@@ -53,3 +56,23 @@ def split_unit(text: str) -> Title:
         if of_no_dimension or not inside.isdigit():
             return Title(title[:start].strip(), inside)
     return Title(title, "")
+
+
+def numbers(key: str, value: Any, kinds: str) -> Floats:
+    """An array of floats, NaN and infinite ones among them.
+
+    Args:
+        key: what the user calls it.
+        value: anything that NumPy makes an array of.
+        kinds: NumPy's letters of the types that count as numbers.
+
+    Raises:
+        InputError: for rows of different lengths, and what is no number.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{key}: expected numbers in a rectangular list") from None
+    if array.dtype.kind not in kinds:
+        raise InputError(f"{key}: expected numbers, found {array.dtype}")
+    return array.astype(float)

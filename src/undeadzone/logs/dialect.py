@@ -16,7 +16,7 @@ MISSING: Final = frozenset(
 )
 LARGEST: Final = 1e50  # beyond this no unit makes sense
 _BLANKS_BETWEEN: Final = re.compile(r"\d,\d+ +[-+]?\d")
-_BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
+BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
 class Dialect(NamedTuple):
@@ -127,7 +127,7 @@ def _heads(lines: Sequence[str], separator: str) -> int:
     if len(lines) > 1:
         second = split(lines[1], separator)
         named = [cell for cell in second if cell]
-        bracketed = all(_BRACKETED.match(cell) for cell in named)
+        bracketed = all(BRACKETED.match(cell) for cell in named)
         if named and bracketed and len(second) == len(first):
             return 2
     return 1

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.column import Column, Title
+from undeadzone.logs.column import Column, Title, numbers
 from undeadzone.logs.containers import of_frame, of_mat, of_npz
 from undeadzone.logs.dialect import LARGEST
 from undeadzone.logs.names import Layout, layout_of_titles
@@ -97,13 +97,7 @@ def _sensible(values: Floats) -> Floats:
 
 def _rows(key: str, value: Any, size: int) -> Floats:
     """An array of rows of that size. Raises InputError."""
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        raise InputError(f"{key}: expected numbers in a rectangular list") from None
-    if array.dtype.kind not in "iufb":
-        raise InputError(f"{key}: expected numbers, found {array.dtype}")
-    rows = array.astype(float)
+    rows = numbers(key, value, "iufb")
     if rows.ndim == 1 and size == 1:
         rows = rows[:, None]
     if rows.ndim != 2 or rows.shape[1] != size:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.report.style import (
     ESTIMATE,
     FORBIDDEN,
@@ -19,7 +20,7 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
-from undeadzone.simulation.consistency import LIMIT, OUTLIER
+from undeadzone.simulation.consistency import LIMIT
 from undeadzone.simulation.estimation import Estimation
 from undeadzone.support.arrays import Floats
 
@@ -105,9 +106,9 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
         finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
         return
     normalised = innovation[used] / result.innovation_std[shown, i][used]
-    limited = np.clip(normalised, -2 * OUTLIER, 2 * OUTLIER)
+    limited = np.clip(normalised, -2 * FAR, 2 * FAR)
     axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label="innovation / its std")
-    for bound in (-OUTLIER, OUTLIER):
+    for bound in (-FAR, FAR):
         axes.axhline(bound, color=REFERENCE, linewidth=0.8)
     _statistic(axes, t, result.B[shown, i])
     finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
@@ -115,5 +116,5 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
 
 def _statistic(axes: Any, t: Floats, B: Floats) -> None:
     """The statistic B and its limit, in the panel of the innovations."""
-    axes.plot(t, np.minimum(B, 2 * OUTLIER), color=PRINTED, label="B")
+    axes.plot(t, np.minimum(B, 2 * FAR), color=PRINTED, label="B")
     axes.axhline(LIMIT, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="limit of B")

@@ -10,11 +10,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from undeadzone.observers.parts.doubt import HISTORY, SPAN
+from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.support.arrays import Floats
 
-T1: Final = 2.0  # quarter periods over which innovations are summed up
-T2: Final = 8.0  # quarter periods over which the squares of these sums are averaged
-OUTLIER: Final = 4.5  # standard deviations beyond which a reading is refused
 LIMIT: Final = 2.2  # of B; a few of a hundred true records exceed it
 MOST_REFUSED: Final = 0.05  # share of the readings that may be refused
 MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
@@ -57,8 +56,8 @@ class Consistency:
         self.B = 1.0
         self.used = 0
         self.refused = 0
-        self._a = float(np.exp(-step / (T1 * quarter_period)))
-        self._b = float(np.exp(-step / (T2 * quarter_period)))
+        self._a = float(np.exp(-step / (SPAN * quarter_period)))
+        self._b = float(np.exp(-step / (HISTORY * quarter_period)))
         self._m = 0.0
         self._n = 0.0
         self._squares = 0.0
@@ -75,7 +74,7 @@ class Consistency:
         with np.errstate(invalid="ignore", divide="ignore"):
             nu = innovation / std
         used = (innovation != 0) & np.isfinite(nu)
-        refused = used & (np.abs(nu) > OUTLIER)
+        refused = used & (np.abs(nu) > FAR)
         counted = used & ~refused
         nu = np.where(counted, nu, 0.0)
         self.used += int(used.sum())
@@ -155,7 +154,7 @@ def _reasons(test: Consistency) -> list[str]:
     reasons = []
     if test.refused > MOST_REFUSED * test.used and test.refused > 1:
         share = 100 * test.refused / test.used
-        reasons.append(f"{share:.0f} % of the readings lie beyond {OUTLIER:g} standard deviations")
+        reasons.append(f"{share:.0f} % of the readings lie beyond {FAR:g} standard deviations")
     if test.B > LIMIT:
         reasons.append(f"the innovations' means are too large: B = {test.B:.3g} > {LIMIT:g}")
     elif test.exceeded > MOST_OF_THE_TIME:

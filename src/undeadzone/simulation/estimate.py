@@ -22,7 +22,7 @@ from undeadzone.simulation.estimation import Estimation
 from undeadzone.simulation.follow_text import TextLog
 from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
-from undeadzone.simulation.smoother import can_smooth, smooth
+from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
 from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 
@@ -153,7 +153,7 @@ def _smoothed(
     The readings that the filter refused are missing to the smoother.
     """
     options, model = scenario.observer, follower.model
-    if not isinstance(options, Kalman) or not can_smooth(options, model) or not regular.t.size:
+    if not isinstance(options, Kalman) or model.nonlinear or not regular.t.size:
         return {}
     plain = msgspec.structs.replace(options, glitches=0.0).build(model, follower.zone)
     y = regular.y

@@ -15,7 +15,6 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
-from undeadzone.observers import Kalman, ObserverOptions
 from undeadzone.plants.system import System
 from undeadzone.simulation.observer_graph import Out, observer_graph
 from undeadzone.support import tree
@@ -54,11 +53,6 @@ class _Forward(NamedTuple):
     innovation: Floats
     variance: Floats
     right: Any
-
-
-def can_smooth(options: ObserverOptions, model: System) -> bool:
-    """Whether `smooth` can be asked: of `kalman` on a linear model."""
-    return isinstance(options, Kalman) and not model.nonlinear
 
 
 def smooth(model: System, observer: Observer, threshold: Floats, y: Floats, u: Floats) -> Smoothed:
