@@ -160,7 +160,7 @@ def _smoothed(
     if estimated.refused.size:
         refused = np.diff(estimated.refused, axis=0, prepend=0.0) > 0
         y = np.where(refused, np.nan, y)
-    smoothed = smooth(model, plain, follower.zone.threshold, y, regular.u)
+    smoothed = smooth(model, plain, follower.zone, y, regular.u)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,
