@@ -19,6 +19,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
 from undeadzone.support.files import read_text, reason
 
+ENDLESS: Final = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
+
 
 def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
     """The scenario in a TOML file.
@@ -187,6 +189,8 @@ def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
 
 def _require_finite(value: Any, key: str) -> None:
     """Raise InputError where a number at or below a key is not finite, or too large."""
+    if key == ENDLESS:
+        return
     if isinstance(value, dict):
         for name, child in value.items():
             _require_finite(child, f"{key}.{name}" if key else name)

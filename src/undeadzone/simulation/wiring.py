@@ -116,8 +116,8 @@ class Wiring(NamedTuple):
         if sensor.quantum.numel():
             return self._rounded(y, s)
         if sensor.limits is not None:
-            y = ca.if_else(mode.side > 1, sensor.limits.high, y)
-            y = ca.if_else(mode.side < -1, sensor.limits.low, y)
+            y = ca.if_else(mode.side > 1, ca.fmin(y, sensor.limits.high), y)
+            y = ca.if_else(mode.side < -1, ca.fmax(y, sensor.limits.low), y)
         return Reading(y, mode.side, s.plant)
 
     def _rounded(self, y: ca.SX, s: State) -> Reading:
