@@ -56,6 +56,20 @@ def exact(reading: Reading, limits: Limits | None) -> Reading:
     return reading._replace(y=y, side=ca.if_else(at_limit, 0.0, reading.side))
 
 
+def no_further(expected: Any, y: Any, side: Any) -> Any:
+    """What was expected of a reading; at a limit no further beyond it than the reading is.
+
+    What lies beyond a limit does not contradict the reading there.
+
+    Args:
+        expected: reading that was expected [y].
+        y: reading [y].
+        side: measured side.
+    """
+    below = ca.if_else(side > 1, ca.fmin(expected, y), expected)
+    return ca.if_else(side < -1, ca.fmax(expected, y), below)
+
+
 NONE: Any = ca.SX(0, 1)
 
 
