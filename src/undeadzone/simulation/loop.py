@@ -106,7 +106,7 @@ class Outputs(NamedTuple):
         x: state (n).
         z: output C x (p).
         y: reading (p).
-        side: measured side (p).
+        side: measured side (p), +2 or -2 at a limit of the range.
         u: input (m).
         estimate: what the observer makes of the reading.
     """
