@@ -51,39 +51,44 @@ def ends(sensor: Zone, prior: Prior) -> Ends | None:
     return Ends(*sensor.limits, 4 * np.sqrt(prior.R) * sensor.slope)
 
 
-def inside(q: Params, y: Any, last: Any, previous: Any) -> Any:
-    """Whether a reading is surely no limit, and not one that noise kept from it (p).
+def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
+    """Whether a reading is surely exact, and not one that noise brought there (p).
 
-    It lies far inside, or the two before it announced it: as `surely_beyond` says of an edge.
+    It lies far from silence and from the limit of its side, or the two before it announced it: both
+    lie between silence and limit, and their straight line too. A reading at a limit announces
+    nothing, nor does a silent one: where they would go on is not known.
 
     Args:
-        q: numbers of the filter.
+        setup: the filter.
+        q: its numbers.
         y: reading (p) [y].
         last, previous: the two before it, 0 where one was missing or refused (p) [y].
+        side: measured sides (p), +2 or -2 at a limit.
+    """
+    gate = 0.0 if setup.jump else q.gate
+    right = _surely_between(y, last, previous, gate, q.ends.high, q.ends.gate)
+    left = _surely_between(-y, -last, -previous, gate, -q.ends.low, q.ends.gate)
+    return ca.logic_and(ca.fabs(side) < 2, ca.logic_or(right, left))
+
+
+def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, margin: Any) -> Any:
+    """Whether a reading is surely on the right and below its limit.
+
+    Args:
+        y: reading (p) [y].
+        last, previous: the two before it (p) [y].
+        gate: that is surely not silent (p) [y].
+        high: the limit (p) [y].
+        margin: from the limit, at which a reading surely is no limit (p) [y].
     """
 
-    def from_high(y: Any) -> Any:
-        return q.ends.high - y
+    def between(y: Any, times: float) -> Any:
+        return ca.logic_and(y > times * gate, high - y > times * margin)
 
-    def from_low(y: Any) -> Any:
-        return y - q.ends.low
-
-    sure = ca.SX(1.0)
-    for distance in (from_high, from_low):
-        before = [ca.if_else(was == 0, 0.0, distance(was)) for was in (last, previous)]
-        sure = ca.logic_and(sure, surely_beyond(distance(y), *before, q.ends.gate))
-    return sure
-
-
-def surely_beyond(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Whether a number with noise is surely positive.
-
-    It is beyond twice the gate, or the two before it announced it: both beyond the gate, their
-    straight line too, and it is not below 0.
-    """
-    both_beyond = ca.logic_and(last > gate, previous > gate)
-    line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
-    return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))
+    both = ca.logic_and(between(last, 1.0), between(previous, 1.0))
+    announced = ca.logic_and(both, between(2 * last - previous, 1.0))
+    announced = ca.logic_and(announced, between(y, 0.0))
+    return ca.logic_or(between(y, 2.0), announced)
 
 
 def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: Any) -> Heard:

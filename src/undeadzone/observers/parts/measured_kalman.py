@@ -31,8 +31,7 @@ from undeadzone.observers.parts.gaussian_filter import (
 from undeadzone.observers.parts.limited_reading import (
     distrusted,
     ends,
-    inside,
-    surely_beyond,
+    surely_exact,
     use_limits,
 )
 from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
@@ -166,7 +165,7 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
         return seen
     side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
     if setup.ends:
-        exact = ca.logic_and(inside(q, y, s.last, s.previous), ca.fabs(reading.side) < 2)
+        exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
     if not setup.doubts:
         return side
@@ -252,8 +251,15 @@ def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
     """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
 
-    `surely_beyond` says when. To ask only whether y itself is beyond a threshold would select noise
-    of one sign.
+    A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
+    their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
+    would select noise of one sign.
     """
-    right = surely_beyond(y, last, previous, gate)
-    return 1.0 * right - 1.0 * surely_beyond(-y, -last, -previous, gate)
+    return 1.0 * _sure(y, last, previous, gate) - 1.0 * _sure(-y, -last, -previous, gate)
+
+
+def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """Whether a reading is surely on the right."""
+    both_beyond = ca.logic_and(last > gate, previous > gate)
+    line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
+    return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))
