@@ -145,7 +145,9 @@ def posed(options: Options, told: bool, share: float, seed: int) -> Problem:
     problem = resolve_scenario(scenario)
     if told:
         return problem
-    untold = msgspec.structs.replace(problem.sensor, low=-np.ones(1) * np.inf, high=np.ones(1) * np.inf)
+    untold = msgspec.structs.replace(
+        problem.sensor, low=-np.ones(1) * np.inf, high=np.ones(1) * np.inf
+    )
     return problem._replace(observer=options(d).build(problem.model, untold))
 
 
@@ -164,7 +166,9 @@ def run(options: Options, told: bool, share: float, count: int) -> Loops:
     r = np.stack([problem.reference.value(np.arange(len(shared)) * STEP)[:, 0] for problem in each])
     late = slice(round(LATE / STEP), None)
     error = out[:, late, places.z][..., 0] - r[:, late]
-    widths = np.concatenate([out[:, -1, places.estimate.right], out[:, -1, places.estimate.left]], 1)
+    widths = np.concatenate(
+        [out[:, -1, places.estimate.right], out[:, -1, places.estimate.left]], 1
+    )
     stds = [out[:, -1, places.estimate.right_std], out[:, -1, places.estimate.left_std]]
     true = [np.concatenate([problem.sensor.right, problem.sensor.left]) for problem in each]
     rms = np.sqrt(np.mean(error**2, axis=1))

@@ -28,13 +28,8 @@ class Limits(NamedTuple):
 
 def at_limit(y: Any, limits: Limits) -> Any:
     """+1 where a reading is at its upper limit, -1 where at its lower one, else 0 (NaN too)."""
-    low, high = reached(limits)
+    low, high = (1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high
     return 1.0 * (y >= high) - 1.0 * (y <= low)
-
-
-def reached(limits: Limits) -> Limits:
-    """From where on a reading counts as at its limit."""
-    return Limits((1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high)
 
 
 def beyond(y: Any, limits: Limits) -> Any:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.limits import reached
 from undeadzone.sensor import Zone, edges, zone
 from undeadzone.support.arrays import Floats
 
@@ -43,7 +42,7 @@ def limit_levels(sensor: Zone) -> Floats | None:
     """Levels (p x 2) of z: at a limit above the first and below -second; None: no range."""
     if sensor.limits is None:
         return None
-    low, high = reached(sensor.limits)
+    low, high = sensor.limits
     widths = sensor.right, sensor.left, sensor.slope, sensor.kind
     return np.stack((edges(*widths, high)[0], edges(*widths, -low)[1]), axis=1)
 

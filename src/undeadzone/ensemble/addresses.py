@@ -33,7 +33,10 @@ LEAST: Final = {
     "sensor.slope": POSITIVE,
     "sensor.range": POSITIVE,  # the lower limit, below 0, by a factor alone
 }
-LIMITS: Final = {"sensor.limits.low": 0, "sensor.limits.high": 1}  # places in a pair of sensor.range
+LIMITS: Final = {
+    "sensor.limits.low": 0,
+    "sensor.limits.high": 1,
+}  # places in a pair of sensor.range
 SCALES: Final = {
     "scale.reference": "reference.scale",
     "scale.disturbance": "disturbance.scale",

@@ -172,9 +172,7 @@ def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
     return other
 
 
-def _earliest(
-    arc: DenseStep, levels: Levels, side: ca.SX, turning: bool
-) -> tuple[Crossing, ca.SX]:
+def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tuple[Crossing, ca.SX]:
     """The first change of each output on an arc, and the fraction of the arc at which it is.
 
     The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to

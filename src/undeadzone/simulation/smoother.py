@@ -79,9 +79,7 @@ def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats
     return Smoothed(x, x @ model.linear.C.T, mean[:, order], std[:, :n], std[:, order])
 
 
-def _filtered(
-    model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats
-) -> _Forward:
+def _filtered(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> _Forward:
     """The filter along the log, with its beliefs before each reading."""
     graph, state, params, shapes = observer_graph(model, observer, sensor)
     s = ca.SX.sym("s", graph.size1_in(0))

@@ -8,9 +8,9 @@ import casadi as ca
 
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Observer, Reading
-from undeadzone.plants.system import System
-from undeadzone.limits import reached
+from undeadzone.limits import at_limit
 from undeadzone.numerics.event_location import Levels
+from undeadzone.plants.system import System
 from undeadzone.sensor import branch, edges, quantised, side, zone
 from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
 from undeadzone.support import tree
@@ -67,8 +67,7 @@ class Wiring(NamedTuple):
 
         pairs = [level(sensor.threshold, -sensor.threshold)]
         if sensor.limits is not None:
-            low, high = reached(sensor.limits)
-            pairs.append(level(high, low))
+            pairs.append(level(sensor.limits.high, sensor.limits.low))
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
@@ -114,20 +113,25 @@ class Wiring(NamedTuple):
         exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
         y = exact + w.after
         if sensor.quantum.numel():
-            return self._rounded(y, s)
-        if sensor.limits is not None:
-            y = ca.if_else(mode.side > 1, ca.fmin(y, sensor.limits.high), y)
-            y = ca.if_else(mode.side < -1, ca.fmax(y, sensor.limits.low), y)
-        return Reading(y, mode.side, s.plant)
+            y = self._within_range(quantised(y, sensor.quantum))
+            return Reading(y, side(y, sensor.threshold, sensor.limits), s.plant)
+        if sensor.limits is None:
+            return Reading(y, mode.side, s.plant)
+        if self.plant.Ts is None:
+            y = ca.if_else(mode.side > 1, sensor.limits.high, y)
+            y = ca.if_else(mode.side < -1, sensor.limits.low, y)
+            return Reading(y, mode.side, s.plant)
+        y = self._within_range(y)
+        active = ca.fmax(ca.fmin(mode.side, 1.0), -1.0)
+        return Reading(y, active + at_limit(y, sensor.limits), s.plant)
 
-    def _rounded(self, y: ca.SX, s: State) -> Reading:
-        """A reading rounded to its quantum, then kept within its range."""
-        sensor = self.p.sensor
-        y = quantised(y, sensor.quantum)
-        if sensor.limits is not None:
-            y = ca.if_else(y > sensor.limits.high, sensor.limits.high, y)
-            y = ca.if_else(y < sensor.limits.low, sensor.limits.low, y)
-        return Reading(y, side(y, sensor.threshold, sensor.limits), s.plant)
+    def _within_range(self, y: ca.SX) -> ca.SX:
+        """A reading kept within its range, if it has one; a missing one stays missing."""
+        limits = self.p.sensor.limits
+        if limits is None:
+            return y
+        y = ca.if_else(y > limits.high, limits.high, y)
+        return ca.if_else(y < limits.low, limits.low, y)
 
     def admissible(self, like: State, column: ca.SX) -> ca.SX:
         """The admissible state nearest to a column, as a column.

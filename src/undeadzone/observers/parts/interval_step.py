@@ -275,9 +275,7 @@ def reading_bounds(
         return bounds
     past_right = ca.logic_and(on.right, ca.logic_not(on.exact_right))
     past_left = ca.logic_and(on.left, ca.logic_not(on.exact_left))
-    return Bounds(
-        ca.if_else(past_left, -FAR, bounds.lo), ca.if_else(past_right, FAR, bounds.hi)
-    )
+    return Bounds(ca.if_else(past_left, -FAR, bounds.lo), ca.if_else(past_right, FAR, bounds.hi))
 
 
 def where(holds: Any, bound: Any) -> Any:

@@ -154,7 +154,7 @@ def output_error(
 
 
 def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
-    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or at a limit that it is beyond."""
+    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is beyond."""
     zone = jump if sensor.kind == "jump" else deadzone
     expected = zone(z, s.right, s.left)
     y = reading.y / p.slope
