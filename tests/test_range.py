@@ -20,8 +20,13 @@ from undeadzone.analysis.side_schedule import planned
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.identification.grid import to_grid
+from undeadzone.identification.log import Log
+from undeadzone.identification.options import Options
+from undeadzone.identification.prepare import prepare
 from undeadzone.interfaces import Reading, graph_of, received
 from undeadzone.limits import Limits
+from undeadzone.logs.range_ends import range_ends
 from undeadzone.observers import Estimate, MovingHorizon, ParticleFilter
 from undeadzone.observers.parts import measured_side
 from undeadzone.observers.parts.limited_reading import Ends, surely_exact
@@ -436,3 +441,55 @@ def test_a_verdict_says_that_no_reading_is_exact() -> None:
     simulation = {"time": "sampled", "step": 0.01, "duration": 4.0}
     run = simulate(scene(sensor=tight, simulation=simulation))
     assert any("exact" in reason for reason in run.info.identifiable[0]["reasons"])
+
+
+# Logs whose range nobody declared
+
+TIMES = np.arange(0.0, 40.0, 0.01)
+SINE = np.sin(TIMES)
+SHAKY = SINE + 0.01 * np.random.default_rng(0).normal(size=SINE.size)
+
+
+@pytest.mark.parametrize(
+    ("y", "quantum", "limits"),
+    [
+        (SINE, 0.0, (-INF, INF)),
+        (np.round(SINE, 2), 0.01, (-INF, INF)),  # alike at the top, where it turns
+        (np.round(1 - np.exp(-TIMES), 4), 0.0, (-INF, INF)),  # settled
+        (np.sign(SINE), 0.0, (-INF, INF)),
+        (1.0 * (TIMES > 5), 0.0, (-INF, INF)),
+        (np.zeros(9), 0.0, (-INF, INF)),
+        (np.clip(SINE, -0.5, 0.7), 0.0, (-0.5, 0.7)),
+        (np.clip(SINE, -0.5, INF), 0.0, (-0.5, INF)),
+        (np.clip(SHAKY, -0.5, 0.7), 0.0, (-0.5, 0.7)),
+    ],
+    ids=["sine", "rounded", "settled", "square", "step", "silent", "both", "low", "noisy"],
+)
+def test_readings_that_stick_on_their_way_show_a_range(
+    y: Floats, quantum: float, limits: tuple[float, float]
+) -> None:
+    ends = range_ends(y, np.isfinite(y), quantum)
+    assert (ends.low, ends.high) == limits
+    assert ends.found == bool(ends.at.any())
+    assert ends.at.sum() == ((y == ends.low) | (y == ends.high)).sum()
+
+
+def test_identify_takes_them_for_missing_and_says_so() -> None:
+    y, u = np.clip(SHAKY, -0.5, 0.7), np.cos(TIMES)[:, None]
+    log = Log(TIMES, u, y, ("u",), "y", "1", "1", "a test", np.empty(0), counted=False)
+    prepared = prepare(to_grid([log]), Options())
+    at_end = (y == -0.5) | (y == 0.7)
+    assert np.array_equal(prepared.data.ok, ~at_end)
+    assert "[-0.5, 0.7]" in prepared.remarks[-1]
+
+
+def test_estimate_asks_for_the_range() -> None:
+    sensor = {"right": 0.5, "left": 0.3, "noise": 0.01}
+    observer = {"method": "kalman"} | OBSERVERS["kalman"][1]
+    limited = small("sampled", sensor=sensor | {"range": [-0.4, 0.6]}, observer=observer)
+    run = simulate(limited)
+    silent_about_it = small("sampled", sensor=sensor, observer=observer)
+    for scenario, remarks in ((limited, 0), (silent_about_it, 1)):
+        told = uz.estimate(scenario, t=run.t, y=run.y, u=run.u, smoothing=False).info
+        assert len(told.remarks) == remarks
+    assert "sensor.range = [-0.4, 0.6]" in told.remarks[0]

@@ -39,6 +39,8 @@ def log_pairs(info: LogInfo) -> dict[str, Any]:
     shown["d_left"] = _width(info, info.d_left, info.d_left_std) + widths
     shown["readings"] = _sides(info)
     shown["consistent"] = _verdict(info)
+    if info.remarks:
+        shown["remark"] = "; ".join(info.remarks)
     return shown
 
 

@@ -39,6 +39,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         joints: names of an arm's joints; empty without an arm.
         units: names of units.
         limited: samples at a limit of the range, of each output (p); empty: there is none.
+        remarks: what else the log shows, for the user.
     """
 
     title: str
@@ -71,6 +72,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     joints: list[str] = []
     units: Units = Units()
     limited: list[int] = []
+    remarks: list[str] = []
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""
