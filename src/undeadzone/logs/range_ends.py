@@ -82,10 +82,13 @@ def _sticks(y: Floats, ok: np.ndarray, least: float) -> np.ndarray:
 
 def _first_of_runs(at: np.ndarray, ok: np.ndarray) -> Integers:
     """Where `RUN` readings in a row are at the limit, after as many that are there and are not."""
-    free = ok & ~at
-    windows = np.lib.stride_tricks.sliding_window_view
     if at.size < 2 * RUN:
         return np.empty(0, int)
-    before = windows(free, RUN).all(axis=1)[:-RUN]
-    after = windows(at, RUN).all(axis=1)[RUN:]
+    before = _all_in_a_row(ok & ~at)[:-RUN]
+    after = _all_in_a_row(at)[RUN:]
     return np.flatnonzero(before & after) + RUN
+
+
+def _all_in_a_row(flags: np.ndarray) -> np.ndarray:
+    """Whether `RUN` flags in a row are set, from each on."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(flags, RUN).all(axis=1))
