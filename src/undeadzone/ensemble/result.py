@@ -17,10 +17,13 @@ from undeadzone.ensemble.bands import Bands, true_width
 from undeadzone.ensemble.influence import JUDGED as JUDGED
 from undeadzone.ensemble.influence import Sensitivity, sensitivities
 from undeadzone.ensemble.info import Info, unit_of_column
+from undeadzone.ensemble.words import in_words
 from undeadzone.errors import InputError
 from undeadzone.simulation.run import LAST
 from undeadzone.statistics.intervals import LEVEL, describe, proportion
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
@@ -250,6 +253,18 @@ class Ensemble:
             "worst": [self.row(run) for run in self.worst()],
         }
         return finite(summary)
+
+    def __str__(self) -> str:
+        """The tables that `undeadzone ensemble` prints."""
+        return shown.text(self.blocks(self.summary()))
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks(self.summary()))
+
+    def blocks(self, summary: dict[str, Any]) -> list[Block]:
+        """The tables that `undeadzone ensemble` prints, of a summary."""
+        return in_words(self.info, summary, int(self.diverged.sum()))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

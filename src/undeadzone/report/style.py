@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
+from undeadzone.support.text import label as label
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
@@ -112,11 +113,6 @@ def _make_room(axes: Axes) -> None:
         axes.set_ylim(low, high * (high / low) ** LEGEND_ROOM)
     else:
         axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
-
-
-def label(words: str, unit: str) -> str:
-    """Words and unit, the unit left out where it is 1."""
-    return words if unit == "1" else f"{words} [{unit}]"
 
 
 def axis_label(words: str, unit: str) -> str:
