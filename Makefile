@@ -1,7 +1,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = .venv/bin
 
-.PHONY: paper test bench clean
+.PHONY: paper test bench docs clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -15,8 +15,12 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
 
+docs: .venv/documented         ## the documentation site, in site/
+	bash docs/site/katex.sh
+	$(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf .venv *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv site *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -25,6 +29,10 @@ clean:
 
 .venv/tested: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+.venv/documented: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 .venv/benched: .venv/tested

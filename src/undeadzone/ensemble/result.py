@@ -82,7 +82,7 @@ class Ensemble:
             One number for each run, those that diverged included.
 
         Raises:
-            InputError
+            InputError: there is no such column.
         """
         if name == WIDTHS:
             return self._largest_width_error()
@@ -121,7 +121,7 @@ class Ensemble:
             Its numbers in these runs; the settling time of a run that did not settle is infinite.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         values = self.column(name)[self.independent]
         if name == "settling_time":
@@ -161,7 +161,7 @@ class Ensemble:
             Those that diverged, then those in which the metric is largest in size.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         size = np.where(self.diverged, np.inf, np.abs(self.column(metric)))
         bar = 0.0  # the least size among the worst
@@ -181,7 +181,7 @@ class Ensemble:
             The run; None if all diverged, or the median is infinite.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         sample = self.sample(metric)
         if not sample.size:
@@ -201,7 +201,7 @@ class Ensemble:
             Sensitivities by entry, the most influential first; none for too few runs.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         if not self.varied:
             return {}
@@ -218,7 +218,7 @@ class Ensemble:
             `run`, `diverged`, the values `varied` and the `metrics`, by name.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         if not 0 <= run < self.info.runs:
             raise InputError(f"run {run}: expected 0 to {self.info.runs - 1}")

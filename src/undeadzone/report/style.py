@@ -6,6 +6,7 @@ The colours are those of Okabe and Ito, which colour-blind readers can tell apar
 from __future__ import annotations
 
 import io
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -81,6 +82,7 @@ def sheet(
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height * len(rows) + 0.4), layout="constrained")
         figure.suptitle(plain(title), x=0.01, ha="left")
+        vars(figure)["_repr_png_"] = partial(png, figure)  # so that a notebook shows it
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
 

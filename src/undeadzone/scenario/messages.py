@@ -65,7 +65,7 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
         name = unknown[1]
         advice = _advice(name, _fields(root, key, data), "known keys:")
         if name in _SYNONYMS and not advice.startswith("did you mean"):
-            advice = _SYNONYMS[name]
+            advice = f"{advice}; {_SYNONYMS[name]}"
         return f"{_join(key, name)}: unknown key; {advice}"
     missing = re.match(r"Object missing required field `(.*)`", body)
     if missing:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -39,7 +40,7 @@ def in_words(design: Mapping[str, Any]) -> dict[str, Any]:
 def in_words_of_margin(margin: float, frequency: float | None) -> str:
     """The margin of a proof, and where it is attained [rad/s]."""
     where = "for large frequencies"
-    if frequency is not None:
+    if frequency is not None and math.isfinite(frequency):
         where = f"at {frequency:.4g} rad/s"
     return f"yes, margin {margin:.4g} {where}: V never rises, whatever the sides do"
 
