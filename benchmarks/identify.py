@@ -1,9 +1,9 @@
 """Coverage and errors of `uz.identify` over random plants, and its verdicts on other maps.
 
-Every answer is kept in build/identify.jsonl as soon as there is one, and not computed again: a study
-of hours can be done in parts. IDENTIFY_SEEDS: logs a family (10). IDENTIFY_MINUTES: stop after so
-many and print what there is. IDENTIFY_ONLY: families, with commas between. Remove the file to begin
-anew, as after a change of the estimator.
+Every answer is kept in build/identify.jsonl as soon as there is one, and not computed again: a
+study of hours can be done in parts. IDENTIFY_SEEDS: logs a family (10). IDENTIFY_MINUTES: stop
+after so many and print what there is. IDENTIFY_ONLY: families, with commas between. Remove the file
+to begin anew, as after a change of the estimator.
 """
 
 from __future__ import annotations

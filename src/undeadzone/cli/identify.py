@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
+from undeadzone.cli.log_table import columns_option
 
 if TYPE_CHECKING:
     from undeadzone.identification.result import Identified
@@ -26,9 +27,7 @@ if TYPE_CHECKING:
 @click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
-@click.option("--time", default=None, help="Column of times: a name, or a number from 1.")
-@click.option("--input", "inputs", default=None, help="Columns of inputs, comma between.")
-@click.option("--output", default=None, help="Column of readings.")
+@columns_option
 @common
 def identify(
     logs: tuple[Path, ...],

@@ -56,9 +56,7 @@ def identify(
     place: str = "auto",
     threshold: float | None = None,
     resample: float | None = None,
-    time: str | None = None,
-    inputs: str | None = None,
-    output: str | None = None,
+    columns: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Identified:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
@@ -78,9 +76,7 @@ def identify(
         place: "sensor" where the user knows that the zone is there, or "auto".
         threshold: |y| up to which a reading is silent [y]; default half the quantum.
         resample: step [s] for logs of irregular step.
-        time: name of the column of times.
-        inputs: names of the columns of inputs, separated by commas.
-        output: name of the column of readings.
+        columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         progress: called with the number of steps just done.
 
     Returns:
@@ -105,7 +101,7 @@ def identify(
         threshold=threshold,
         resample=resample,
     ).checked()
-    logs = _logs(log, t, u, y, time, inputs, output)
+    logs = _logs(log, t, u, y, columns)
     return identify_grid(to_grid(logs, resample), options, progress or _ignore)
 
 
@@ -113,9 +109,7 @@ def _ignore(done: int) -> None:
     """Nothing to report to."""
 
 
-def _logs(
-    log: Any, t: Any, u: Any, y: Any, time: str | None, inputs: str | None, output: str | None
-) -> list[Log]:
+def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
     """The logs that a user gave as files, frames or arrays. Raises InputError."""
     arrays = [value is not None for value in (t, u, y)]
     if log is None:
@@ -127,7 +121,7 @@ def _logs(
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
         raise InputError("identify: the list of logs is empty")
-    return [read_log(source, time, inputs, output) for source in sources]
+    return [read_log(source, columns) for source in sources]
 
 
 def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:

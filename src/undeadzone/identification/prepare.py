@@ -109,7 +109,7 @@ def _refuse(grid: Grid, y: Floats, ok: Flags, threshold: float) -> None:
         raise InputError("log: the input is constant: nothing can be learnt about the plant")
     if not moves.all():
         name = grid.inputs[int(np.argmin(moves))]
-        raise InputError(f"log: input {name!r} is constant; leave it out by --input")
+        raise InputError(f"log: input {name!r} is constant; leave it out by --columns")
     if not np.any(np.abs(y[ok]) > threshold):
         raise InputError(
             "log: the sensor never speaks: every reading is silent, so nothing can be known;"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undeadzone.observers.parts.doubt import CHANCE
 from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.report.style import (
     ESTIMATE,
@@ -20,7 +21,6 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
-from undeadzone.observers.parts.doubt import CHANCE
 from undeadzone.simulation.estimation import Estimation
 from undeadzone.support.arrays import Floats
 
