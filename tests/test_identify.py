@@ -29,7 +29,7 @@ from undeadzone.identification.likelihood import (
 )
 from undeadzone.identification.long_run import cosines, sandwich
 from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.identification.plant_fit import Data, Layout, Simulator
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 
@@ -241,7 +241,7 @@ def test_filter_without_disturbance_is_singles() -> None:
     """With q = 0 and a known start the filter's densities are those of (L1)."""
     _, u, y, _ = record(size=400)
     data = data_of(u, y)
-    objective = KalmanObjective(data, 2, 0, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), 0, Limits())
     p = np.array([*A, 0.4, 0.3, -20.0, math.log(0.1), 0.8, 0.5])
     by_filter = objective.densities(p[None, :])[0]
     simulator = Simulator(data, 2)
@@ -256,7 +256,7 @@ def test_filter_without_disturbance_is_singles() -> None:
 def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
     _, u, y, _ = record(size=300, disturbance=0.3)
     data = data_of(u, y)
-    objective = KalmanObjective(data, 2, model, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
     densities = objective.densities(p[None, :])[0]
     g = innovations(KalmanFit(objective, p, 0.0))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
 @click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
 @click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
+@click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
 @columns_option

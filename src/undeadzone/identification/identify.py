@@ -27,6 +27,7 @@ from undeadzone.identification.orders import (
     fit_orders,
     hears_input,
     is_white,
+    trained_part,
 )
 from undeadzone.identification.place import Place, find_place
 from undeadzone.identification.plant_fit import Data
@@ -56,6 +57,7 @@ def identify(
     place: str = "auto",
     threshold: float | None = None,
     resample: float | None = None,
+    integrators: int = 0,
     columns: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Identified:
@@ -76,6 +78,8 @@ def identify(
         place: "sensor" where the user knows that the zone is there, or "auto".
         threshold: |y| up to which a reading is silent [y]; default half the quantum.
         resample: step [s] for logs of irregular step.
+        integrators: how many poles of the plant are integrators: 1 where a motor's position is
+            read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         progress: called with the number of steps just done.
 
@@ -100,6 +104,7 @@ def identify(
         place=place,  # type: ignore[arg-type]
         threshold=threshold,
         resample=resample,
+        integrators=int(integrators),
     ).checked()
     logs = _logs(log, t, u, y, columns)
     return identify_grid(to_grid(logs, resample), options, progress or _ignore)
@@ -163,7 +168,7 @@ def identify_grid(grid: Grid, options: Options, advance: Callable[[int], None]) 
         kalman, verdict, place = _place_and_disturbance(
             data, chosen, verdict, options, unreached, quantum, advance
         )
-    elif options.place == "auto" and data.start.size == 1 and not unreached:
+    elif options.place == "auto" and data.start.size == 1 and not (unreached or options.integrators):
         elsewhere = find_place(chosen.pairs)
         verdict_there = rescued(verdict, elsewhere, rivals)
         place = None if verdict_there is verdict else elsewhere
@@ -210,7 +215,12 @@ def _without_unreached(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]:
         if free and not np.any(data.side[data.ok] == sign):
             unreached.append(name)
             bounds[name] = (FAR_EDGE, FAR_EDGE)
-    changed = Limits(bounds["right"], bounds["left"])
+    if unreached and limits.tied:
+        raise InputError(
+            f"log: no reading lies beyond the {' or the '.join(unreached)} edge; z of an integrating "
+            "plant has no zero, so nothing is known of the zone: record with a larger input"
+        )
+    changed = limits._replace(right=bounds["right"], left=bounds["left"])
     return prepared._replace(limits=changed), tuple(unreached)
 
 
@@ -220,7 +230,12 @@ def _fitted(
     """Every order, fitted; once more where a few readings turn out to be glitches."""
     for _ in range(3):
         fits = fit_orders(
-            prepared.data, prepared.orders, prepared.limits, options.held_out, advance
+            prepared.data,
+            prepared.orders,
+            prepared.limits,
+            options.held_out,
+            advance,
+            options.integrators,
         )
         if not fits:
             raise InputError(
@@ -266,7 +281,7 @@ def _place_and_disturbance(
     if data.silent_zeros and chosen.pairs.objective.kind == "pairs":
         kalman = fit_kalman(chosen.pairs)
     advance(1)
-    if options.place == "sensor" or data.start.size > 1 or unreached:
+    if options.place == "sensor" or data.start.size > 1 or unreached or options.integrators:
         return kalman, verdict, None
     place = find_place(chosen.pairs)
     advance(1)
@@ -277,8 +292,7 @@ def _place_and_disturbance(
 def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
     """Whether the filter's one-step errors on the held-out part are white, where it speaks."""
     data = kalman.objective.data
-    use = data.ok & (data.side != 0)
-    use &= np.arange(data.y.size) >= (1 - held_out) * data.y.size
+    use = data.ok & (data.side != 0) & ~trained_part(data, held_out)
     return is_white(innovations(kalman), use)
 
 
@@ -291,6 +305,7 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
     with np.errstate(divide="ignore"):
         rates = np.log(poles) / evidence.grid.step
     gain = simulator.gain(chosen.pairs.theta) * data.y_scale / data.u_scale
+    gain /= evidence.grid.step**options.integrators
     remarks = [*prepared.remarks, *verdict.cautions]
     shown: dict[str, Interval | None] = dict.fromkeys(("right", "left", "width", "centre"))
     word = verdict.word
@@ -311,6 +326,11 @@ def _answer(prepared: Prepared, options: Options, evidence: Evidence, verdict: V
                 f" --{name} inf if there is none"
                 for name in evidence.unreached
             ]
+        if chosen.pairs.objective.limits.tied:
+            remarks.append(
+                "z of an integrating plant has no zero of its own: it counts from the middle of the"
+                " zone, so both edges are half of the width; the place of the zone is not asked"
+            )
         for name in ("right", "left"):
             edge = shown[name]
             if edge is not None and edge.value < 0:
@@ -353,6 +373,8 @@ def _shown(
             shown[name] = None if low == math.inf else Interval(low, low, high)
         if low == math.inf:
             shown["width"] = shown["centre"] = None
+    if evidence.chosen.pairs.objective.limits.tied:
+        shown["centre"] = None
     for name in evidence.unreached:
         bound = lower_bound(evidence.chosen.singles, name) * scale
         shown[name] = Interval(bound, bound, math.inf)

@@ -129,7 +129,8 @@ def _stages(
     stages: dict[str, tuple[float, float]] = {}
     halves: dict[str, dict[str, float]] = {}
     fits = [("L1", chosen.singles)]
-    if chosen.pairs is not chosen.singles:
+    drifts = chosen.pairs.objective.limits.tied and kalman is not None
+    if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
         fits.append(("L2", chosen.pairs))
     for name, fit in fits:
         spread = fit.objective.spread(fit.theta)

@@ -24,7 +24,9 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         held_out: share of the log, at its end, that checks the fit; default 0.3.
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
+        kind: deadzone, jump (readings are not shifted), or auto: a jump sensor is told apart.
         threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
+        integrators: how many poles of the plant are integrators, as one of a motor's position.
         resample: step [s] onto which an irregular log is put; default: none.
     """
 
@@ -35,8 +37,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     held_out: float = 0.3
     noise: Literal["before", "after", "auto"] = "auto"
     place: Literal["sensor", "auto"] = "auto"
+    kind: Literal["deadzone", "jump", "auto"] = "auto"
     threshold: float | None = None
     resample: float | None = None
+    integrators: int = 0
 
     def orders(self) -> range:
         """The orders to try. Raises InputError."""
@@ -50,7 +54,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
                 f" found {self.order!r}"
             )
-        return range(ends[0], ends[-1] + 1)
+        return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
 
     def offset_rms(self) -> float | None:
         """The rms of an unknown output offset [y]; None where it is free. Raises InputError."""
@@ -82,6 +86,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def checked(self) -> Options:
         """These options, every one of them usable. Raises InputError."""
+        if self.integrators not in (0, 1, 2):
+            raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
+        if self.kind == "jump" and self.integrators:
+            raise InputError("kind: a jump sensor's readings show z; it has no --integrators")
         self.orders()
         self.offset_rms()
         self.bounds("right")

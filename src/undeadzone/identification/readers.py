@@ -95,7 +95,8 @@ def _layout(p: int, m: int) -> Layout:
     """The layout of arrays."""
     titles = [Title("t", "s")]
     for signal, count in (("y", p), ("u", m)):
-        titles += [Title(f"{signal}[{i}]" if count > 1 else signal, "") for i in range(count)]
+        names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
+        titles += [Title(name, "") for name in names]
     return layout_of_titles(titles, p, m, {}, "arrays")
 
 

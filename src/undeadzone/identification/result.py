@@ -125,7 +125,7 @@ class Identified:
         theta = self.answer.fit.theta
         data = self.answer.fit.objective.data
         F = np.eye(layout.n, k=1)
-        F[:, 0] = -theta[layout.a]
+        F[:, 0] = -layout.denominator(theta[layout.a])
         drive = data.u @ theta[layout.b].reshape(layout.m, layout.n)
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         x = np.empty((data.y.size, layout.n))

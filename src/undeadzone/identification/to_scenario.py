@@ -83,10 +83,10 @@ def _plant_numbers(answer: Answer) -> tuple[Floats, Floats, Floats]:
     fit = answer.fit
     layout, data = fit.objective.layout, fit.objective.data
     V = fit.objective.spread(fit.theta).V
-    count = layout.n * (1 + layout.m)
+    count = layout.b.stop
     scale = np.ones(count)
     factors = np.repeat(data.y_scale / data.u_scale, layout.n)
-    scale[layout.n :] = factors
+    scale[layout.b] = factors
     return (
         fit.theta[layout.a],
         fit.theta[layout.b] * factors,
@@ -144,7 +144,8 @@ def _reference(answer: Answer, A: Floats) -> list[str]:
 
 def _frequency(answer: Answer, A: Floats) -> float:
     """A frequency that plant and samples follow [Hz]."""
-    slowest = float(np.abs(np.linalg.eigvals(A)).min())
+    rates = np.abs(np.linalg.eigvals(A))
+    slowest = float(rates[rates > 1e-6 * rates.max(initial=1e-300)].min(initial=rates.max()))
     return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.evidence.grid.step):.3g}")
 
 
@@ -172,7 +173,7 @@ def _disturbance(answer: Answer, a: Floats, b: Floats) -> list[str]:
         best = kalman[0]
         phi = best.phi
         at_z = best.q / math.sqrt(1 - phi * phi) * answer.scale
-        rms = at_z / math.sqrt(input_gain(a, b[: layout.n], phi))
+        rms = at_z / math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
     if phi <= 0.01:
         time = 0.5 * step
     else:
