@@ -27,7 +27,7 @@ from undeadzone.identification.likelihood import (
     pairs,
     singles,
 )
-from undeadzone.identification.long_run import cosines, sandwich
+from undeadzone.identification.long_run import long_run_covariance, sandwich
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.plant_fit import Data, Layout, Simulator
 
@@ -229,12 +229,15 @@ def test_intervals_of_a_mean_hold_under_first_order_noise() -> None:
     assert naive / 300 < 0.7
 
 
-def test_cosines_are_orthonormal() -> None:
-    rows = cosines(50, 8)
+def test_long_run_covariance_is_that_of_the_cosines() -> None:
+    scores = np.random.default_rng(0).standard_normal((50, 2)).cumsum(axis=0)
+    time = (np.arange(50) + 0.5) / 50
+    rows = np.sqrt(2 / 50) * np.cos(np.pi * np.outer(np.arange(1, 9), time))
     assert rows @ rows.T == pytest.approx(np.eye(8), abs=1e-12)
-
-
-# --- the Kalman likelihood
+    parts = rows @ scores
+    J, number = long_run_covariance(scores, 8)
+    assert number == 8
+    assert pytest.approx(50 * parts.T @ parts / 8) == J
 
 
 def test_filter_without_disturbance_is_singles() -> None:

@@ -15,7 +15,8 @@ JITTER = 0.01  # of a step, by which regular times may differ
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
 
 
-MOST = 20_000  # samples that are used; more would take minutes and say little more
+MOST = 100_000  # samples that are used; more would take minutes and say little more
+STRETCHES = 5  # into which these are cut, of a longer log
 
 
 class Grid(NamedTuple):
@@ -102,20 +103,24 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
 
 
 def shortened(grid: Grid) -> Grid:
-    """The first `MOST` samples of a longer log, with a remark; others as they are."""
+    """Stretches of a very long log, evenly spread over it, with a remark; others as they are."""
     size = grid.t.size
     if size <= MOST:
         return grid
     remark = (
-        f"the log has {size} samples; the first {MOST} are used: cut the log, or take every k-th"
-        " sample of it, to use others"
+        f"the log has {size} samples; {STRETCHES} stretches of {MOST // STRETCHES}, evenly spread"
+        " over it, are used: cut the log to use others"
     )
+    long = MOST // STRETCHES
+    firsts = np.linspace(0, size - long, STRETCHES).astype(int)
+    kept = np.concatenate([np.arange(first, first + long) for first in firsts])
+    begins = np.union1d(np.flatnonzero(np.isin(kept, grid.start)), long * np.arange(STRETCHES))
     return grid._replace(
-        t=grid.t[:MOST],
-        u=grid.u[:MOST],
-        y=grid.y[:MOST],
-        ok=grid.ok[:MOST],
-        start=grid.start[grid.start < MOST - 1],
+        t=grid.t[kept],
+        u=grid.u[kept],
+        y=grid.y[kept],
+        ok=grid.ok[kept],
+        start=begins,
         remarks=[*grid.remarks, remark],
     )
 

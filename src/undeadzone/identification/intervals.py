@@ -82,7 +82,7 @@ def find_widths(
     for name in DIRECTIONS:
         widest[name] = max(own[name] for own in halves.values())
     fits = True
-    if "L3" in stages:
+    if "L3" in stages and "L2" in stages:
         for place, name in enumerate(("right", "left")):
             if abs(stages["L3"][place] - stages["L2"][place]) > widest[name]:
                 fits = False

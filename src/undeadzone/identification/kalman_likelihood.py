@@ -292,7 +292,9 @@ class KalmanFit(NamedTuple):
         """The row of right d_r + left d_l over the free numbers."""
         row = np.zeros(self.objective.numbers.size)
         widths = self.objective.numbers.log_q + 2
-        row[widths : widths + 2] = (right + left, 0.0) if self.objective.limits.tied else (right, left)
+        row[widths : widths + 2] = right, left
+        if self.objective.limits.tied:
+            row[widths] += left
         return row[self.objective.free]
 
 

@@ -42,6 +42,14 @@ class Log(NamedTuple):
     lines: Any
     counted: bool
 
+    def of_output(self, k: int) -> Log:
+        """The log with one of its outputs alone."""
+        return self._replace(
+            y=self.y[:, k : k + 1],
+            outputs=self.outputs[k : k + 1],
+            output_units=self.output_units[k : k + 1],
+        )
+
 
 def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
     """A log from samples, fit for identification.

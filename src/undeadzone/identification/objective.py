@@ -232,7 +232,8 @@ class Objective:
         rows = np.empty_like(approximate)
         for place, index in enumerate(self.free):
             step = 1e-2 * scale[place]
-            ahead, back = self._moved(theta, index, step), self._moved(theta, index, -step)
+            ahead = self._moved(theta, int(index), step)
+            back = self._moved(theta, int(index), -step)
             rows[place] = approximate[place]
             if self.admissible(ahead) and self.admissible(back):
                 difference = self.score(ahead) - self.score(back)

@@ -10,6 +10,7 @@ import msgspec
 from undeadzone.errors import InputError
 
 MOST_POLES = 8
+MOST_LATE = 1000  # samples
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -25,6 +26,9 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
         kind: deadzone, jump (readings are not shifted), or auto: a jump sensor is told apart.
+        delay: samples by which the input acts late: auto, or a number that belongs to the
+            recording.
+        zero: what the sensor reads inside its zone [y]; it is taken off every reading.
         threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
         integrators: how many poles of the plant are integrators, as one of a motor's position.
         resample: step [s] onto which an irregular log is put; default: none.
@@ -38,6 +42,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     noise: Literal["before", "after", "auto"] = "auto"
     place: Literal["sensor", "auto"] = "auto"
     kind: Literal["deadzone", "jump", "auto"] = "auto"
+    delay: str = "auto"
+    zero: float = 0.0
     threshold: float | None = None
     resample: float | None = None
     integrators: int = 0
@@ -90,6 +96,12 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
         if self.kind == "jump" and self.integrators:
             raise InputError("kind: a jump sensor's readings show z; it has no --integrators")
+        if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
+            raise InputError(
+                f"delay: expected auto or samples up to {MOST_LATE}, found {self.delay!r}"
+            )
+        if not math.isfinite(self.zero):
+            raise InputError(f"zero: expected a number, found {self.zero:g}")
         self.orders()
         self.offset_rms()
         self.bounds("right")

@@ -19,6 +19,7 @@ from undeadzone.support.arrays import Floats, Integers
 STRETCH = 250  # samples of an integrating plant that have one state at their start
 PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
+OFTEN = 5  # times the next reading's count, by which a silence comes back
 SPIKE = 10.0  # times the 99 % quantile of |y|, beyond which few readings are no readings
 RARE = 0.005  # share of the readings that may be dropped as spikes
 
@@ -59,6 +60,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     """
     remarks = list(grid.remarks)
     ok = grid.ok.copy()
+    _require_silence_at_zero(grid)
     spikes = _spikes(grid.y, ok)
     if spikes.size:
         ok[spikes] = False
@@ -104,6 +106,24 @@ def _spikes(y: Floats, ok: Flags) -> Integers:
         return np.empty(0, int)
     beyond = np.flatnonzero(ok & (size > SPIKE * usual))
     return beyond if beyond.size <= max(1, RARE * ok.sum()) else np.empty(0, int)
+
+
+def _require_silence_at_zero(grid: Grid) -> None:
+    """Raise InputError where a reading that is not 0 comes back as a silence would."""
+    y = grid.y[grid.ok]
+    values, counts = np.unique(y, return_counts=True)
+    if values.size < 3:
+        return
+    order = np.argsort(counts)
+    most, next_most = int(order[-1]), int(order[-2])
+    value, count = float(values[most]), int(counts[most])
+    low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
+    inside = low < value < high
+    if value != 0 and inside and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
+        raise InputError(
+            f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
+            f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
+        )
 
 
 def _threshold(grid: Grid, options: Options) -> float:
@@ -156,7 +176,9 @@ def _stretches(grid: Grid) -> Integers:
     return np.concatenate(starts)
 
 
-def _scaled(grid: Grid, start: Integers, y: Floats, ok: Flags, threshold: float, ahead: bool) -> Data:
+def _scaled(
+    grid: Grid, start: Integers, y: Floats, ok: Flags, threshold: float, ahead: bool
+) -> Data:
     """The records, scaled to rms 1."""
     u_scale = grid.u.std(axis=0)
     y_scale = float(np.sqrt(np.mean(y[ok] ** 2)))

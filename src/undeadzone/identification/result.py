@@ -145,11 +145,11 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        if not self.answer.zone:
+        if not self.answer.zone and self.answer.verdict != "jump":
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )
-        return scenario_text(self.answer)
+        return scenario_text([self.answer])
 
     def numbers(self) -> dict[str, Any]:
         """All numbers of the answer, as `--json` prints them."""
