@@ -29,6 +29,7 @@ from .errors import UndeadzoneError as UndeadzoneError
 from .exports.export import Exported as Exported
 from .exports.export import export as export
 from .identification.identify import identify as identify
+from .identification.outputs import IdentifiedOutputs as IdentifiedOutputs
 from .identification.result import Identified as Identified
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices
