@@ -81,6 +81,12 @@ class System(NamedTuple):
         """Number of outputs."""
         return self.linear.C.shape[0]
 
+    def pushed(self, params: Any, x: Any, u: Any, push: Any) -> Any:
+        """`move` and what a correction adds to it (n); of a sampled plant one increment of x."""
+        if self.change is None:
+            return self.move(params, x, u) + push
+        return x + (self.change(params, x, u) + push)
+
 
 def linearise(
     key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats
