@@ -159,7 +159,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
     """
     A, B, C = model.linear
     online = uz.Online(
-        msgspec.structs.replace(KALMAN, disturbance=variance**0.5), PLANT, SENSOR, 0.01
+        msgspec.structs.replace(KALMAN, disturbance=variance**0.5, x_std=10.0), PLANT, SENSOR, 0.01
     )
     e = online.update_many(run.y[:N], run.u[:N])[0].innovation[:, 0]
     size = 4 + N  # x(0), d_r, d_l, w
@@ -189,7 +189,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
 
 @pytest.mark.parametrize("disturbance", [0.01, 0.5])
 def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbance: float) -> None:
-    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, glitches=0.0)
+    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
     model, zone, observer = built_for(options, PLANT, SENSOR, 0.01, 10)
     N = 250
     smoothed = smooth(model, graph_of(observer), zone.threshold, run.y[:N], run.u[:N])

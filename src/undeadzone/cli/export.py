@@ -104,7 +104,8 @@ def _table(accuracy: dict[str, Any]) -> list[list[str]]:
     for name, numbers in accuracy["float_against_double"].items():
         rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])
     rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
-    eigenvalue = accuracy["smallest_correlation_eigenvalue"]
-    if eigenvalue is not None:
-        rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", "in double"])
+    for real, key in (("double", ""), ("float", "_in_float")):
+        eigenvalue = accuracy[f"smallest_correlation_eigenvalue{key}"]
+        if eigenvalue is not None:
+            rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", f"in {real}"])
     return rows

@@ -194,5 +194,6 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         "float_against_double": table,
         "sides_differ": result.sides,
         "smallest_correlation_eigenvalue": result.eigenvalue,
+        "smallest_correlation_eigenvalue_in_float": result.eigenvalue_in_float,
     }
     return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}

@@ -10,11 +10,12 @@ import msgspec
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.prior import build_prior
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
 
@@ -73,5 +74,9 @@ class Kalman(
         )
         rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
-        member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
-        return judged(member, model, widens=glitches > 0)
+        units = even_units(model)
+        even = in_units(model, units)
+        member = measured_filter(
+            even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
+        )
+        return shown_states(judged(member, even, widens=glitches > 0), units)

@@ -10,6 +10,7 @@ from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.sensor import Sensor, Zone, resolve
@@ -144,7 +145,7 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = resolve(sensor, model.p, Ts)
+    zone = resolve(sensor, model.p, Ts, pace(system.linear))
     built = observer.build(model, zone)
     require_bounded_error(model, built, Ts)
     return model, zone, built
