@@ -21,6 +21,7 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "ranges",
     "arm_coverage",
     "arm_operations",
     "certificates",

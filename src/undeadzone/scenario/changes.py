@@ -20,6 +20,7 @@ from undeadzone.support.arrays import decode
 from undeadzone.support.toml import tables
 
 S = TypeVar("S", bound=msgspec.Struct)
+ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
 CHOOSERS = ("kind", "method")  # keys that choose what a table is
 
 
@@ -74,6 +75,8 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
 
 def require_finite(value: Any, key: str) -> None:
     """Raise InputError where a number at or below a key is not finite, or too large."""
+    if key == ENDLESS:
+        return
     if isinstance(value, dict):
         for name, child in value.items():
             require_finite(child, f"{key}.{name}" if key else name)

@@ -43,8 +43,8 @@ _SYNONYMS = {  # words of other tools, and what stands for them here
     "type": "write kind or method",
     "freq": "write frequency, in Hz",
     "omega": "write frequency, in Hz",
+    "saturation": "write range = [least, largest]",
     "sigma": "write noise, the rms of white noise on the reading",
-    "saturation": "write range",
 }
 _CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]

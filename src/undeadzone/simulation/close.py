@@ -87,7 +87,8 @@ def _params(
     """The numbers of a loop."""
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
-    numbers = SensorParams(sensor.right, sensor.left, sensor.slope, sensor.threshold, quantum)
+    widths = sensor.right, sensor.left
+    numbers = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits)
     h = np.float64(step)
     return Params(plant.params, numbers, observer.params, controller.params, scale, h)
 

@@ -30,7 +30,7 @@ class Online:
     Args:
         observer: options of the observer.
         plant: the plant as the observer knows it.
-        sensor: kind, slope, noise and threshold; its widths are used by the oracle only.
+        sensor: kind, slope, noise, threshold and range; its widths are used by the oracle only.
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
 
@@ -38,7 +38,8 @@ class Online:
         model: the sampled model.
         samples: how many samples came in.
         missing: how many of them had a reading missing.
-        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing.
+        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing; twice
+            that at a limit of the range.
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -53,7 +54,7 @@ class Online:
         substeps: int = 10,
     ) -> None:
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps)
-        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone.threshold)
+        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
         self.side = np.zeros(self.model.p)

@@ -31,7 +31,7 @@ class Run:
         x: state (N x n).
         z: true output (N x p) [z].
         y: reading (N x p) [y].
-        side: measured side (N x p): +1 right, -1 left, 0 silent.
+        side: measured side (N x p): +1 right, -1 left, 0 silent, +2, -2 at a limit of the range.
         x_hat: estimate of x (N x n).
         z_hat: estimate of z (N x p) [z].
         d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].

@@ -69,6 +69,7 @@ class Params(NamedTuple):
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
+        ends: of the range of the readings, as `Ends`; None: they have none.
     """
 
     model: Any
@@ -82,6 +83,7 @@ class Params(NamedTuple):
     ranges: Floats
     rate: Floats
     doubt: Any = None
+    ends: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
