@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import shutil
@@ -21,14 +22,14 @@ def browser() -> str | None:
 
 
 class Browser:
-    """A browser with one page; `said` holds its console, `asked` the addresses that it requested."""
+    """A browser with one page: `said` is its console, `asked` are the addresses requested."""
 
     def __init__(self, profile: Path) -> None:
         path = browser()
         assert path is not None
         reads, self._out = os.pipe()
         self._in, writes = os.pipe()
-        high_in, high_out = os.dup(reads), os.dup(writes)
+        high_in, high_out = (fcntl.fcntl(end, fcntl.F_DUPFD, 64) for end in (reads, writes))
         options = [
             "--headless",
             "--no-sandbox",
@@ -40,7 +41,7 @@ class Browser:
             "--remote-debugging-pipe",
         ]
         self._process = subprocess.Popen(
-            ["/bin/sh", "-c", f'exec 3<&{high_in} 4>&{high_out}; exec "$@"', "sh", path, *options],
+            ["bash", "-c", f'exec 3<&{high_in} 4>&{high_out}; exec "$@"', "bash", path, *options],
             pass_fds=(high_in, high_out),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -31,7 +31,7 @@ from undeadzone.support.files import write_text
 from undeadzone.support.text import printable
 
 _LARGEST = np.finfo(float).max  # in place of infinity, which JSON has not
-MOST = 100_000  # steps of a run
+MOST = 100_000_000  # operations of a run
 MARK = '<meta name="generator" content="undeadzone export">'
 RECORDED = {
     "z": "z",
@@ -48,10 +48,10 @@ _TOLD = (
     "both edges of the band, and the truth behind it."
 )
 LEADS = {
-    "deadzone": "Inside the yellow band this sensor reads 0; outside, it reads too little, by the "
-    f"width of the band. Gear play, valves and load cells do this. {_TOLD}",
-    "jump": "Inside the yellow band this sensor reads 0; outside, it tells the truth. Speed sensors "
-    f"do this. {_TOLD}",
+    "deadzone": "Inside the yellow band this sensor reads 0; outside, it reads too little, by "
+    f"the width of the band. Gear play, valves and load cells do this. {_TOLD}",
+    "jump": "Inside the yellow band this sensor reads 0; outside, it tells the truth. Speed "
+    f"sensors do this. {_TOLD}",
 }
 
 
@@ -99,6 +99,7 @@ def build(scenario: Scenario) -> Page:
     problem = resolve_scenario(scenario)
     _require_shown(problem)
     loop = closed(problem)
+    _require_quick(problem, len(_graph(loop).nodes))
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
@@ -119,11 +120,6 @@ def build(scenario: Scenario) -> Page:
 def _require_shown(problem: Problem) -> None:
     """Raise InputError for what the page does not compute."""
     scenario, sensor = problem.scenario, problem.sensor
-    if problem.model.nonlinear or problem.plant.nonlinear:
-        raise InputError(
-            "plant: the page computes references of linear plants only; "
-            "`undeadzone run` shows this one"
-        )
     if problem.controller.plan is not None:
         raise InputError(
             "controller.method: this one computes its gains ahead of a run, which the page does "
@@ -137,10 +133,16 @@ def _require_shown(problem: Problem) -> None:
     for key in ("drift", "dropout"):
         if getattr(sensor, key).any():
             raise InputError(f"sensor.{key}: the page's sensor has none; leave the key out")
-    if problem.steps > MOST:
+
+
+def _require_quick(problem: Problem, size: int) -> None:
+    """Raise InputError where a run takes so long that the sliders would not follow."""
+    count = problem.steps * size
+    if count > MOST:
         raise InputError(
-            f"simulation.duration: the page computes at most {MOST:,} steps at each move of a "
-            f"slider, found {problem.steps:,}; take a shorter duration or a longer step"
+            f"simulation.duration: the page computes the whole run at each move of a slider, and "
+            f"{problem.steps:,} steps of {size:,} operations take too long; take a shorter "
+            f"duration or a longer step, {MOST // size:,} steps at most"
         )
 
 
@@ -214,7 +216,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         "outputs": problem.plant.p,
         "tracked": len(problem.tracked),
         "slope": problem.sensor.slope.tolist(),
-        "period": problem.reference.period,
+        "period": signals.period(problem),
         "model": {"A": A.tolist(), "B": B.tolist(), "C": C[problem.tracked].tolist()},
         "memory": memory,
         "rare": loop.parts is not None,
@@ -235,11 +237,15 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
 
 
 def _sizes(problem: Problem) -> Floats:
-    """The largest |z| that the reference asks for (p)."""
+    """The largest |z| that the reference asks for, or four widths where it says nothing (p)."""
     rows = exogenous.exogenous(problem, run=None)
     q, n = len(problem.tracked), problem.model.n
-    largest = np.abs(rows[:, q : q + n] @ problem.model.linear.C.T).max(axis=0)
-    return np.where(largest > 0, largest, np.maximum(problem.sensor.right, 1.0))
+    largest = np.zeros(problem.plant.p)
+    if not problem.model.nonlinear:
+        largest = np.abs(rows[:, q : q + n] @ problem.model.linear.C.T).max(axis=0)
+    largest[problem.tracked] = np.abs(rows[:, :q]).max(axis=0)
+    widest = np.maximum(problem.sensor.right, problem.sensor.left)
+    return np.where(largest > 0, largest, np.where(widest > 0, 4 * widest, 1.0))
 
 
 def _quantity(unit: str) -> str:
@@ -251,11 +257,13 @@ def _note(problem: Problem) -> str:
     """What the observer knows, so that nobody takes the page for more than it shows."""
     method = type(problem.scenario.observer).__struct_config__.tag
     known = "the plant exactly" if problem.scenario.model is None else "a model of the plant"
-    return (
+    text = (
         f"The observer ({method}) knows {known} and the input that moves it, but not the band and "
-        "not where the motion starts. A real plant differs from its model: the last slider shows "
-        "what that costs. Errors are rms over the second half of the run."
+        "not where the motion starts. "
     )
+    if not problem.plant.nonlinear:
+        text += "A real plant differs from its model: the last slider shows what that costs. "
+    return text + "Errors are rms over the second half of the run."
 
 
 def _html(title: str, data: dict[str, Any]) -> str:

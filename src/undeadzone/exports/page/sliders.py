@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.errors import UndeadzoneError
+from undeadzone.interfaces import graph_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
+from undeadzone.simulation.close import numbers
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import closed
 from undeadzone.support import tree
@@ -26,6 +28,9 @@ HALVINGS = 4  # of a slider's range, where its end is refused
 ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 TICKS = 60  # steps of a slider, about
 RESOLVED = 40  # steps of the run in a period, at least
+
+
+Change = Callable[[Scenario, float], Scenario]
 
 
 class Slider(NamedTuple):
@@ -72,19 +77,14 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     scenario = problem.scenario
     made = _edges(problem, loop, sizes)
     made += _motion(problem, loop)
-    gamma = getattr(scenario.observer, "gamma", None)
-    if gamma is not None and np.size(gamma) == 1 and float(np.ravel(gamma)[0]) > 0:
-        own = float(np.ravel(gamma)[0])
-        wanted = _Range("gamma", "learning gain", "1/s", own, 0.0, nice(4 * own))
-        made += _varied(problem, loop, wanted, _with_gamma)
+    made += _learning(problem, loop)
     if np.ptp(problem.sensor.noise) == 0:
         noise = float(problem.sensor.noise[0])
         most = nice(max(4 * noise, 0.05 * float(sizes.max())))
         wanted = _Range("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
         made += _varied(problem, loop, wanted, _with_noise)
-    made.append(_mismatch(problem, loop))
-    _require_apart(made)
-    return made
+    made += _mismatch(problem, loop)
+    return _apart(made)
 
 
 def _unit(scenario: Scenario) -> str:
@@ -115,6 +115,8 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
 
 def _motion(problem: Problem, loop: Loop) -> list[Slider]:
     """The sliders of the reference's size and speed."""
+    if problem.model.nonlinear:  # its target does not scale
+        return []
     signal, unit = problem.scenario.reference, _unit(problem.scenario)
     size, size_unit = 1.0, "×"
     speed, speed_unit = 1.0, "×"
@@ -148,7 +150,28 @@ def _fastest(problem: Problem) -> float:
     return 1.0 if period is None else period / (4 * RESOLVED * step)
 
 
-def _mismatch(problem: Problem, loop: Loop) -> Slider:
+def _learning(problem: Problem, loop: Loop) -> list[Slider]:
+    """The slider of the observer's gain of adaptation, if it has one and takes it as a number."""
+    options, traits = problem.scenario.observer, problem.observer.traits
+    gamma = getattr(options, "gamma", None)
+    if gamma is None and hasattr(options, "gamma") and traits.gamma is not None:
+        gamma = traits.gamma / (problem.model.Ts or 1.0)
+    if gamma is None or not np.any(gamma) or getattr(options, "design", None) is not None:
+        return []
+    base = np.asarray(gamma, float)
+    own, unit = 1.0, "×"
+    if np.ptp(base) == 0:
+        own, unit = float(base.flat[0]), "1/s"
+
+    def change(scenario: Scenario, value: float) -> Scenario:
+        observer = msgspec.structs.replace(scenario.observer, gamma=base * (value / own))
+        return msgspec.structs.replace(scenario, observer=observer)
+
+    wanted = _Range("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
+    return _varied(problem, loop, wanted, change)
+
+
+def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
     """The slider that makes the plant's input act more strongly than its observer believes."""
     moves = []
     names = tree.names(loop.params)
@@ -157,13 +180,7 @@ def _mismatch(problem: Problem, loop: Loop) -> Slider:
         if name.startswith("plant.B[") and values[place]:
             moves.append((place, float(values[place]) / 100, 0.0))
     wanted = _Range("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
-    return _slider(wanted, moves)
-
-
-def _with_gamma(scenario: Scenario, value: float) -> Scenario:
-    """The scenario with another learning gain."""
-    observer = msgspec.structs.replace(scenario.observer, gamma=value)
-    return msgspec.structs.replace(scenario, observer=observer)
+    return [_slider(wanted, moves)] if moves else []
 
 
 def _with_noise(scenario: Scenario, value: float) -> Scenario:
@@ -172,9 +189,7 @@ def _with_noise(scenario: Scenario, value: float) -> Scenario:
     return msgspec.structs.replace(scenario, sensor=sensor)
 
 
-def _varied(
-    problem: Problem, loop: Loop, wanted: _Range, change: Callable[[Scenario, float], Scenario]
-) -> list[Slider]:
+def _varied(problem: Problem, loop: Loop, wanted: _Range, change: Change) -> list[Slider]:
     """The slider of a key, its range cut to where the scenario is accepted; none if it fits none.
 
     Args:
@@ -183,30 +198,56 @@ def _varied(
         wanted: what the slider may take.
         change: (scenario, value) -> the scenario with that value.
     """
-    same = loop.step.serialize()
+    for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
+        made = _fitted(
+            problem, loop, _accepted(problem, wanted._replace(least=least), change), change
+        )
+        if made is not None:
+            return [made]
+    return []
 
-    def numbers(value: float) -> Floats | None:
-        try:
-            other = closed(resolve_scenario(change(problem.scenario, value)))
-        except UndeadzoneError:
-            return None
-        return tree.pack(other.params) if other.step.serialize() == same else None
 
+def _accepted(problem: Problem, wanted: _Range, change: Change) -> _Range:
+    """The range with its upper end brought down to where the scenario is accepted."""
     for _ in range(HALVINGS):
-        ends = [numbers(wanted.least), numbers(wanted.most)]
-        if ends[0] is None:
-            wanted = wanted._replace(least=wanted.most / TICKS)
-        elif ends[1] is None:
-            wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
-        else:
+        if _numbers(problem, change, wanted.most) is not None:
             break
-    points = np.array([wanted.least, wanted.most, 0.37 * wanted.least + 0.63 * wanted.most])
-    known = [numbers(value) for value in points]
+        wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
+    return wanted
+
+
+def _fitted(problem: Problem, loop: Loop, wanted: _Range, change: Change) -> Slider | None:
+    """The slider of a range; None where its key does more than move numbers by polynomials."""
+    between = 0.37 * wanted.least + 0.63 * wanted.most
+    points = [wanted.least, wanted.most, between]
+    known = [_numbers(problem, change, value) for value in points]
     if any(each is None for each in known) or wanted.most <= wanted.value:
-        return []
-    own = tree.pack(loop.params)
-    moves = _polynomials(points, np.array(known), wanted.value, own)
-    return [] if moves is None else [_slider(wanted, moves)]
+        return None
+    moves = _polynomials(np.array(points), np.array(known), wanted.value, tree.pack(loop.params))
+    if moves is None or not _same_graph(problem, loop, change, points[:2]):
+        return None
+    return _slider(wanted, moves)
+
+
+def _numbers(problem: Problem, change: Change, value: float) -> Floats | None:
+    """The numbers of the loop with another value of a key; None where it is refused."""
+    try:
+        other = resolve_scenario(change(problem.scenario, value))
+        observer = graph_of(other.observer)
+    except UndeadzoneError:
+        return None
+    step = other.scenario.simulation.step
+    return tree.pack(numbers(other.plant, other.sensor, observer, other.controller, step))
+
+
+def _same_graph(problem: Problem, loop: Loop, change: Change, values: list[float]) -> bool:
+    """Whether the loop's graph is the same with other values of a key."""
+    same = loop.step.serialize()
+    for value in values:
+        other = closed(resolve_scenario(change(problem.scenario, value)))
+        if other.step.serialize() != same:
+            return False
+    return True
 
 
 def _polynomials(
@@ -222,7 +263,7 @@ def _polynomials(
     """
     moves = []
     matrix = np.vander(points, 3, increasing=True)
-    for place in np.flatnonzero(np.ptp(np.vstack([known, own]), axis=0)):
+    for place in np.flatnonzero((known != own).any(axis=0)):
         a, b, c = np.linalg.solve(matrix, known[:, place])
         size = float(np.abs(known[:, place]).max())
         if abs(a + b * value + c * value**2 - own[place]) > EXACT * size:
@@ -242,21 +283,19 @@ def _slider(wanted: _Range, moves: list[tuple[int, float, float]]) -> Slider:
     grid = nice((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
     most = max(wanted.most, wanted.value)
     least = min(wanted.least, wanted.value)
-    return Slider(
-        wanted.key, wanted.label, wanted.unit, wanted.value, least, most, grid, moves
-    )
+    return Slider(wanted.key, wanted.label, wanted.unit, wanted.value, least, most, grid, moves)
 
 
-def _require_apart(made: list[Slider]) -> None:
-    """Raise InputError where two sliders move one number: their changes would not add up."""
-    owners: dict[int, str] = {}
+def _apart(made: list[Slider]) -> list[Slider]:
+    """The sliders, without those that move a number of an earlier one: they would not add up."""
+    taken: set[int] = set()
+    kept = []
     for slider in made:
-        for place, _, _ in slider.moves:
-            owner = owners.setdefault(place, slider.key)
-            if owner != slider.key:
-                raise InputError(
-                    f"export: the sliders {owner} and {slider.key} of the page move the same number"
-                )
+        places = {place for place, _, _ in slider.moves}
+        if not places & taken:
+            kept.append(slider)
+            taken |= places
+    return kept
 
 
 def nice(value: float, factors: tuple[float, ...] = ROUND) -> float:
