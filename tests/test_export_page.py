@@ -311,7 +311,7 @@ def _computed(page: Browser, code: bytes, points: Floats, count: int) -> Floats:
 def test_a_large_expression_stays_shallow(page: Browser) -> None:
     w = ca.SX.sym("w", 2)
     total = w[0]
-    for k in range(5000):
+    for k in range(800):
         total = ca.if_else(total > k, total * 1.0001, total + w[1] * k)
     graph = rewritten(listed(ca.Function("f", [w], [total], ["w"], ["o"])))
     code = wasm.module([wasm.Function("f", graph, {"w0": 0, "w1": 8}, [[16]])], 64)

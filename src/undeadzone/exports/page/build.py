@@ -168,7 +168,7 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
     for part in "swp":
         for k in range(sizes[part]):
             inputs[f"{part}{k}"] = wasm.REAL * (places[part] + k)
-    functions = [("step", loop.step, ("n", "o"))]
+    functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
     if loop.parts is not None:
         functions = [
             ("step", loop.parts.usual, ("n", "o", "flag")),

@@ -160,7 +160,7 @@ const unit = D.unit === "1" ? "" : " " + D.unit;
 function sentence(m) {
   const b = (text, c) => ({ text, c });
   if (!isFinite(m.observer) || !isFinite(m.most)) return ["This does not settle: the loop runs away. Take a smaller learning gain or a slower motion."];
-  if (m.silent > 0.995) return ["The motion never leaves the dead zone. The sensor reads 0, and ", b("nothing can be learnt"), ": not by this observer and not by any other. Make the motion larger or the band narrower."];
+  if (m.silent > 0.995) return ["The motion never leaves the dead zone. The sensor reads 0, and ", b("nothing can be learnt"), " of the edges, by this observer or any other, but that they lie further out. Make the motion larger or the band narrower."];
   const share = m.silent > 0 && m.silent < 0.01 ? "less than 1 %" : `${(100 * m.silent).toFixed(0)} %`;
   const ratio = m.sensor / m.observer, say = ["Silent ", b(share), " of the time. "];
   if (!(m.sensor > 0)) return [...say, "There is no dead zone: the sensor tells the truth."];
@@ -274,9 +274,13 @@ function draw(R, m) {
   for (const [side, sign] of [["right", 1], ["left", -1]]) if (R[side + "_std"]) doubt(b, R[side], R[side + "_std"], sign);
   curve(b, R.right, "e", 2.8, null, 1);
   curve(b, R.left, "e", 2.8, null, -1);
-  const number = x => (x < 0.1 ? x.toPrecision(3) : x.toFixed(3)), plus = s => R[s] ? ` ± ${short(2 * R[s][N - 1])}` : "";
-  label(b, `right edge learned: ${number(m.right)}${plus("right_std")} (true ${+right.toFixed(4)})`, span, Math.max(right, m.right), "e-ink", false, "right");
-  label(b, `left edge learned: ${number(m.left)}${plus("left_std")} (true ${+left.toFixed(4)})`, span, -Math.max(left, m.left), "e-ink", true, "right");
+  const number = x => (x > 0 && x < 0.1 ? x.toPrecision(3) : x.toFixed(3));
+  function learned(side, passed, width) {
+    const std = R[side + "_std"], plus = std ? ` ± ${short(2 * std[N - 1])}` : "", truth = `(true ${+width.toFixed(4)})`;
+    return passed ? `${side} edge learned: ${number(m[side])}${plus} ${truth}` : `${side} edge never passed ${truth}`;
+  }
+  label(b, learned("right", m.onRight, right), span, Math.max(right, m.right), "e-ink", false, "right");
+  label(b, learned("left", m.onLeft, left), span, -Math.max(left, m.left), "e-ink", true, "right");
   if (length < span * 0.999) {
     const { g, col, x, h } = b;
     g.strokeStyle = col("ink"); g.lineWidth = 3; g.beginPath(); g.moveTo(x(from), h - 18); g.lineTo(x(from + length), h - 18); g.stroke();

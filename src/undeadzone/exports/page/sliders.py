@@ -96,13 +96,14 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     """A slider for each edge of each output."""
     made = []
     limit = problem.observer.traits.width_max
+    widest = np.maximum(problem.sensor.right, problem.sensor.left)
     for output in range(problem.plant.p):
         for side in ("right", "left"):
             several = problem.plant.p > 1
             number = str(output + 1) if several else ""
             of = f" of output {number}" if several else ""
             width = float(getattr(problem.sensor, side)[output])
-            most = nice(max(2 * width, float(sizes[output]) / 2))
+            most = nice(float(max(2 * widest[output], sizes[output] / 2)))
             if limit is not None:
                 most = min(most, float(limit[output]))
             place = _place(loop, f"sensor.{side}[{output}]")
