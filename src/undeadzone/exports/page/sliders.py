@@ -17,9 +17,8 @@ from undeadzone.interfaces import graph_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
-from undeadzone.simulation.close import numbers
+from undeadzone.simulation.close import close, numbers
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.simulate import closed
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -225,7 +224,7 @@ def _fitted(problem: Problem, loop: Loop, wanted: _Range, change: Change) -> Sli
     if any(each is None for each in known) or wanted.most <= wanted.value:
         return None
     moves = _polynomials(np.array(points), np.array(known), wanted.value, tree.pack(loop.params))
-    if moves is None or not _same_graph(problem, loop, change, points[:2]):
+    if moves is None or not _same_graph(problem, change, points[:2]):
         return None
     return _slider(wanted, moves)
 
@@ -241,14 +240,20 @@ def _numbers(problem: Problem, change: Change, value: float) -> Floats | None:
     return tree.pack(numbers(other.plant, other.sensor, observer, other.controller, step))
 
 
-def _same_graph(problem: Problem, loop: Loop, change: Change, values: list[float]) -> bool:
+def _same_graph(problem: Problem, change: Change, values: list[float]) -> bool:
     """Whether the loop's graph is the same with other values of a key."""
-    same = loop.step.serialize()
-    for value in values:
-        other = closed(resolve_scenario(change(problem.scenario, value)))
-        if other.step.serialize() != same:
-            return False
-    return True
+    same = _graph(problem)
+    return all(_graph(resolve_scenario(change(problem.scenario, each))) == same for each in values)
+
+
+def _graph(problem: Problem) -> str:
+    """The loop's graph as text; without located switching, which says nothing more of its parts."""
+    observer, step = graph_of(problem.observer), problem.scenario.simulation.step
+    tracked = len(problem.tracked)
+    loop = close(
+        problem.plant, problem.sensor, observer, problem.controller, tracked, step, located=False
+    )
+    return str(loop.step.serialize())
 
 
 def _polynomials(
