@@ -13,6 +13,7 @@ from undeadzone.exports.code import Code, code
 from undeadzone.exports.expressions import LARGEST, LEAST
 from undeadzone.exports.fields import identifier
 from undeadzone.exports.instructions import operations, uses_of
+from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.vectors import chosen, continued, recorded, reference
@@ -20,7 +21,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
-TARGETS = ("c", "arduino")
+TARGETS = ("c", "arduino", "page")
 PRECISIONS = ("single", "double")
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
@@ -59,8 +60,9 @@ def export(
 
     Args:
         scenario: a scenario with simulation.time = "sampled".
-        to: "c", or "arduino" for a library of the Arduino IDE.
-        out: folder for the files; replaced if it is an earlier export.
+        to: "c", "arduino" for a library of the Arduino IDE, or "page" for one HTML file in which
+            the scenario's loop runs (always in double precision).
+        out: folder for the files, or the HTML file; replaced if it is an earlier export.
         precision: "single" for float, or "double".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
@@ -77,6 +79,9 @@ def export(
     """
     _require("to", to, TARGETS)
     _require("precision", precision, PRECISIONS)
+    if to == "page":
+        _require_plain(part, tunable, name, check)
+        return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
     folder.require_replaceable(Path(out))
     problem = resolve_scenario(scenario)
@@ -112,6 +117,14 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
     """Raise InputError for a word that is not known."""
     if value not in known:
         raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
+
+
+def _require_plain(part: str, tunable: tuple[str, ...], name: str | None, check: bool) -> None:
+    """Raise InputError for an option that means nothing to a page."""
+    options = {"part": part != "observer", "tunable": tunable, "name": name, "check": check}
+    for key, value in options.items():
+        if value:
+            raise InputError(f"{key}: a page has the whole loop and no such choice; leave it out")
 
 
 def _prefix(name: str | None, title: str) -> str:
