@@ -14,6 +14,7 @@ from benchmarks.markdown import head, row
 from benchmarks.timing import medians
 from undeadzone.exports import accuracy, parts
 from undeadzone.exports.code import code
+from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario
 
 FILTER = uz.Censored(right=[0.5, 1.5], left=[0.5, 1.5])
@@ -45,7 +46,7 @@ def table(calls: int = 20_000, rounds: int = 7) -> str:
     return "\n".join(["## Live step\n", *head("call", "us", "times numpy"), *rows, ""])
 
 
-def _ways(observer: uz.ObserverOptions, count: int, folder: Path) -> dict[str, Callable[[], None]]:
+def _ways(observer: ObserverOptions, count: int, folder: Path) -> dict[str, Callable[[], None]]:
     """What takes so many samples in, by name."""
     plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]])
     sensor = uz.Sensor(right=1, left=1, noise=0.01)
