@@ -14,11 +14,12 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.markdown import head, row
-from undeadzone.exports import accuracy, parts
+from undeadzone.exports import accuracy, compiler, parts
 from undeadzone.exports.code import Code, code
 from undeadzone.exports.parts import Step
+from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, source
-from undeadzone.exports.vectors import continued, recorded
+from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 
@@ -63,7 +64,7 @@ class Counted(NamedTuple):
 
 def table() -> str:
     """Everything."""
-    return "\n".join([instructions(), precision(), covariances()])
+    return "\n".join([instructions(), bits(), precision(), covariances()])
 
 
 def instructions() -> str:
@@ -128,17 +129,9 @@ def count(printed: Code) -> Counted:
         folder = Path(name)
         for path, content in text.files("o").items():
             (folder / path).write_text(content)
-        gcc = ["arm-none-eabi-gcc", *CORE, *FLAGS]
-        build = [*gcc, *WARNINGS, "-c", "-o", "o.o", "o.c"]
+        build = ["arm-none-eabi-gcc", *CORE, *FLAGS, *WARNINGS, "-c", "-o", "o.o", "o.c"]
         built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=True)
-        runtime = ["-I", ".", "-T", str(EMULATOR / "memory.ld"), "-nostartfiles"]
-        files = [str(EMULATOR / "start.c"), str(EMULATOR / "count.c"), "o.o"]
-        link = [*gcc, *runtime, "--specs=rdimon.specs", "-Wl,--gc-sections", "-o", "p", *files]
-        subprocess.run([*link, "-lm"], cwd=folder, check=True)
-        board = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-icount", "shift=0"]
-        board += ["-semihosting-config", "enable=on,target=native", "-kernel", "p"]
-        said = _output(board, folder)
-        numbers = re.findall(r"\d+", said)
+        numbers = re.findall(r"\d+", _emulated([str(EMULATOR / "count.c"), "o.o"], folder))
         sizes = _output(["arm-none-eabi-nm", "-S", "o.o"], folder).splitlines()
         alone = next(line for line in sizes if line.endswith(" o_step")).split()[1]
         whole = _output(["arm-none-eabi-size", "o.o"], folder).splitlines()[1].split()[0]
@@ -146,6 +139,50 @@ def count(printed: Code) -> Counted:
     mean, most, stack = map(int, numbers)
     warnings = len(built.stderr.splitlines())
     return Counted(mean, most, stack, int(whole), int(alone, 16), warnings, len(needed))
+
+
+def _emulated(files: list[str], folder: Path) -> str:
+    """What a program prints in the emulator."""
+    gcc = ["arm-none-eabi-gcc", *CORE, *FLAGS, "-I", ".", "-T", str(EMULATOR / "memory.ld")]
+    link = ["-nostartfiles", "--specs=rdimon.specs", "-Wl,--gc-sections", "-o", "p"]
+    every = [*gcc, *link, str(EMULATOR / "start.c"), *files, "-lm"]
+    subprocess.run(every, cwd=folder, check=True)
+    board = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-icount", "shift=0"]
+    board += ["-semihosting-config", "enable=on,target=native", "-kernel", "p"]
+    done = subprocess.run(
+        board, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    return done.stdout
+
+
+def bits() -> str:
+    """The self-tests of the four cases on this computer and in the emulator."""
+    title = "## Self-tests of the exported C: bits of outputs and memory\n"
+    if shutil.which("arm-none-eabi-gcc") is None or shutil.which("qemu-system-arm") is None:
+        return f"{title}\nNot run: the emulator is not installed; `make tools`.\n"
+    lines = [title, *head("case", "precision", "this computer", "emulated Cortex-M4F")]
+    for name in BARS:
+        scenario = case(name)
+        simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
+        problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
+        step = parts.build(problem)
+        rows = chosen(recorded(problem, step), step.readings)
+        for word in ("single", "double"):
+            printed = code(step, word == "single")
+            text = source(printed, Labels("o", "benchmark", "observer"))
+            files = text.files("o") | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
+            with tempfile.TemporaryDirectory() as folder:
+                for path, content in files.items():
+                    Path(folder, path).write_text(content)
+                board = _emulated(["o.c", "o_test.c"], Path(folder))
+            said = [compiler.self_tested(files)[1], board]
+            lines.append(row(name, word, *(_verdict(part) for part in said)))
+    return "\n".join([*lines, ""])
+
+
+def _verdict(said: str) -> str:
+    """What a self-test says, without its name."""
+    return said.splitlines()[0].split(": ", 1)[1] if said else "did not run"
 
 
 def _output(command: list[str], folder: Path) -> str:
