@@ -348,6 +348,23 @@ def test_units_names_and_the_controller(tmp_path: Path, monkeypatch: pytest.Monk
         assert variables["right[0]"].variability == "discrete"
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_single_precision_and_titles_of_all_kinds(
+    version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "STEPS", 600)
+    nasty = 'a "<b>" & c*/\n\x00\ufffe\u202e'
+    of = msgspec.structs.replace(scenario("certified"), title=nasty, units=uz.Units(output=nasty))
+    uz.export(of, version, tmp_path / "fmu", precision="single", name="o")
+    path = tmp_path / "fmu" / "o.fmu"
+    assert validate_fmu(str(path)) == []
+    unit, live, Ts = Unit(path), online("certified"), of.simulation.step
+    for k, (y, u) in enumerate(zip(*signals(200), strict=True)):
+        shown = unit.sample(k, Ts, y, u)
+        wanted = expected(live.update(y, u), live.side, unit.outputs)
+        assert np.allclose(shown, wanted, rtol=0, atol=1e-5)
+
+
 def test_the_same_scenario_gives_the_same_FMU(
     built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

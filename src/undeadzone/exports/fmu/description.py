@@ -10,6 +10,8 @@ from xml.etree.ElementTree import Element, SubElement
 from undeadzone.exports.fmu.variables import Variable
 from undeadzone.support.text import printable
 
+_NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
+
 # Capabilities: names differ between the versions in one letter.
 _CAN: Final = {
     2: {
@@ -54,7 +56,7 @@ def description(
     name = report["name"]
     root = Element("fmiModelDescription", {"fmiVersion": f"{version}.0", "modelName": name})
     root.set("guid" if version == 2 else "instantiationToken", token(report, version))
-    root.set("description", printable(" ".join(str(report["title"]).split())))
+    root.set("description", _plain(str(report["title"])))
     root.set("generationTool", f"undeadzone {report['version']}")
     root.set("variableNamingConvention", "flat")
     kind = SubElement(root, "CoSimulation", {"modelIdentifier": name, **_CAN[version]})
@@ -80,7 +82,7 @@ def description(
 
 def _units(root: Element, listed: list[Variable], version: int) -> None:
     """The units that variables name; in FMI 3 time is a variable too."""
-    names = {printable(variable.unit) for variable in listed if variable.unit}
+    names = {_plain(variable.unit) for variable in listed if variable.unit}
     if version == 3:
         names.add("s")
     if names:
@@ -95,13 +97,13 @@ def _variable(parent: Element, reference: int, variable: Variable, version: int)
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
-        "description": printable(variable.meaning),
+        "description": _plain(variable.meaning),
         "causality": variable.causality,
         "variability": "tunable" if is_parameter else "discrete",
     }
     typed: dict[str, str] = {}
     if variable.unit:
-        typed["unit"] = printable(variable.unit)
+        typed["unit"] = _plain(variable.unit)
     if variable.start is None:
         attributes["initial"] = "calculated"
     else:
@@ -127,6 +129,11 @@ def _structure(root: Element, listed: list[Variable], version: int) -> None:
         group = SubElement(parent, word)
         for k in shown:
             SubElement(group, "Unknown", {"index": str(k + 1), **known})
+
+
+def _plain(text: str) -> str:
+    """A text on one line that XML can hold."""
+    return printable(" ".join(text.split())).translate(_NO_XML)
 
 
 def build_description(name: str, sources: list[str]) -> str:
