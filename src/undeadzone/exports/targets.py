@@ -79,7 +79,7 @@ def files(to: str, material: Material) -> Files:
         unit = package.package(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
         around = {"README.md": folder.readme(report, _FMU.format(name=name, version=version))}
-    report["files"] = sorted([*content, *around, folder.MANIFEST])
+    report["files"] = sorted({*content, *around, folder.MANIFEST})
     return content | around | {folder.MANIFEST: folder.manifest(report)}
 
 
