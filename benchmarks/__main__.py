@@ -27,6 +27,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
