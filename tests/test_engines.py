@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import scene
+from tests.scenes import scene
 from undeadzone.controllers import ControllerOptions
 from undeadzone.engine import cache, interpret, lanes
 from undeadzone.engine.emit import straight_line
