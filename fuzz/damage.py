@@ -100,7 +100,9 @@ def bent(draw: random.Random, data: bytes) -> bytes:
         elif kind == 3:
             changed[place:place] = changed[place : place + length]
         elif kind == 4:
-            word = draw.choice((*TEXTS, *map(repr, NUMBERS), "[", "]", "{", "}", '"', "=", ",", "\n"))
+            word = draw.choice(
+                (*TEXTS, *map(repr, NUMBERS), "[", "]", "{", "}", '"', "=", ",", "\n")
+            )
             changed[place : place + length] = word.encode()
         else:
             del changed[place:]

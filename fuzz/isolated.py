@@ -1,4 +1,4 @@
-"""Cases in a process of their own: what hangs, dies or takes all memory is one case, not the end."""
+"""Cases in a process of their own: one that hangs, dies or takes all memory is not the end."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from fuzz.case import Case, End
 
 NOT_A_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
-LINES = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
+LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
 
 
 def complaint(case: Case, end: End) -> str:
@@ -37,24 +37,24 @@ def _of_refusal(case: Case, end: End) -> str:
 
 def _of_result(command: Sequence[str], end: End) -> str:
     """What is wrong with a result."""
-    streaming = any(word in command for word in LINES)
+    streaming = any(word in command for word in LOGS)
     if end.err and not streaming:
         return "words on stderr beside a result"
-    if "--json" in command:
-        return _of_json(end.out, streaming)
+    if "--json" in command and "--help" not in command:
+        return _of_json(end.out, "watch" in command)
     if end.code == 0 and not streaming and NOT_A_NUMBER.search(end.out):
         return "success with NaN"
     return _controls(end.out.replace("\n", ""))
 
 
-def _of_json(text: str, streaming: bool) -> str:
+def _of_json(text: str, lines: bool) -> str:
     """What is wrong with JSON."""
 
     def refuse(constant: str) -> None:
         raise ValueError(constant)
 
     try:
-        for part in text.splitlines() if streaming else [text]:
+        for part in text.splitlines() if lines else [text]:
             json.loads(part, parse_constant=refuse)
     except ValueError:
         return "no JSON"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import sys
@@ -49,7 +50,11 @@ def _commanded(case: Case) -> End:
     before = sys.stdin, sys.stdout, sys.stderr
     sys.stdin, sys.stdout, sys.stderr = io.TextIOWrapper(io.BytesIO(case.stdin)), out, err
     try:
-        code = ended(lambda: group.main(list(case.command or ()), standalone_mode=False))
+        code = ended(
+            functools.partial(
+                group.main, list(case.command or ()), "undeadzone", standalone_mode=False
+            )
+        )
         texts = []
         for stream in (out, err):
             stream.flush()

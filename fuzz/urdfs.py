@@ -17,8 +17,9 @@ from undeadzone.plants.robots.options import URDF
 
 NAME = "arm.urdf"
 ARM = (Path(__file__).parents[1] / "examples" / "ur5.urdf").read_bytes()
-SMALL = b"""<robot name="r"><link name="a"/><link name="b"><inertial><origin xyz="0.1 0 0" rpy="0 0 0"/>
-<mass value="1.0"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+SMALL = b"""<robot name="r"><link name="a"/>
+<link name="b"><inertial><origin xyz="0.1 0 0" rpy="0 0 0"/><mass value="1.0"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
 <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
 <origin xyz="0 0 0.1" rpy="0 0 0"/><limit lower="-1" upper="1" effort="10" velocity="2"/>
 <dynamics damping="0.1" friction="0.05"/></joint></robot>"""

@@ -1,4 +1,4 @@
-"""Scenarios that should run: a random plant, sensor, reference, observer and controller of any kind."""
+"""Scenarios that should run: plant, sensor, reference, observer and controller of any kind."""
 
 from __future__ import annotations
 
