@@ -27,9 +27,7 @@ def main() -> int:
     parser.add_argument("tests", nargs="*", help="with map: files of tests; default: all")
     parser.add_argument("--count", type=int, default=300, help="mutants in all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--seconds", type=float, default=1e9, help="then stop"
-    )
+    parser.add_argument("--seconds", type=float, default=1e9, help="then stop")
     parser.add_argument("--folder", type=Path, default=FOLDER)
     words = parser.parse_args()
     if words.act == "map":
