@@ -13,7 +13,7 @@ IN_PYTHON: Final = ("moving_horizon", "particle_filter")
 OF_ARMS: Final = ("computed_torque", "gravity_pd")
 ONE_LINK: Final[Table] = {
     "arm": {"kind": "one_link"},
-    "parameters": {"m1": 1.0, "l1": 0.5, "c1": 0.25, "I1": 0.02, "b1": 0.5, "g": 9.81},
+    "parameters": {"m": 1.0, "l": 0.5, "c": 0.25, "I": 0.02, "b1": 0.5, "g": 9.81},
 }
 
 
@@ -39,6 +39,9 @@ def scenario(draw: random.Random, in_python: bool = True) -> Table:
     }
     if observer in IN_PYTHON:
         tables["observer"]["right"] = [0.1, 1.0]
+    if len(plant.get("A", ())) != 1 and len(plant.get("companion", ())) != 1:
+        for key in ("L", "poles"):  # of one state
+            tables["observer"].pop(key, None)
     if time == "continuous" and draw.random() < 0.5:
         tables["simulation"]["switching"] = "plain"
     if draw.random() < 0.3:

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 
 import pytest
@@ -14,6 +15,8 @@ from fuzz.case import Case, End, stream
 from fuzz.isolated import results
 from fuzz.judge import complaint
 from fuzz.perform import perform
+from fuzz.scenarios import text
+from tests.test_strangers import SCENARIO
 
 CASES = {
     "formulas": 150,
@@ -24,6 +27,7 @@ CASES = {
     "scenarios": 100,
     "commands": 12,
     "streams": 15,
+    "engines": 4,
 }
 
 
@@ -97,6 +101,19 @@ def test_a_case_that_kills_its_process_is_a_result_and_the_next_one_runs() -> No
     every = list(results("deadly", deadly, 0, 0, until))
     assert [result.index for result in every] == list(range(len(every)))
     assert all(result.complaint == "died: status or signal 9" for result in every)
+
+
+# --- What they found
+
+
+def test_a_run_that_diverges_at_once_is_not_exported() -> None:
+    tables = tomllib.loads(SCENARIO.replace("\x1b", "").replace("'", '"'))
+    tables["controller"] = {"method": "rbf_feedback", "reach": 3.0, "centres": 3, "speed": 1e18}
+    tables["disturbance"] = {"kind": "sine", "amplitude": 0.2, "frequency": 2.0}
+    case = Case("", {"mine.toml": text(tables)}, ["export", "mine.toml", "--out", "out"])
+    end = perform(case)
+    assert end.code == 2, end.err
+    assert "the run leaves +-1e+06 at its first sample" in end.err
 
 
 def test_what_is_printed_past_python_is_seen() -> None:
