@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import time
-import tomllib
 from collections.abc import Iterator
 
 import pytest
@@ -16,7 +15,6 @@ from fuzz.isolated import results
 from fuzz.judge import complaint
 from fuzz.perform import perform
 from fuzz.scenarios import text
-from tests.test_strangers import SCENARIO
 
 CASES = {
     "formulas": 150,
@@ -107,9 +105,14 @@ def test_a_case_that_kills_its_process_is_a_result_and_the_next_one_runs() -> No
 
 
 def test_a_run_that_diverges_at_once_is_not_exported() -> None:
-    tables = tomllib.loads(SCENARIO.replace("\x1b", "").replace("'", '"'))
-    tables["controller"] = {"method": "rbf_feedback", "reach": 3.0, "centres": 3, "speed": 1e18}
-    tables["disturbance"] = {"kind": "sine", "amplitude": 0.2, "frequency": 2.0}
+    tables = {
+        "plant": {"integrators": 2},
+        "sensor": {"right": 0.85, "left": 0.63, "noise": 0.01},
+        "reference": {"kind": "sine", "amplitude": 2.1, "frequency": 1.0},
+        "observer": {"method": "kalman", "right": [0.1, 1.0]},
+        "controller": {"method": "rbf_feedback", "reach": 3.0, "centres": 3, "speed": 4.6e18},
+        "simulation": {"duration": 2.4, "step": 0.02, "time": "sampled"},
+    }
     case = Case("", {"mine.toml": text(tables)}, ["export", "mine.toml", "--out", "out"])
     end = perform(case)
     assert end.code == 2, end.err
