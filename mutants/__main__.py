@@ -17,7 +17,7 @@ ROOT: Final = Path(__file__).parents[1]
 PACKAGE: Final = ROOT / "src" / "undeadzone"
 FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
 ROOMS: Final = ("numerics", "linear", "analysis", "observers/parts", "simulation/loop.py")
-CHEAP: Final = 4.0  # [s] of tests that are run first, and usually suffice
+CHEAP: Final = 3.0  # [s] of tests that are run first, and usually suffice
 ALL: Final = 30.0  # [s] of tests that are run of what these do not notice
 
 
@@ -47,7 +47,7 @@ def run(folder: Path, count: int, seed: int, until: float) -> None:
     random.Random(seed).shuffle(every)
     journal = folder / "journal"
     done = {(row["file"], row["number"]) for row in rows(journal)}
-    preload()
+    trial.preload(ROOT, {test.partition("::")[0] for test in cover.costs})
     for place in every[:count]:
         if time.monotonic() > until:
             return
@@ -87,18 +87,6 @@ def affordable(tests: list[str], cover: covering.Covering, seconds: float) -> li
             break
         chosen.append(test)
     return chosen
-
-
-def preload() -> None:
-    """Import what every mutant needs, so that each starts with it."""
-    import casadi  # noqa: F401
-    import hypothesis  # noqa: F401
-    import msgspec  # noqa: F401
-    import numpy  # noqa: F401
-    import pytest  # noqa: F401
-    import scipy.linalg
-    import scipy.optimize
-    import scipy.signal  # noqa: F401
 
 
 def rows(journal: Path) -> list[dict[str, Any]]:
