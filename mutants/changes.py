@@ -85,14 +85,21 @@ def mutant(root: Path, place: Place) -> ast.Module:
 
 
 def _skipped(tree: ast.Module) -> set[int]:
-    """What is not changed: messages, annotations, slices' bounds of names, blocks for types."""
+    """What is not changed: messages, annotations, which length of a shape is meant."""
     skipped = set()
     for node in ast.walk(tree):
         if isinstance(node, SKIPPED) and not _of_value(node):
             skipped |= {id(inner) for inner in ast.walk(node)}
+        if isinstance(node, ast.Subscript) and _is_shape(node.value):
+            skipped |= {id(inner) for inner in ast.walk(node.slice)}
         if isinstance(node, ast.FunctionDef) and node.returns is not None:
             skipped |= {id(inner) for inner in ast.walk(node.returns)}
     return skipped
+
+
+def _is_shape(node: ast.expr) -> bool:
+    """Whether a node is the shape of an array: most are square, and have one length alone."""
+    return isinstance(node, ast.Attribute) and node.attr == "shape"
 
 
 def _of_value(node: ast.AST) -> bool:
