@@ -67,9 +67,8 @@ def recorded(problem: Problem, step: Step) -> Floats:
         InputError: it diverges at once.
     """
     rows = _recorded(problem, step)
-    diverged = (np.abs(rows) > DIVERGED).any(axis=1) | np.isnan(rows[:, step.readings :]).any(
-        axis=1
-    )
+    missing = np.isnan(rows[:, step.readings :]).any(axis=1)
+    diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
     if diverged[0]:
         raise InputError(
             f"simulation: the run leaves +-{DIVERGED:g} at its first sample, so there is nothing "
