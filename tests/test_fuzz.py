@@ -15,6 +15,10 @@ from fuzz.isolated import results
 from fuzz.judge import complaint
 from fuzz.perform import perform
 from fuzz.scenarios import text
+from tests.scenes import scene
+
+from undeadzone.errors import StructureError
+from undeadzone.scenario.problem import resolve_scenario
 
 CASES = {
     "formulas": 150,
@@ -27,6 +31,9 @@ CASES = {
     "streams": 15,
     "engines": 4,
 }
+
+
+SLIDING = {"method": "sliding_mode", "gain": 1.0}
 
 
 @pytest.fixture(autouse=True)
@@ -117,6 +124,14 @@ def test_a_run_that_diverges_at_once_is_not_exported() -> None:
     end = perform(case)
     assert end.code == 2, end.err
     assert "the run leaves +-1e+06 at its first sample" in end.err
+
+
+def test_sliding_mode_refuses_more_inputs_than_states() -> None:
+    plant = {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1, 0, 2], [0, 1, 3]], "C": [[1.0, 0.0]]}
+    with pytest.raises(StructureError, match="B has rank 2, not 3"):
+        resolve_scenario(
+            scene(plant=plant, observer={"method": "certified"}, controller=SLIDING, tracked=[0])
+        )
 
 
 def test_what_is_printed_past_python_is_seen() -> None:
