@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.scenes import scene
 
-from scenes import scene
 from undeadzone.controllers import ControllerOptions
 from undeadzone.engine import cache, interpret, lanes
 from undeadzone.engine.emit import straight_line
@@ -103,13 +103,6 @@ def combinations() -> list[tuple[str, str, str]]:
             if time in CONTROLLERS[controller][0]:
                 listed.append((observer, controller, time))
     return listed
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
 
 
 def small(time: str = "continuous", **changes: Any) -> Scenario:

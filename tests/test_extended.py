@@ -479,10 +479,7 @@ def test_claims_are_true_over_random_arms(
 # --- In the loop
 
 
-def test_lanes_and_the_virtual_machine_agree(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+def test_lanes_and_the_virtual_machine_agree() -> None:
     scenario = scene(
         plant={
             "states": ["a", "b", "v", "w"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,13 +25,14 @@ from undeadzone.arena.leaderboard import (
 from undeadzone.arena.methods import NOTHING, Numbers, catalogue
 from undeadzone.arena.metric import TAIL, Result
 from undeadzone.arena.prior_knowledge import situation
-from undeadzone.arena.trials import score, signals
+from undeadzone.arena.trials import problem_of, score, signals
 from undeadzone.arena.words import in_words
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support import shown
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
@@ -152,6 +154,8 @@ def run_contest(
     numbers: Numbers,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Contest:
     """Let methods run against each other on scenarios.
 
@@ -162,12 +166,20 @@ def run_contest(
         numbers: of the knobs, by method.
         processes: at once; None: one per processor.
         progress: called with the number of runs just done.
+        keep: file that keeps results, to be deleted once the contest is; None: none.
+        resume: take up what a stopped contest left in `keep`.
 
     Raises:
         InputError: or a subclass.
     """
-    results = score(
-        methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
+    compete = functools.partial(
+        score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
     )
+    if keep is None:
+        results = compete()
+    else:
+        kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
+        with kept.kept():
+            results = compete(kept=kept)
     references = {name for name, method in catalogue().items() if method.reference}
     return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))

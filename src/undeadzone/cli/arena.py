@@ -87,6 +87,11 @@ FOLDER = Path("arena-results")
     metavar="N",
     help="At once (default: one per processor).",
 )
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
+)
 @confined
 def arena(
     scenarios: tuple[Path, ...],
@@ -99,13 +104,15 @@ def arena(
     budget: int,
     tuned: Path | None,
     processes: int | None,
+    resume: bool,
     confine: Path | None,
 ) -> int:
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
     full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
-    scenarios, and the worst, with 95 % intervals. See docs/arena.md.
+    scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is done is kept
+    in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See docs/arena.md.
     """
     from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
@@ -113,12 +120,25 @@ def arena(
     names = None if methods is None else _names(methods)
     own = from_files(scenarios, confine)
     folder = out or FOLDER
-    if tuning or html or out:
+    writes = tuning or html or out is not None
+    if writes:
         writable(folder)
+    elif resume:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     if tuning:
-        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json)
-    contest = _held(names, own or built_in("held_out"), tuple(range(seeds)), tuned, processes)
-    written = _written(contest, folder, bool(own)) if html or out else []
+        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json, resume)
+    contest = _held(
+        names,
+        own or built_in("held_out"),
+        tuple(range(seeds)),
+        tuned,
+        processes,
+        folder / "results.json.partial" if writes else None,
+        resume,
+    )
+    written = _written(contest, folder, bool(own)) if writes else []
+    if writes:
+        (folder / "results.json.partial").unlink(missing_ok=True)
     if as_json:
         print_json(contest.summary() | {"files": [str(path) for path in written]})
     else:
@@ -138,6 +158,8 @@ def _held(
     seeds: tuple[int, ...],
     tuned: Path | None,
     processes: int | None,
+    keep: Path | None,
+    resume: bool,
 ) -> Contest:
     """The contest, held."""
     from undeadzone.arena.contest import run_contest
@@ -147,7 +169,7 @@ def _held(
     methods = len(catalogue()) if names is None else len(names) + 2
     runs = len(grounds) * len(seeds) * methods
     with progress("arena", runs, "runs") as advance:
-        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance)
+        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance, keep, resume)
 
 
 def _tune(
@@ -157,6 +179,7 @@ def _tune(
     processes: int | None,
     folder: Path,
     as_json: bool,
+    resume: bool,
 ) -> int:
     """Tune methods, write and print their numbers."""
     from undeadzone.arena.methods import catalogue, require
@@ -165,8 +188,17 @@ def _tune(
 
     chosen = list(catalogue()) if names is None else [require(name) for name in names]
     with progress("tuning", len(chosen), "methods") as advance:
-        tuned = tune(chosen, grounds, budget, processes=processes, progress=advance)
+        tuned = tune(
+            chosen,
+            grounds,
+            budget,
+            processes=processes,
+            progress=advance,
+            keep=folder / "tuned.toml.partial",
+            resume=resume,
+        )
     path = save(tuned, folder / "tuned.toml")
+    (folder / "tuned.toml.partial").unlink(missing_ok=True)
     if as_json:
         import msgspec
 

@@ -69,11 +69,17 @@ if TYPE_CHECKING:
     metavar="N",
     help="Of the runs and the search (default: [tune] seed).",
 )
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
+)
 @confined
 @common
 def tune(
     scenario: Path,
     over: tuple[str, ...],
+    resume: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -94,7 +100,8 @@ def tune(
 
     Prints the numbers found and what they are worth on held-out runs, others than those tuned on.
     Writes tuned.toml, the scenario with these numbers, and figures to DIR (default: NAME-tune);
-    with --no-figures and no --out it writes nothing. Exit code 1: no better on the held-out runs,
+    with --no-figures and no --out it writes nothing. What candidates cost is kept in DIR meanwhile:
+    after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
     """
     from undeadzone.scenario.reader import read
@@ -104,9 +111,14 @@ def tune(
     tuned = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
     wanted = _wanted(tuned, over, changes)
+    keep = None if folder is None else folder / "tuned.toml.partial"
+    if resume and keep is None:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     with progress("tuning", wanted.budget, "candidates") as advance:
-        result = search(tuned, wanted, progress=advance)
+        result = search(tuned, wanted, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
+    if keep is not None:
+        keep.unlink(missing_ok=True)
     if folder is not None and not no_figures:
         from undeadzone.report.tune_figures import write_figures
 

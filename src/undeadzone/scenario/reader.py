@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +19,7 @@ from undeadzone.scenario.changes import require_finite
 from undeadzone.scenario.messages import explain, invalid_toml
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
-from undeadzone.support.files import read_text, reason
+from undeadzone.support.files import LARGEST_TABLE, read_bytes, read_text, reason
 
 
 def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
@@ -173,6 +174,20 @@ def confined(scenario: Scenario, folder: Path) -> Scenario:
         return str(real)
 
     return _with_files(scenario, inside)
+
+
+def digests(scenario: Scenario) -> dict[str, str]:
+    """Digests of what the files hold that a scenario names, by key; of one that is missing none."""
+    by_key: dict[str, str] = {}
+
+    def seen(key: str, path: str) -> str:
+        with suppress(OSError, ValueError):
+            content = read_bytes(path, LARGEST_TABLE)
+            by_key[key] = hashlib.blake2b(content, digest_size=16).hexdigest()
+        return path
+
+    _with_files(scenario, seen)
+    return by_key
 
 
 def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenario:
