@@ -9,6 +9,7 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.augmented_state import agitation
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
@@ -17,6 +18,8 @@ from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
+
+SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)
 
 
 class Kalman(
@@ -38,7 +41,8 @@ class Kalman(
         x_std: standard deviation of x(0) about 0, one or one per state; default five times the
             largest width.
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
-            [u]; default 0.
+            [u]; default what moves z by a fifth of the largest width in a quarter period, rms, so
+            that readings count; 0 is a claim, with which z^ soon follows the model alone.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
         glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
             readings for right, as textbooks do, and shows no wider intervals where they do not fit.
@@ -48,7 +52,7 @@ class Kalman(
     left: Array | None = None
     noise: Array | None = None
     x_std: Array | None = None
-    disturbance: Array = 0.0
+    disturbance: Array | None = None
     drift: float = 0.0
     glitches: float = GLITCHES
 
@@ -71,7 +75,10 @@ class Kalman(
         prior = build_prior(
             model, sensor, self.right, self.left, self.noise, self.x_std, self.drift
         )
-        rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        if self.disturbance is None:
+            rms = agitation(model, SWING * prior.ranges.max())
+        else:
+            rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
         member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
         return judged(member, model, widens=glitches > 0)

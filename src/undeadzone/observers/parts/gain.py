@@ -20,7 +20,7 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
     """L as n x p.
 
     Args:
-        L: gains, a plain list for one output; None: P^-1 C' of the model.
+        L: gains, a plain list for one output; None: `default_gain` of the model.
         model: the model, for its shape.
         key: what an error calls L.
 
@@ -29,9 +29,9 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
     """
     n, p = model.n, model.p
     if L is None:
-        from undeadzone.analysis.certificate.passivity import passive_gain
+        from undeadzone.observers.parts.default_gains import default_gain
 
-        return passive_gain(model.linear, model.Ts)
+        return default_gain(model)
     gain = array(key, L)
     if gain.ndim == 1 and p == 1:
         gain = gain[:, None]
