@@ -37,7 +37,8 @@ from undeadzone.observers import (
     RobustGradient,
     TaylorResidual,
 )
-from undeadzone.observers.parts.gain import fast_gain, injection
+from undeadzone.linear.fast_gain import fast_gain
+from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.scenario.problem import resolve_scenario

@@ -14,7 +14,7 @@ from undeadzone.analysis.error_dynamics import delta
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.scaling import sizes
 from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import moving_poles
+from undeadzone.plants.time_scales import mean_pole
 from undeadzone.support.arrays import Floats
 
 STRENGTH: Final = 5.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error
@@ -54,7 +54,5 @@ def default_gain(model: System) -> Floats:
 
 def default_adaptation(model: System) -> float:
     """gamma [1/s] for the plant's own speed."""
-    mean = float(np.exp(np.log(moving_poles(model)).mean()))
-    if model.Ts is None:
-        return ADAPTATION * mean
-    return min(ADAPTATION * mean, LARGEST / model.Ts)
+    wanted = ADAPTATION * mean_pole(model)
+    return wanted if model.Ts is None else min(wanted, LARGEST / model.Ts)
