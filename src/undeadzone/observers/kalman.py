@@ -14,7 +14,7 @@ from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import build_prior
+from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
@@ -37,6 +37,8 @@ class Kalman(
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default five times the
             largest width.
@@ -50,6 +52,7 @@ class Kalman(
 
     right: Array
     left: Array | None = None
+    centre: Array | None = None
     noise: Array | None = None
     x_std: Array | None = None
     disturbance: Array | None = None
@@ -73,7 +76,14 @@ class Kalman(
                 "cannot use; use 'censored'"
             )
         prior = build_prior(
-            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift
+            model,
+            sensor,
+            self.right,
+            self.left,
+            self.noise,
+            self.x_std,
+            self.drift,
+            centre=self.centre,
         )
         if self.disturbance is None:
             rms = agitation(model, SWING * prior.ranges.max())
@@ -81,4 +91,4 @@ class Kalman(
             rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
         member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
-        return judged(member, model, widens=glitches > 0)
+        return judged(member, model, glitches > 0, claimed_traits(prior, self.x_std))

@@ -38,9 +38,7 @@ def default_gain(model: System) -> Floats:
     linear, Ts = model.linear, model.Ts
     A = delta(linear, Ts)
     unit = 1 / sizes(A.T, linear.C.T)
-    balanced = Matrices(
-        linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit
-    )
+    balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)
     L = unit[:, None] * passive_gain(balanced, Ts)
     at_rest = np.diag(linear.C @ np.linalg.solve(-A, L))
     L = L * STRENGTH / np.exp(np.log(at_rest).mean())
