@@ -11,7 +11,15 @@ import msgspec
 
 import undeadzone
 from undeadzone.arena.entry import entered
-from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, RESAMPLES, Row, leaderboard, regrets
+from undeadzone.arena.leaderboard import (
+    CAP,
+    NAIVE,
+    RESAMPLES,
+    ZERO,
+    Row,
+    leaderboard,
+    regrets,
+)
 from undeadzone.arena.methods import NOTHING, Numbers, catalogue
 from undeadzone.arena.metric import TAIL, Result
 from undeadzone.arena.prior_knowledge import situation
@@ -26,11 +34,11 @@ from undeadzone.support.files import write_text
 RULES: Mapping[str, Any] = {
     "tail": TAIL,
     "cap": CAP,
-    "refused": REFUSED,
+    "refused": NAIVE,
     "resamples": RESAMPLES,
     "confidence": LEVEL,
-    "zero": FRAME[0],
-    "one": FRAME[1],
+    "zero": ZERO,
+    "unit": "half of d_r + d_l",
 }
 
 

@@ -140,7 +140,7 @@ def score(
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Result]:
-    """The results of methods on scenarios, with the two lines that make a regret (FRAME).
+    """The results of methods on scenarios, with the lines that are always there (FRAME).
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this
