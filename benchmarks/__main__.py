@@ -21,6 +21,7 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",
