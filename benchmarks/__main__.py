@@ -22,6 +22,7 @@ NAMES = (
     "coverage",
     "glitches",
     "ranges",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",

@@ -23,7 +23,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 PLANT = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=16.0), x0=[1.0, 0.0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
-KALMAN = uz.Kalman(right=[0.0, 2.0])
+KALMAN = uz.Kalman(right=[0.0, 2.0], disturbance=0.0)
 LOGS_ALONE = """
 title = "A load cell"
 [plant]
@@ -233,7 +233,7 @@ def test_smoothing_of_two_outputs() -> None:
         x0=[1.0, 0.0, -1.0],
     )
     two = scenario(
-        uz.Kalman(right=[0.0, 2.0]),
+        KALMAN,
         plant=plant,
         sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
         reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),

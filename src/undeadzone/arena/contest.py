@@ -14,9 +14,9 @@ import undeadzone
 from undeadzone.arena.entry import entered
 from undeadzone.arena.leaderboard import (
     CAP,
-    FRAME,
-    REFUSED,
+    NAIVE,
     RESAMPLES,
+    ZERO,
     Row,
     contestants,
     leaderboard,
@@ -40,11 +40,11 @@ from undeadzone.support.shown import Block
 RULES: Mapping[str, Any] = {
     "tail": TAIL,
     "cap": CAP,
-    "refused": REFUSED,
+    "refused": NAIVE,
     "resamples": RESAMPLES,
     "confidence": LEVEL,
-    "zero": FRAME[0],
-    "one": FRAME[1],
+    "zero": ZERO,
+    "unit": "half of d_r + d_l",
 }
 
 

@@ -110,9 +110,10 @@ def arena(
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
-    full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
-    scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is done is kept
-    in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See docs/arena.md.
+    knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
+    over the scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is
+    done is kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See
+    docs/arena.md.
     """
     from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in

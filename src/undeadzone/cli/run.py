@@ -105,6 +105,7 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.compare import compare
+    from undeadzone.simulation.listening import heard
     from undeadzone.simulation.simulate import simulate
 
     if path.suffix in OF_ENSEMBLE:
@@ -121,15 +122,17 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
         raise InputError("animation: this plant is no arm; leave the option out")
     with progress("simulating", _steps(scenario)) as advance:
         if scenario.compare is None:
-            return simulate(scenario, progress=advance), None
-        return compare(scenario, progress=advance)
+            result, rival = simulate(scenario, progress=advance), None
+        else:
+            result, rival = compare(scenario, progress=advance)
+        return heard(scenario, result, advance), rival
 
 
 def _steps(scenario: Scenario) -> int:
-    """How many steps are simulated: of each observer, and of its twin of half the step."""
+    """How many steps are simulated: of each observer, of its twin of half the step, of `heard`."""
     observers = 1 if scenario.compare is None else 2
     each = 3 if scenario.simulation.time == "continuous" else 1
-    total = observers * each * scenario.simulation.duration
+    total = (observers * each + 1) * scenario.simulation.duration
     return round(total / max(scenario.simulation.step, 1e-12))
 
 
@@ -208,6 +211,10 @@ def _errors(result: Run) -> dict[str, Any]:
         estimate, std, true = parameter["estimate"], parameter["std"], parameter["true"]
         shown[name] = f"{estimate:.4g} ± {std:.2g} (true {true:g})"
     shown["silent"] = f"{100 * result.silent_fraction:.1f} % of the time"
+    if info.listens:
+        from undeadzone.simulation.listening import in_words
+
+        shown["listens"] = in_words(info.listens)
     return shown
 
 

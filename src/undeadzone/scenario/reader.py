@@ -69,6 +69,11 @@ def read_for_logs(
                 raise InputError(
                     f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
                 )
+        if observer is None and "right" not in sensor and "declared" not in data:
+            raise InputError(
+                "observer: missing; name one and the range of the widths, such as "
+                'observer = { method = "auto", right = [0.0, 2.0] }'
+            )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
     scenario = convert(data, Path(path).parent)
     return scenario if confine is None else confined(scenario, Path(confine))

@@ -208,7 +208,7 @@ class Run:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
         right, left = (_one_or_list(column) for column in self.widths.T)
         d_std, width_std = self.d_std, self.width_std
-        verdicts = self.info.identifiable
+        verdicts, listens = self.info.identifiable, self.info.listens
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
@@ -224,6 +224,7 @@ class Run:
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
             **judgement(self.consistent, self.refused, self.restarts),
+            "listens": _one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,

@@ -8,6 +8,7 @@ from typing import Any, Final
 from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.listening import in_words as share_in_words
 
 REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
 
@@ -26,6 +27,7 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
         **_proof(summary, scenario),
         **_nearest(summary),
         **_speed(summary),
+        **_listens(summary),
         **_knowledge(summary, scenario),
     }
     if reasons:
@@ -100,6 +102,13 @@ def _speed(summary: Mapping[str, Any]) -> dict[str, str]:
             "gains"
         )
     return shown
+
+
+def _listens(summary: Mapping[str, Any]) -> dict[str, str]:
+    """How strongly readings move z^."""
+    if summary["listens"] is None:
+        return {}
+    return {"listens": share_in_words(_as_list(summary["listens"]))}
 
 
 def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:

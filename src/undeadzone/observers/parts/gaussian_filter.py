@@ -92,6 +92,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
     count = len(augmentation.cov)
     cov = np.zeros((known + count,) * 2)
     cov[:known, :known] = np.diag(prior.std**2)
+    widths, cov[model.n : known, model.n : known] = prior.widths()
     cov[known:, known:] = augmentation.cov
     rows, columns = kept_entries(model, augmentation).get_triplet()
     return Params(
@@ -101,7 +102,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         gate=prior.gate,
         slope=sensor.slope,
         drift=prior.drift,
-        mean=np.concatenate([prior.mean, np.zeros(count)]),
+        mean=np.concatenate([prior.mean[: model.n], widths, np.zeros(count)]),
         cov=cov[rows, columns],
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),
