@@ -24,10 +24,7 @@ print(checked["certified"], *checked["reasons"], sep="\n")
 
 # %%
 design = uz.design(scenario)
-print(design)
-
-# %%
-uz.plot(design)
+design
 
 # %% [markdown]
 # A design is a file that is proved again whenever it is read.

@@ -20,15 +20,14 @@ scenario = uz.Scenario(
     simulation=uz.Simulation(time="sampled", step=0.01, duration=12.0),
 )
 run = uz.simulate(scenario)
-print("right", run.summary()["d_right"], "+-", run.summary()["d_right_std"])
-print("left ", run.summary()["d_left"], "+-", run.summary()["d_left_std"])
+print(run)
 
 # %% [markdown]
 # The sensor's own widths are used by the simulation alone. The observer `auto` is told only that
 # each lies between 0 and 1.
 
 # %%
-uz.plot(run)
+run
 
 # %% [markdown]
 # What if the right edge were further out? A scenario is a value; `replace` gives another one.

@@ -47,7 +47,7 @@ for joint, (right, left) in zip(run.outputs, run.widths, strict=True):
 print("rms tip error [mm]", 1e3 * run.rms_tip)
 
 # %%
-uz.plot(run)
+run
 
 # %% [markdown]
 # [Robots](../robots.md) tells how paths of the tip, payloads and torque limits are given, and

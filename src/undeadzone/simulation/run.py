@@ -12,6 +12,8 @@ import numpy as np
 from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
+from undeadzone.simulation.run_words import in_words
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 
 LAST: Final = 2.0  # [s] over which errors are measured
@@ -235,6 +237,19 @@ class Run:
             "seconds": self.info.seconds,
         }
         return finite(numbers)
+
+    def in_words(self) -> dict[str, Any]:
+        """The lines that `undeadzone run` prints, by what they are about."""
+        last = min(LAST, float(self.t[-1] - self.t[0]))
+        return in_words(self.info, self.summary(), last)
+
+    def __str__(self) -> str:
+        """The table that `undeadzone run` prints."""
+        return shown.text([self.in_words()])
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, [self.in_words()])
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

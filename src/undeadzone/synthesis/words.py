@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.analysis.identifiability.words import yes_no
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.listening import in_words as share_in_words
+from undeadzone.simulation.listening_words import in_words as share_in_words
 
 REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
 
@@ -35,12 +35,6 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     if summary["cures"]:
         shown["cure"] = summary["cures"]
     return shown
-
-
-def yes_no(verdict: Mapping[str, bool]) -> str:
-    """What can be known of one output: right yes, left NO, ..."""
-    words = {True: "yes", False: "NO"}
-    return ", ".join(f"{name} {words[bool(verdict[name])]}" for name in DIRECTIONS)
 
 
 def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
