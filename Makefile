@@ -1,7 +1,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = .venv/bin
 
-.PHONY: paper test bench clean
+.PHONY: paper test tools bench clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -11,6 +11,9 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+tools:                        ## what some tests need besides Python: compiler and emulator of a microcontroller, cppcheck, browser
+	sh tests/tools.sh
 
 bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks

@@ -26,6 +26,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -1,8 +1,9 @@
-"""What tests need besides Python packages: they skip by its name, or fail where required."""
+"""Programs that some tests need: they skip by name, or fail where these are required."""
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 
 import pytest
 
@@ -18,3 +19,13 @@ def require(group: str, missing: list[str]) -> None:
     if group in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
         pytest.fail(message)
     pytest.skip(message)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say which tests were skipped for want of what, and how many: no skip is silent."""
+    counts: Counter[str] = Counter()
+    for report in terminalreporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        counts[reason.removeprefix("Skipped: ")] += 1
+    for reason, count in sorted(counts.items()):
+        terminalreporter.write_line(f"skipped {count}: {reason}")

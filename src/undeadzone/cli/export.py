@@ -13,7 +13,12 @@ from undeadzone.cli.common import confined, print_json, print_pairs, print_table
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option("--to", default="c", metavar="WHAT", help="c (default), arduino, or page.")
+@click.option(
+    "--to",
+    default="c",
+    metavar="WHAT",
+    help="c (default), arduino, fmu2, fmu3, python or page.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -22,7 +27,12 @@ from undeadzone.cli.common import confined, print_json, print_pairs, print_table
     help="Folder for the files (default: firmware; with --check alone, none); of a page, the file "
     "(default: live.html).",
 )
-@click.option("--precision", default="single", metavar="P", help="single (default) or double.")
+@click.option(
+    "--precision",
+    default=None,
+    metavar="P",
+    help="single (default of c and arduino) or double (default of the others).",
+)
 @click.option(
     "--part",
     default="observer",
@@ -47,7 +57,7 @@ def export(
     scenario: Path,
     to: str,
     out: Path | None,
-    precision: str,
+    precision: str | None,
     part: str,
     tunable: tuple[str, ...],
     name: str | None,
@@ -55,10 +65,11 @@ def export(
     as_json: bool,
     confine: Path | None,
 ) -> int:
-    """Write a scenario's observer, and its controller if asked, as C99 for firmware, or a page.
+    """Write a scenario's observer, and its controller if asked, so that it runs elsewhere.
 
-    The folder holds the code, a self-test with reference vectors as bits, Makefile, CMakeLists.txt,
-    README and manifest. Single precision is run beside double along the scenario's own run.
+    As C99 for firmware, as an FMU for Simulink, Modelica and others, or as a Python module. A
+    folder of C holds the code, a self-test with reference vectors as bits, build files, README and
+    manifest. Single precision is run beside double along the scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
     A folder that is no earlier export is never replaced.
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
