@@ -407,7 +407,12 @@ def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -
     with pytest.raises(FileError, match="not replaced"):
         uz.export(scenario, to="page", out=foreign)
     assert foreign.read_text() == "<p>mine</p>"
-    for option in ({"check": True}, {"tunable": ("observer.gamma",)}, {"name": "x"}):
+    for option in (
+        {"check": True},
+        {"tunable": ("observer.gamma",)},
+        {"name": "x"},
+        {"precision": "single"},
+    ):
         with pytest.raises(InputError, match="no such choice"):
             uz.export(scenario, to="page", out=out, **option)
 

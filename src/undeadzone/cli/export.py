@@ -14,7 +14,10 @@ from undeadzone.cli.common import confined, print_json, print_pairs, print_table
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
-    "--to", default="c", metavar="WHAT", help="c (default), arduino, fmu2, fmu3, python or page."
+    "--to",
+    default="c",
+    metavar="WHAT",
+    help="c (default), arduino, fmu2, fmu3, python or page.",
 )
 @click.option(
     "--out",

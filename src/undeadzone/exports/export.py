@@ -61,10 +61,10 @@ def export(
     Args:
         scenario: a scenario with simulation.time = "sampled".
         to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
-            co-simulation; "python" for a module that needs no undeadzone; "page" for one HTML file
-            in which the scenario's loop runs (always in double precision).
+            co-simulation; "python" for a module that needs no undeadzone;
+            "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file; replaced if it is an earlier export.
-        precision: "single" for float, or "double"; default: single for "c" and "arduino".
+        precision: "single" for float, or "double"; default: double but for "c" and "arduino".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
@@ -82,7 +82,7 @@ def export(
     precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
     if to == "page":
-        _require_plain(part, tunable, name, check)
+        _require_plain(precision, part, tunable, name, check)
         return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
     folder.require_replaceable(Path(out))
@@ -113,12 +113,22 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
         raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
 
 
-def _require_plain(part: str, tunable: tuple[str, ...], name: str | None, check: bool) -> None:
+def _require_plain(
+    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
+) -> None:
     """Raise InputError for an option that means nothing to a page."""
-    options = {"part": part != "observer", "tunable": tunable, "name": name, "check": check}
+    options = {
+        "precision": precision != "double",
+        "part": part != "observer",
+        "tunable": tunable,
+        "name": name,
+        "check": check,
+    }
     for key, value in options.items():
         if value:
-            raise InputError(f"{key}: a page has the whole loop and no such choice; leave it out")
+            raise InputError(
+                f"{key}: a page has the whole loop, in double, and no such choice; leave it out"
+            )
 
 
 def _prefix(name: str | None, title: str) -> str:

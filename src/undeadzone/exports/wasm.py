@@ -29,12 +29,12 @@ from undeadzone.exports.instructions import (
     uses_of,
 )
 from undeadzone.exports.replica import DOUBLE
+from undeadzone.exports.wasm_bytes import F64, I32, name_of, section, signed, type_of, unsigned
 
 REAL = 8  # bytes of a number
 PAGE = 65536  # bytes of a page of memory
 DEEPEST = 60  # nesting of an expression, beyond which a local holds a part of it
 _MAGIC = b"\0asm\x01\0\0\0"
-_F64, _I32 = 0x7C, 0x7F
 
 _NUMBERS = {  # f64 -> f64
     ca.OP_ADD: b"\xa0",
@@ -85,17 +85,17 @@ def module(functions: Sequence[Function], size: int) -> bytes:
     calls = {name: len(functions) + k for k, name in enumerate(own)}
     bodies = [_stored(function, calls) for function in functions]
     bodies += [_returned(name, calls) for name in own]
-    types = [_type(0, 0), _type(1, 1), _type(2, 1)]
+    types = [type_of(0, 0), type_of(1, 1), type_of(2, 1)]
     kinds = [0] * len(functions) + [len(FUNCTIONS[name].inputs) for name in own]
     pages = -(-size // PAGE)
-    exports = [_name(each.name) + b"\0" + _unsigned(k) for k, each in enumerate(functions)]
-    exports.append(_name("memory") + b"\x02\0")
+    exports = [name_of(each.name) + b"\0" + unsigned(k) for k, each in enumerate(functions)]
+    exports.append(name_of("memory") + b"\x02\0")
     sections = [
-        _section(1, types),
-        _section(3, [_unsigned(kind) for kind in kinds]),
-        _section(5, [b"\0" + _unsigned(pages)]),
-        _section(7, exports),
-        _section(10, [_unsigned(len(body)) + body for body in bodies]),
+        section(1, types),
+        section(3, [unsigned(kind) for kind in kinds]),
+        section(5, [b"\0" + unsigned(pages)]),
+        section(7, exports),
+        section(10, [unsigned(len(body)) + body for body in bodies]),
     ]
     return _MAGIC + b"".join(sections)
 
@@ -119,7 +119,7 @@ def _stored(function: Function, calls: dict[str, int]) -> bytes:
     code = writer.locals_set()
     for places, targets in zip(function.graph.results, function.results, strict=True):
         for place, target in zip(places, targets, strict=True):
-            code += b"\x41\0" + writer.number(place) + b"\x39\x03" + _unsigned(target)
+            code += b"\x41\0" + writer.number(place) + b"\x39\x03" + unsigned(target)
     return writer.declared() + code + b"\x0b"
 
 
@@ -174,9 +174,9 @@ class _Writer:
 
     def declared(self) -> bytes:
         """The declaration of the locals."""
-        groups = [(len(self.reals), _F64), (len(self.conditions), _I32)]
-        used = [_unsigned(count) + bytes([kind]) for count, kind in groups if count]
-        return _unsigned(len(used)) + b"".join(used)
+        groups = [(len(self.reals), F64), (len(self.conditions), I32)]
+        used = [unsigned(count) + bytes([kind]) for count, kind in groups if count]
+        return unsigned(len(used)) + b"".join(used)
 
     def locals_set(self) -> bytes:
         """The instructions that fill the locals, each after those that it needs."""
@@ -185,7 +185,7 @@ class _Writer:
             numbers[place] = self.first + k
         code = b""
         for place in sorted(numbers):
-            code += self._raw(place) + b"\x21" + _unsigned(numbers[place])
+            code += self._raw(place) + b"\x21" + unsigned(numbers[place])
             self.locals[place] = numbers[place]
         return code
 
@@ -205,11 +205,11 @@ class _Writer:
         """A node as it is."""
         node = self.nodes[place]
         if place in self.locals:
-            return b"\x20" + _unsigned(self.locals[place])
+            return b"\x20" + unsigned(self.locals[place])
         if node.op == ca.OP_CONST:
             return _constant(float(node.text))
         if node.op == ca.OP_INPUT:
-            return b"\x41\0\x2b\x03" + _unsigned(self.inputs[node.text])
+            return b"\x41\0\x2b\x03" + unsigned(self.inputs[node.text])
         if node.op in _LOGIC:
             return b"".join(map(self.condition, node.operands)) + _LOGIC[node.op]
         if node.op in (SELECT, ca.OP_IF_ELSE_ZERO):
@@ -238,7 +238,7 @@ class _Writer:
             return _constant(1.0) + code + _NUMBERS[ca.OP_DIV]
         if op in _BITS:
             return code + _BITS[op]
-        return code + b"\x10" + _unsigned(self.calls[OWN[op]])
+        return code + b"\x10" + unsigned(self.calls[OWN[op]])
 
 
 def _is_short(node: Node) -> bool:
@@ -251,50 +251,13 @@ def _constant(value: float) -> bytes:
     value = held(value, single=False)
     bits = struct.pack("<d", value)
     if abs(value) < 64 and bits == struct.pack("<d", int(value)):
-        return b"\x41" + _signed(int(value)) + _AS_NUMBER
+        return b"\x41" + signed(int(value)) + _AS_NUMBER
     return b"\x44" + bits
 
 
 def _long(value: int) -> bytes:
     """A 64-bit integer."""
-    return b"\x42" + _signed(value)
-
-
-def _signed(value: int) -> bytes:
-    """A signed integer in LEB128."""
-    code = bytearray()
-    while True:
-        low, value = value & 0x7F, value >> 7
-        if value == -(low >> 6):
-            code.append(low)
-            return bytes(code)
-        code.append(low | 0x80)
-
-
-def _unsigned(value: int) -> bytes:
-    """An unsigned integer in LEB128."""
-    code = bytearray()
-    while value > 0x7F:
-        code.append((value & 0x7F) | 0x80)
-        value >>= 7
-    return bytes([*code, value])
-
-
-def _name(text: str) -> bytes:
-    """A name, its length first."""
-    return _unsigned(len(text)) + text.encode()
-
-
-def _type(arguments: int, results: int) -> bytes:
-    """The type of a function on numbers."""
-    reals = bytes([_F64])
-    return b"\x60" + _unsigned(arguments) + reals * arguments + _unsigned(results) + reals * results
-
-
-def _section(number: int, entries: list[bytes]) -> bytes:
-    """A section of the module."""
-    content = _unsigned(len(entries)) + b"".join(entries)
-    return bytes([number]) + _unsigned(len(content)) + content
+    return b"\x42" + signed(value)
 
 
 _RAISED = b"\xbd" + _long((DOUBLE.bias << DOUBLE.mantissa) - DOUBLE.half) + b"\x7c"

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
-import re
-from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +15,8 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.exports import wasm
 from undeadzone.exports.instructions import operations, require_known
 from undeadzone.exports.page import signals, sliders
+from undeadzone.exports.page.frame import MARK, framed
+from undeadzone.exports.page.slider import as_data
 from undeadzone.exports.rewrite import rewritten
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -32,7 +30,6 @@ from undeadzone.support.text import printable
 
 _LARGEST = np.finfo(float).max  # in place of infinity, which JSON has not
 MOST = 100_000_000  # operations of a run
-MARK = '<meta name="generator" content="undeadzone export">'
 RECORDED = {
     "z": "z",
     "y": "y",
@@ -103,7 +100,7 @@ def build(scenario: Scenario) -> Page:
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
-    text = _html(scenario.title, data)
+    text = framed(scenario.title, data)
     report = {
         "title": scenario.title,
         "version": undeadzone.__version__,
@@ -231,7 +228,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
         "reference": signals.reference(problem),
         "disturbance": signals.disturbance(problem),
-        "sliders": [sliders.as_data(slider) for slider in made],
+        "sliders": [as_data(slider) for slider in made],
         "learns": any(slider.key == "gamma" for slider in made),
     }
 
@@ -264,32 +261,6 @@ def _note(problem: Problem) -> str:
     if not problem.plant.nonlinear:
         text += "A real plant differs from its model: the last slider shows what that costs. "
     return text + "Errors are rms over the second half of the run."
-
-
-def _html(title: str, data: dict[str, Any]) -> str:
-    """The page."""
-    folder = files("undeadzone.exports.page")
-    text, style, script = (
-        (folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
-    )
-    policy = (
-        f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
-        f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
-    )
-    content = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    parts = {
-        "__POLICY__": policy,
-        "__TITLE__": escape(printable(title)),
-        "__STYLE__": style,
-        "__SCRIPT__": script,
-        "__DATA__": content.replace("<", "\\u003c"),
-    }
-    return re.sub("__[A-Z]+__", lambda mark: parts[mark[0]], text)
-
-
-def _digest(text: str) -> str:
-    """The hash by which the page's policy allows a text, and no other."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _require_replaceable(out: Path) -> None:
