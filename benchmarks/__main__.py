@@ -22,11 +22,13 @@ NAMES = (
     "coverage",
     "glitches",
     "ranges",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",
     "arms",
     "identify",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

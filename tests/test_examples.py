@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from undeadzone.synthesis.check import affirmed
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RUNS: dict[str, uz.Run] = {}
@@ -94,6 +95,19 @@ def test_integrators_give_the_width_alone() -> None:
     assert not verdict["left"]
     assert result.widths.sum() == pytest.approx(2.0, abs=1e-4)
     assert abs(result.widths[0, 0] - 1.2) > 0.1
+
+
+def test_a_geared_motor_is_told_that_its_play_is_symmetric() -> None:
+    """Both commands end well; without the claim neither would."""
+    result = run("motor_position")
+    assert result.fully_identifiable
+    assert result.rms_estimation < 5e-3
+    np.testing.assert_allclose(result.widths, 0.12, atol=0.01)
+    scenario = uz.read(FOLDER / "motor_position.toml")
+    assert affirmed(uz.check(scenario))
+    vague = msgspec.structs.replace(scenario.observer, centre=None)
+    alone = msgspec.structs.replace(scenario, observer=vague)
+    assert not affirmed(uz.check(alone))
 
 
 def test_pendulum() -> None:

@@ -146,6 +146,8 @@ class Traits(NamedTuple):
         uncertain: names of the model's parameters that it estimates, as theta.
         start_std: standard deviation of x(0) about the claimed start (n); None: no start is
             claimed.
+        centre_std: standard deviation of each claimed d_r - d_l (p), infinite where none is
+            claimed; None: nowhere.
     """
 
     L: Floats | None = None
@@ -156,6 +158,7 @@ class Traits(NamedTuple):
     adapts: bool = True
     uncertain: tuple[str, ...] = ()
     start_std: Floats | None = None
+    centre_std: Floats | None = None
 
 
 class Observer(NamedTuple):

@@ -17,6 +17,7 @@ from undeadzone.limits import Limits, at_limit, checked_range, limits_of, requir
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
+FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
 
 
 def _ops(*values: Any) -> Any:
@@ -201,7 +202,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         noise_before: rms of the noise added to z ahead of the deadzone (p) [z].
         threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
             quantum.
-        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s].
+        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s]; default
+            a hundredth of the plant's mean pole.
         quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
             only.
         drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms
@@ -219,7 +221,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     noise: Array = 0.0
     noise_before: Array = 0.0
     threshold: Array | None = None
-    false_alarm_rate: float = 0.01
+    false_alarm_rate: float | None = None
     quantum: Array = 0.0
     drift: Array = 0.0
     dropout: Array = 0.0
@@ -271,13 +273,14 @@ class Zone(msgspec.Struct, frozen=True):
         return np.hypot(noise, rounding)
 
 
-def resolve(sensor: Sensor, p: int, step: float) -> Zone:
+def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     """The checked sensor of a plant.
 
     Args:
         sensor: the sensor in a user's words.
         p: number of the plant's outputs.
         step: time between readings [s], for the default threshold.
+        pace: how fast the plant moves [1/s], for the default rate of false alarms.
 
     Raises:
         InputError: or a subclass, that names the key.
@@ -295,7 +298,9 @@ def resolve(sensor: Sensor, p: int, step: float) -> Zone:
     quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
-    rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
+    rate = FALSE_ALARMS * pace
+    if sensor.false_alarm_rate is not None:
+        rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
     if sensor.threshold is None:
         threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
     else:

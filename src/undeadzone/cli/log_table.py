@@ -92,5 +92,4 @@ def _verdict(info: LogInfo) -> str:
         return f"cannot be tested: {'; '.join(info.reasons)}"
     if not info.consistent:
         return "NO: " + "; ".join(info.reasons)
-    beyond = f"{info.glitches} of {info.used} readings beyond 4.5 standard deviations"
-    return f"yes (B = {info.B:.2f}; {beyond})"
+    return f"yes (B = {info.B:.2f}; {info.glitches} of {info.used} readings taken for wrong)"

@@ -32,7 +32,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         B: statistic of the test, about 1 where all is well.
         square: mean square of the normalised innovations, about 1 where all is well.
         used: readings that corrected the estimate.
-        glitches: of these, those beyond 4.5 standard deviations.
+        glitches: readings that the filter took for wrong, or beyond 4.5 standard deviations.
+        silent_outside: readings that are silent although z^ is far outside the estimated zone.
         reasons: why the record is not consistent, or cannot be tested.
         threshold: |y| that counts as silent (p) [y].
         uncertain: names of the parameters that the observer estimates.
@@ -66,6 +67,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     square: float | None
     used: int
     glitches: int
+    silent_outside: int
     reasons: list[str]
     threshold: list[float]
     uncertain: list[str] = []

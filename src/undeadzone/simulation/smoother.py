@@ -15,7 +15,8 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
-from undeadzone.plants.system import System
+from undeadzone.observers.parts.even_states import even_units
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.simulation.observer_graph import Out, observer_graph
 from undeadzone.support import tree
@@ -70,13 +71,16 @@ def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats
         u: inputs (N x m), NaN where the last one is held.
     """
     forward = _filtered(model, observer, sensor, y, u)
+    units = even_units(model)
+    model = in_units(model, units)
     F = np.eye(forward.mean.shape[1])
     F[: model.n, : model.n] = model.linear.A
     mean, std = _backward(model, F, forward)
     n, p = model.n, model.p
     order = n + np.arange(2 * p).reshape(2, p).T.ravel()  # right and left of each output in turn
     x = mean[:, :n]
-    return Smoothed(x, x @ model.linear.C.T, mean[:, order], std[:, :n], std[:, order])
+    z = x @ model.linear.C.T
+    return Smoothed(units * x, z, mean[:, order], units * std[:, :n], std[:, order])
 
 
 def _filtered(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> _Forward:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.edges import (
     largest_deviations,
     rarely_exact,
@@ -46,6 +47,7 @@ def verdicts_along(
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
     arrived: np.ndarray | None = None,
+    centre: Floats | None = None,
 ) -> list[Verdict]:
     """What the readings along a run tell of each output's widths.
 
@@ -64,6 +66,7 @@ def verdicts_along(
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
         arrived: whether each reading did (N x p); all of them if not given.
+        centre: standard deviations of d_r - d_l as far as it is known beforehand (p), likewise.
     """
     if arrived is None:
         arrived = np.ones(z.shape, dtype=bool)
@@ -74,7 +77,8 @@ def verdicts_along(
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
     side = np.where(arrived, reading(z, sensor).side, 0.0)
-    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, prior)
+    told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
+    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
     judged = []

@@ -232,12 +232,12 @@ def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
     """The belief at the next sample."""
     augmentation = setup.augmentation
-    move, Q = motion(setup.model, q, augmentation, belief, u)
+    change, Q = motion(setup.model, q, augmentation, belief, u)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
-        return advance(belief, move, Q, slope)
+        return advance(belief, change, Q, slope)
     bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
-    return predict(belief, move, Q, setup.lasting, bend)
+    return predict(belief, change, Q, setup.lasting, bend)
 
 
 def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:

@@ -185,7 +185,7 @@ def measured_side_step(
     )
     change_right, right_gain = law.move(p.law, right)
     change_left, left_gain = law.move(p.law, left)
-    x = model.move(p.model, s.x, u) + p.L @ (soft * correction.e)
+    x = model.pushed(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(
         x, keep * s.right + change_right, keep * s.left + change_left, right_gain, left_gain
     )

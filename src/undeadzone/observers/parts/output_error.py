@@ -140,7 +140,7 @@ def output_error(
         e = error(sensor, p, s, z, reading)
         right, left = where(p.law, s, z, reading)
         after = State(
-            model.move(p.model, s.x, u) + p.L @ e + inject(p.law, e),
+            model.pushed(p.model, s.x, u, p.L @ e + inject(p.law, e)),
             keep * s.right - p.gamma * e * right,
             keep * s.left + p.gamma * e * left,
         )
