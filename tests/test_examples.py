@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import runpy
+import tomllib
 from pathlib import Path
 
 import msgspec
@@ -142,3 +144,12 @@ def test_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = runpy.run_path(str(FOLDER / "your_plant.py"))
     np.testing.assert_allclose(found["run"].widths, [[1.0, 0.7]], atol=1e-3)
     assert (tmp_path / "your_plant.png").stat().st_size > 10_000
+
+
+def test_every_alternative_of_the_template_is_toml() -> None:
+    """A line after # that assigns or opens a table may be taken as it is."""
+    template = (FOLDER.parent / "src/undeadzone/template.toml").read_text(encoding="utf-8")
+    lines = re.findall(r"^# ((?:\[[\w.]+\]|[\w.\"\[\],]+ = ).*)$", template, re.M)
+    assert len(lines) > 25
+    for line in lines:
+        tomllib.loads(line)

@@ -23,7 +23,7 @@ import tutorials  # noqa: E402
 
 PROJECT = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "KNOWN_GAPS.md", "benchmarks/RESULTS.md")
 FIRST = {
-    "Start": ["index.md", "which.md", "glossary.md", "faq.md"],
+    "Start": ["index.md", "tour.md", "which.md", "glossary.md", "faq.md"],
     "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
     "Proof and speed": ["certificate.md", "rates.md"],
     "Logs": ["identify.md", "watch.md", "filters.md"],

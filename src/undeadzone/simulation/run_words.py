@@ -8,6 +8,7 @@ from typing import Any
 from undeadzone.analysis.identifiability.words import yes_no
 from undeadzone.simulation.listening_words import in_words as listening_in_words
 from undeadzone.simulation.run_info import Info
+from undeadzone.support.text import with_deviation
 
 
 def in_words(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, Any]:
@@ -46,7 +47,7 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, An
     shown["d_left"] = _widths(summary, "d_left", info.widths[1::2])
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
-        shown[name] = f"{_number(estimate)} ± {_number(std, '.2g')} (true {true:g})"
+        shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"
     shown["silent"] = f"{100 * summary['silent_fraction']:.1f} % of the time"
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
@@ -89,12 +90,11 @@ def _widths(summary: Mapping[str, Any], key: str, true: list[float]) -> str:
         key: d_right or d_left.
         true: the true widths (p).
     """
-    estimates = ", ".join(_number(width, ".6g") for width in _listed(summary[key]))
-    truth = ", ".join(f"{width:.6g}" for width in true)
+    widths, truth = _listed(summary[key]), ", ".join(f"{width:.6g}" for width in true)
     if summary[f"{key}_std"] is None:
-        return f"{estimates} (true {truth})"
-    std = ", ".join(_number(value, ".2g") for value in _listed(summary[f"{key}_std"]))
-    return f"{estimates} ± {std} (true {truth})"
+        return f"{', '.join(_number(width, '.6g') for width in widths)} (true {truth})"
+    stds = _listed(summary[f"{key}_std"])
+    return f"{', '.join(map(with_deviation, widths, stds))} (true {truth})"
 
 
 def _listed(value: Any) -> list[Any]:

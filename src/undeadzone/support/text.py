@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
 from typing import Final
 
@@ -20,6 +21,17 @@ def printable(text: str) -> str:
 def label(words: str, unit: str) -> str:
     """Words and unit, the unit left out where it is 1."""
     return words if unit == "1" else f"{words} [{unit}]"
+
+
+def with_deviation(value: float | None, std: float | None) -> str:
+    """A value and its standard deviation to two digits, the value to the same place."""
+    if value is None or std is None or not math.isfinite(value) or not 0 < std < math.inf:
+        parts = ("nan" if part is None else f"{part:.4g}" for part in (value, std))
+        return " ± ".join(parts)
+    place = 1 - math.floor(math.log10(std))
+    if place < 0 or abs(value) < 1e-4 or place > 12:
+        return f"{value:.4g} ± {std:.2g}"
+    return f"{value:.{place}f} ± {std:.{place}f}"
 
 
 def json_line(text: str) -> str:
