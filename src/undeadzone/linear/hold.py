@@ -54,6 +54,8 @@ def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
 def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     """What white noise w adds to the state of x' = A x + w over a step, van Loan (1978).
 
+    His matrix holds e^(-A t), so that it is taken of a short part of the step, which is doubled.
+
     Args:
         A: (n x n).
         W: density of w (n x n) per second.
@@ -68,10 +70,15 @@ def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     units = balancing(A)
     even, density = similar(A, units), W / np.outer(units, units)
     size = _ratio(density, even)
-    both = expm(np.block([[-even, density / size], [np.zeros((n, n)), even.T]]) * Ts)
+    doublings = max(0, int(np.frexp(np.abs(even).sum(axis=1).max() * Ts)[1]))
+    part = np.ldexp(Ts, -doublings)
+    both = expm(np.block([[-even, density / size], [np.zeros((n, n)), even.T]]) * part)
     Ad = both[n:, n:].T
-    covariance = size * (Ad @ both[:n, n:])
-    return similar(Ad, 1 / units), covariance * np.outer(units, units)
+    covariance = Ad @ both[:n, n:]
+    for _ in range(doublings):
+        covariance = covariance + Ad @ covariance @ Ad.T
+        Ad = Ad @ Ad
+    return similar(Ad, 1 / units), size * covariance * np.outer(units, units)
 
 
 def _with_inputs(A: Floats, B: Floats) -> Floats:

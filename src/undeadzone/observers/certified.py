@@ -14,6 +14,7 @@ from undeadzone.observers.parts.measured_side import measured_side
 from undeadzone.observers.parts.width_laws import Adaptation, Gradient
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import pace
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
@@ -33,7 +34,8 @@ class Certified(
     Attributes:
         L: gains (n x p) [1/s x state/output]; default P^-1 C', which is always certified for a
             stable plant.
-        gamma: adaptation gain, one or one per output [1/s]; default 1.
+        gamma: adaptation gain, one or one per output [1/s]; default the plant's mean
+            pole.
         design: a file saved by `Design.save`, in place of L and gamma; its proof is checked again
             for the model.
         start: x^(0), one number or one per state.
@@ -82,7 +84,8 @@ class Certified(
     def _gains(self, model: System) -> tuple[Array | None, Array]:
         """(L, gamma) as given, or those of the design. Raises InputError, ProofError."""
         if self.design is None:
-            return self.L, 1.0 if self.gamma is None else self.gamma
+            flow = model.linear if model.flow is None else model.flow
+            return self.L, pace(flow) if self.gamma is None else self.gamma
         if self.L is not None or self.gamma is not None:
             raise InputError(
                 "observer.design: it brings L and gamma; give either the design or these"
