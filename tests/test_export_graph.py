@@ -197,7 +197,9 @@ def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> N
     slow = sampled(system(Plant(A=[[-0.05]], B=[[10.0]], C=[[1.0]])), 1e-5)
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
     moved = slow.move(slow.params, x, u)
-    function = ca.Function("step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"])
+    function = ca.Function(
+        "step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"]
+    )
     fields = [Field("x", 1, "")], [Field("u", 1, "")], [Field("x", 1, "")]
     step = Step(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
     rows = np.sin(np.arange(100_000) * 1e-3)[:, None].astype(np.float32).astype(float)
