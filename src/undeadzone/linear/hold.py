@@ -6,6 +6,8 @@ exponential of such a matrix loses digits, its derivative all of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from undeadzone.linear.matrices import Matrices
@@ -29,7 +31,7 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
 
 
-def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
+def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
     """d[Ad, Bd] of `zoh` along directions, one below the other (K n x (n + m)).
 
     Args:
@@ -43,7 +45,7 @@ def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
     block = _with_inputs(AB[:, :n], AB[:, n:]) * Ts
     units = _units(block, n)
     even = similar(block, units)
-    slopes = [np.zeros((0, columns))]
+    slopes: list[Floats] = [np.zeros((0, columns))]
     for direction in directions:
         change = similar(_with_inputs(direction[:, :n], direction[:, n:]) * Ts, units)
         slope = expm_frechet(even, change, compute_expm=False)

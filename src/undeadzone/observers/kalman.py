@@ -36,8 +36,8 @@ class Kalman(
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        x_std: standard deviation of x(0) about 0, one or one per state; default five times the
-            largest width.
+        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
+            in z as five times the largest width.
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
             [u]; default 0.
         drift: random walk of the widths [z / sqrt(s)]; default 0.

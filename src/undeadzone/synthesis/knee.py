@@ -14,8 +14,8 @@ from undeadzone.synthesis.candidates import Candidate, box, candidate_at, gains_
 from undeadzone.synthesis.criteria import score
 from undeadzone.synthesis.gain_search import (
     LONG,
-    RATE,
     NEAR,
+    RATE,
     WORSE,
     Cost,
     Synthesis,
