@@ -127,7 +127,7 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
             Extended(**common),
         )
     else:
-        twins = Kalman(**common), Extended(**common, **EXACT, silence=False)
+        twins = Kalman(**common, disturbance=0.0), Extended(**common, **EXACT, silence=False)
     pair = [options.build(model, where) for options in twins]
     steps, states = (
         [on_numbers(observer, model) for observer in pair],
@@ -479,10 +479,7 @@ def test_claims_are_true_over_random_arms(
 # --- In the loop
 
 
-def test_lanes_and_the_virtual_machine_agree(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+def test_lanes_and_the_virtual_machine_agree() -> None:
     scenario = scene(
         plant={
             "states": ["a", "b", "v", "w"],

@@ -17,7 +17,7 @@ from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
-from undeadzone.observers.parts.prior import build_prior
+from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
@@ -71,7 +71,15 @@ class Censored(
             ShapeError: for an option of another shape.
         """
         prior = build_prior(
-            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR
+            model,
+            sensor,
+            self.right,
+            self.left,
+            self.noise,
+            self.x_std,
+            self.drift,
+            wear=WEAR,
+            centre=self.centre,
         )
         Ts = model.Ts
         assert Ts is not None
@@ -101,7 +109,8 @@ class Censored(
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])
-        return shown_states(judged(member, even, widens=glitches > 0), units)
+        traits = claimed_traits(prior, self.x_std)
+        return shown_states(judged(member, even, glitches > 0, traits), units)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

@@ -42,6 +42,8 @@ class Extended(
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         start: mean of x(0), one or one per state; with a small x_std, what homing tells.
         x_std: standard deviation of x(0), one or one per state; default what shows in z as five
@@ -65,6 +67,7 @@ class Extended(
 
     right: Array
     left: Array | None = None
+    centre: Array | None = None
     noise: Array | None = None
     start: Array = 0.0
     x_std: Array | None = None
@@ -125,6 +128,7 @@ class Extended(
             adapts=not self.blind,
             uncertain=tuple(self.uncertain),
             start_std=None if self.x_std is None else prior.std[: model.n],
+            centre_std=None if prior.centre is None else prior.centre[:, 1],
         )
         judge = judged(member, even, glitches > 0 and not self.blind, traits)
         return shown_states(judge, units)
@@ -140,12 +144,13 @@ class Extended(
             self.x_std,
             self.drift,
             start=self.start,
+            centre=self.centre,
         )
         if not self.blind:
             return prior
         n, none = model.n, np.zeros(2 * model.p)
         mean, std = np.append(prior.mean[:n], none), np.append(prior.std[:n], none)
-        return prior._replace(mean=mean, std=std, drift=none)
+        return prior._replace(mean=mean, std=std, drift=none, centre=None)
 
     def _augmentation(
         self, model: System, correlation: float, rms: Floats, Ts: float

@@ -45,6 +45,11 @@ def fastest_pole(model: System) -> float:
     return float(moving_poles(model).max())
 
 
+def mean_pole(model: System) -> float:
+    """The geometric mean of `moving_poles` [1/s]."""
+    return float(np.exp(np.log(moving_poles(model)).mean()))
+
+
 def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
     """A rate as the user gives it, or a multiple of the plant's fastest pole.
 

@@ -35,8 +35,6 @@ from undeadzone.analysis.error_dynamics import (
 )
 from undeadzone.errors import StructureError
 from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import similar
-from undeadzone.plants.time_scales import pace, state_units
 from undeadzone.support.arrays import Floats
 
 SEARCHES = 20  # steps of Dinkelbach's iteration for the weights, at most
@@ -173,7 +171,7 @@ def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
 
 
 def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
-    """L = P^-1 C' (n x p) [1/s] with A'P + PA = -2 w I, w the size of A in the plant's mean poles.
+    """L = P^-1 C' (n x p) [1/s] with A'P + PA = -2 w I, w the size of A.
 
     It is certified for every stable model. Sampled, in delta form, P is enlarged until L is
     certified with every gamma up to 1 / Ts.
@@ -192,19 +190,14 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
         raise StructureError(
             "observer.L: missing; there is a default only for a stable model, give L"
         )
-    seen = linear._replace(A=A)
-    units = state_units(seen)  # else the gain would depend on the unit of time
-    A, C, Ad = similar(A, units), C * units, similar(linear.A, units)
-    q = 2 * float(np.linalg.norm(A, 2)) / pace(seen)
+    q = 2 * float(np.linalg.norm(A, 2))
     Q = q * np.eye(A.shape[0])
     if Ts is None:
-        L = np.linalg.solve(solve_continuous_lyapunov(A.T, -Q), C.T)
-        return np.asarray(units[:, None] * L)
-    L = np.linalg.solve(Ts * solve_discrete_lyapunov(Ad.T, Q), C.T)
+        return np.asarray(np.linalg.solve(solve_continuous_lyapunov(A.T, -Q), C.T))
+    L = np.linalg.solve(Ts * solve_discrete_lyapunov(linear.A.T, Q), C.T)
     # What is left of the LMI after PL = C' and a Schur complement must stay below 1; half is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
-    excess = max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1]))
-    return np.asarray(units[:, None] * L / excess)
+    return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
 
 
 class _Weights(NamedTuple):

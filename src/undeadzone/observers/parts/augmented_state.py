@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from undeadzone import sensor as sensors
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, no_further
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
 from undeadzone.observers.parts.gaussian_filter import (
@@ -207,6 +207,8 @@ def joint_filter(
             seen = present(reading.y[i])
             y = ca.if_else(seen, reading.y[i], 0.0) / q.slope[i]
             sight = partial(reading_of, model, sensor.kind, q, i)
+            if sensor.limits is not None:
+                sight = partial(seen_from_limit, sight, y, reading.side[i])
             belief, e, S = correct(q, belief, i, sight, y, reading.side[i], seen)
             innovations.append(e)
             variances.append(S)
@@ -223,6 +225,11 @@ def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
     return read(kind, z, X[n + i], X[n + p + i])
+
+
+def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
+    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+    return no_further(sight(X), y, side)
 
 
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:

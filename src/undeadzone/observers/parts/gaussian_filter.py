@@ -69,6 +69,7 @@ class Params(NamedTuple):
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
+        ends: of the range of the readings, as `Ends`; None: they have none.
     """
 
     model: Any
@@ -82,6 +83,7 @@ class Params(NamedTuple):
     ranges: Floats
     rate: Floats
     doubt: Any = None
+    ends: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
@@ -90,6 +92,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
     count = len(augmentation.cov)
     cov = np.zeros((known + count,) * 2)
     cov[:known, :known] = np.diag(prior.std**2)
+    widths, cov[model.n : known, model.n : known] = prior.widths()
     cov[known:, known:] = augmentation.cov
     rows, columns = kept_entries(model, augmentation).get_triplet()
     return Params(
@@ -99,7 +102,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         gate=prior.gate,
         slope=sensor.slope,
         drift=prior.drift,
-        mean=np.concatenate([prior.mean, np.zeros(count)]),
+        mean=np.concatenate([prior.mean[: model.n], widths, np.zeros(count)]),
         cov=cov[rows, columns],
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),

@@ -42,6 +42,11 @@ class Setup(NamedTuple):
     doubts: bool
 
     @property
+    def ends(self) -> bool:
+        """Whether the readings have a range."""
+        return self.sensor.limits is not None
+
+    @property
     def jump(self) -> bool:
         """Whether the sensor is of the jump kind."""
         return self.sensor.kind == "jump"
