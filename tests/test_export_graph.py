@@ -25,6 +25,9 @@ from undeadzone.exports.instructions import operations, uses_of
 from undeadzone.exports.parts import Step
 from undeadzone.exports.replica import replica
 from undeadzone.exports.rewrite import rewritten
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import sampled
 from undeadzone.support.arrays import Floats
 
 
@@ -190,18 +193,22 @@ def test_a_split_step_computes_the_same() -> None:
 
 
 def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> None:
+    """A plant that moves by 5e-7 of itself in a sample, as the product samples it."""
+    slow = sampled(system(Plant(A=[[-0.05]], B=[[10.0]], C=[[1.0]])), 1e-5)
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
-    slow = ca.Function(
-        "step", [x, u, ca.SX(0, 1)], [0.9999995 * x + 1e-4 * u, x], ["s", "w", "p"], ["next", "out"]
+    moved = slow.move(slow.params, x, u)
+    function = ca.Function(
+        "step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"]
     )
     fields = [Field("x", 1, "")], [Field("u", 1, "")], [Field("x", 1, "")]
-    step = Step(slow, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-3)
+    step = Step(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
     rows = np.sin(np.arange(100_000) * 1e-3)[:, None].astype(np.float32).astype(float)
     exact = Compiled(code(step, False), tmp_path)(rows)
     rounded = Compiled(code(step, True), tmp_path)(rows)
+    A, B = np.float32(slow.linear.A[0, 0]), np.float32(slow.linear.B[0, 0])
     naive = np.float32(1.0)
     for row in rows[:, 0]:
-        naive = np.float32(0.9999995) * naive + np.float32(1e-4) * np.float32(row)
+        naive = A * naive + B * np.float32(row)
     error = abs(float(rounded[-1, 0] - exact[-1, 0]))
     assert error < 1e-5
     assert error < 0.1 * abs(float(naive) - exact[-1, 0])

@@ -25,7 +25,7 @@ from undeadzone.scenario.reader import convert, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
-from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.scales import LIMIT
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.simulation.simulate import run_loop
 from undeadzone.statistics.intervals import Interval

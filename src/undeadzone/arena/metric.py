@@ -11,7 +11,7 @@ from undeadzone.analysis.identifiability.linear import unknown_bias, verdicts
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.scales import LIMIT, plant_scales, shares
 from undeadzone.support.arrays import Floats
 
 TAIL: Final = 0.2  # share of the run, its last, over which errors are taken
@@ -34,7 +34,7 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
         effort: rms of u [u].
         slew: rms of the change of u per step [u].
         cost: of a step, measured [s].
-        diverged: whether a signal left +-1e12 or was no number.
+        diverged: whether a signal left 1e12 times its scale or was no number.
         zone: half of the true d_r + d_l at the end, mean over the outputs [z]: what ignoring the
             zone costs, and so the unit of a regret.
     """
@@ -84,7 +84,7 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
-        diverged = _diverged(out)
+        diverged = _diverged(problem, out)
         width, centre = (None, None) if diverged else _widths(problem, out, truth)
         return Worth(
             tracking=rms(error[tail]),
@@ -106,11 +106,12 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _diverged(out: Outputs) -> bool:
-    """Whether a signal left +-LIMIT or was no number."""
+def _diverged(problem: Problem, out: Outputs) -> bool:
+    """Whether a signal left `LIMIT` times its scale or was no number."""
     estimate = out.estimate
-    signals = np.hstack([out.x, estimate.x, estimate.right, estimate.left, out.u])
-    return not bool((np.abs(signals) < LIMIT).all())
+    outputs = [out.z, estimate.z, estimate.right, estimate.left]
+    worst = shares(plant_scales(problem), [out.x, estimate.x], outputs, out.u)
+    return not bool((worst < LIMIT).all())
 
 
 def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:

@@ -20,6 +20,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.run import last_samples
+from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.simulate import closed
 from undeadzone.support import toml, tree
 from undeadzone.support.arrays import Floats, Integers
@@ -93,9 +94,9 @@ class Batch(NamedTuple):
         ends = np.cumsum([np.size(part) for part in self.measured.tally])
         parts = np.split(tallied, ends[:-1], axis=1)
         tally: Tally = tree.rebuild(self.measured.tally, iter(parts))
-        return metrics.rows(
-            tally, states, len(self.exogenous), self.tail, len(self.problem.tracked)
-        )
+        samples, tracked = len(self.exogenous), len(self.problem.tracked)
+        scales = plant_scales(self.problem)
+        return metrics.rows(tally, states, scales, samples, self.tail, tracked)
 
     def started(self, states: Floats) -> Floats:
         """The states (lanes x S) of the loop with nothing counted yet."""

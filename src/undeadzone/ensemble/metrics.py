@@ -11,7 +11,7 @@ from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
-from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -132,19 +132,21 @@ def columns(plant: System) -> tuple[str, ...]:
     )
 
 
-def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) -> Floats:
+def rows(
+    tally: Tally, states: Floats, scales: Scales, samples: int, tail: int, tracked: int
+) -> Floats:
     """The metrics (runs x columns) of finished runs.
 
     Args:
         tally: what each run accumulated (runs x 1 or x p each)
-        states: the final states (runs x S)
+        states: the final states of the loop, those of the plant first (runs x S)
+        scales: of the plant, 1e12 times which a signal has diverged
         samples: number of samples of a run
         tail: number of samples in the tail
         tracked: number of outputs that follow a reference
     """
     p = tally.right.shape[1]
     with np.errstate(invalid="ignore", over="ignore"):
-        bounded = (np.abs(states) < LIMIT).all(axis=1) & (tally.peak[:, 0] < LIMIT)
         metrics = (
             np.sqrt(tally.tracking / (tail * tracked)),
             np.sqrt(tally.estimation / (tail * p)),
@@ -153,5 +155,8 @@ def rows(tally: Tally, states: Floats, samples: int, tail: int, tracked: int) ->
             tally.silent / (samples * p),
             np.sqrt(tally.effort / samples),
         )
+        outputs = [tally.peak, metrics[1], tally.right, tally.left]
+        worst = shares(scales, [states[:, : scales.states.size]], outputs, metrics[-1])
+        bounded = np.isfinite(states).all(axis=1) & (worst < LIMIT)
     tip = np.sqrt(tally.tip / tail)
     return np.hstack([*metrics, tally.right, tally.left, tip, ~bounded[:, None]])

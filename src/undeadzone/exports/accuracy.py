@@ -208,7 +208,8 @@ def _beside(
                 f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
                 f"in {real}, below {bar:g}; use --precision double"
             )
-    in_double, in_float = (None if np.isnan(one) else float(one) for one in least)
+    has_covariance = bool(np.isfinite(least).all())
+    in_double, in_float = map(float, least) if has_covariance else (None, None)
     return plain._replace(
         steps=len(rows),
         rows=table,

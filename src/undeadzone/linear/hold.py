@@ -6,6 +6,8 @@ exponential of such a matrix loses digits, its derivative all of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from undeadzone.linear.matrices import Matrices
@@ -29,7 +31,7 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
 
 
-def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
+def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
     """d[Ad, Bd] of `zoh` along directions, one below the other (K n x (n + m)).
 
     Args:
@@ -43,7 +45,7 @@ def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
     block = _with_inputs(AB[:, :n], AB[:, n:]) * Ts
     units = _units(block, n)
     even = similar(block, units)
-    slopes = [np.zeros((0, columns))]
+    slopes: list[Floats] = [np.zeros((0, columns))]
     for direction in directions:
         change = similar(_with_inputs(direction[:, :n], direction[:, n:]) * Ts, units)
         slope = expm_frechet(even, change, compute_expm=False)
@@ -53,6 +55,8 @@ def zoh_slopes(AB: Floats, directions: list[Floats], Ts: float) -> Floats:
 
 def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     """What white noise w adds to the state of x' = A x + w over a step, van Loan (1978).
+
+    His matrix holds e^(-A t), so that it is taken of a short part of the step, which is doubled.
 
     Args:
         A: (n x n).
@@ -68,10 +72,15 @@ def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     units = balancing(A)
     even, density = similar(A, units), W / np.outer(units, units)
     size = _ratio(density, even)
-    both = expm(np.block([[-even, density / size], [np.zeros((n, n)), even.T]]) * Ts)
+    doublings = max(0, int(np.frexp(np.abs(even).sum(axis=1).max() * Ts)[1]))
+    part = np.ldexp(Ts, -doublings)
+    both = expm(np.block([[-even, density / size], [np.zeros((n, n)), even.T]]) * part)
     Ad = both[n:, n:].T
-    covariance = size * (Ad @ both[:n, n:])
-    return similar(Ad, 1 / units), covariance * np.outer(units, units)
+    covariance = Ad @ both[:n, n:]
+    for _ in range(doublings):
+        covariance = covariance + Ad @ covariance @ Ad.T
+        Ad = Ad @ Ad
+    return similar(Ad, 1 / units), size * covariance * np.outer(units, units)
 
 
 def _with_inputs(A: Floats, B: Floats) -> Floats:

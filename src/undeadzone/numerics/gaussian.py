@@ -152,7 +152,9 @@ def update_unless_glitch(
 ) -> Weighed:
     """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
 
-    A glitch says nothing of x and is evenly spread.
+    A glitch says nothing of x and is evenly spread. The covariance loses one product k k', which
+    rounds each entry once and leaves it as it is where nothing is used; no variance falls below
+    that of v seen through the gain, which it cannot in exact numbers.
 
     Args:
         belief: of x (N).
@@ -173,11 +175,11 @@ def update_unless_glitch(
     trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
     weight = ca.if_else(use, trust, 0.0)
     K = P @ h.T / S
-    half = P - K @ (h @ P)
-    joseph = half - (half @ h.T) @ K.T + R * (K @ K.T)
-    between = weight * (1 - weight) * near**2 * (K @ K.T)
-    cov = _from_upper((1 - weight) * P + weight * joseph + between)
-    after = Gaussian(mean + weight * near * K, cov)
+    lost = weight * (S - (1 - weight) * near**2)
+    cov = P - (lost * K) @ K.T
+    least = weight * R * K**2
+    cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
+    after = Gaussian(mean + weight * near * K, _from_upper(cov))
     log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
 

@@ -29,7 +29,7 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
-WEAR = 0.0025  # drift, in largest widths per sqrt(s), unless it is claimed
+WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
 FALL = 4.0  # from one level of the disturbance to the next
 
 
@@ -44,8 +44,8 @@ class Censored(
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
 
     Sampled time. Defaults doubt: the disturbance moves z by half of the largest width in a quarter
-    period, rms, the bias is a quarter of it, widths walk by a 400th of the largest in 1 s; 0 is a
-    claim.
+    period, rms, the bias is a quarter of it, widths walk by a 400th of the largest in 1 / |pole|;
+    0 is a claim.
 
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance

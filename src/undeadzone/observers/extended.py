@@ -46,8 +46,8 @@ class Extended(
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         start: mean of x(0), one or one per state; with a small x_std, what homing tells.
-        x_std: standard deviation of x(0), one or one per state; default five times the largest
-            width.
+        x_std: standard deviation of x(0), one or one per state; default what shows in z as five
+            times the largest width.
         disturbance: rms of an unknown input, one or one per input [u]; default what moves z by half
             of the largest width in a quarter period; 0 is a claim.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th

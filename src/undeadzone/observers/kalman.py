@@ -41,8 +41,8 @@ class Kalman(
         centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        x_std: standard deviation of x(0) about 0, one or one per state; default five times the
-            largest width.
+        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
+            in z as five times the largest width.
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
             [u]; default what moves z by a fifth of the largest width in a quarter period, rms, so
             that readings count; 0 is a claim, with which z^ soon follows the model alone.

@@ -10,7 +10,8 @@ from undeadzone.linear.riccati import paper_riccati
 from undeadzone.paper.example import ALPHA, L_PRINTED, printed
 from undeadzone.plants.build import matrices
 from undeadzone.sensor import deadzone, indicators, zone
-from undeadzone.simulation.run import LAST, LIMIT, Run
+from undeadzone.simulation.run import LAST, Run
+from undeadzone.simulation.scales import LIMIT
 from undeadzone.support.arrays import Floats
 
 

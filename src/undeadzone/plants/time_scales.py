@@ -82,7 +82,7 @@ def time_scale(flow: Matrices) -> float:
 
 
 def pace(flow: Matrices) -> float:
-    """How fast the plant moves [1/s]: |pole| of equal poles, else between their mean and the largest.
+    """How fast the plant moves [1/s]: |pole| of equal poles, else at least their mean.
 
     It is the largest of the k-th roots of the mean products of k poles, which rounding hardly
     changes where poles are nearly equal. 1 for a chain of integrators. flow: in continuous time.

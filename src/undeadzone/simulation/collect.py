@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.error_dynamics import delta
 from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
-from undeadzone.linear.scaling import sizes as scaled_sizes
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
+from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.verdicts import by_claims, constant_inputs, linear_verdicts
 from undeadzone.support.arrays import Floats
 
@@ -197,7 +196,7 @@ def _info(
 ) -> Info:
     """What a run knows besides its signals."""
     scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
-    verdicts = verdicts_of_run(problem, signal)
+    verdicts, scales = verdicts_of_run(problem, signal), plant_scales(problem)
     return Info(
         title=scenario.title,
         method=str(type(scenario.observer).__struct_config__.tag),
@@ -209,7 +208,7 @@ def _info(
         certified=None if proof is None else proof.certified,
         integration_error=None if error is None else error.largest,
         integration_share=None if error is None else error.share,
-        scales=_scales(problem, signal),
+        scales=[*map(float, scales.states), scales.output, scales.input],
         identifiable=[_as_json(verdict) for verdict in verdicts],
         seconds=time.perf_counter() - began,
         units=scenario.units,
@@ -217,25 +216,6 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
     )
-
-
-def _scales(problem: Problem, signal: Outputs) -> list[float]:
-    """The plant's own sizes of its states (n), of its outputs and of its inputs.
-
-    That of the outputs is the largest of widths, reference and start; of a state that with which
-    the outputs show about theirs, of the inputs that which makes such states; 1 if nonlinear.
-    """
-    t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    sizes = [_true_widths(problem), problem.reference.value(t), signal.z[0]]
-    largest = max(float(np.abs(size).max(initial=0.0)) for size in sizes)
-    output = largest if 0 < largest < np.inf else 1.0
-    if problem.plant.nonlinear:
-        return [1.0] * problem.plant.n + [output, 1.0]
-    plant, Ts = problem.plant.linear, problem.plant.Ts
-    A, B = delta(plant, Ts), plant.B / (Ts or 1.0)
-    states = np.maximum(output / scaled_sizes(A.T, plant.C.T), np.abs(problem.x0))
-    inputs = (states / scaled_sizes(A, B)).max()
-    return [*map(float, states), output, float(inputs)]
 
 
 def _parameter(plant: System, name: str) -> float:

@@ -10,7 +10,7 @@ from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, NumericObserver, graph_of
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import Layout
-from undeadzone.plants.time_scales import time_scale
+from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.scenario.problem import modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
@@ -97,7 +97,9 @@ class Follower:
             self._counts[row] += (present & (sides == side)).sum(axis=0)
         self._counts[3] += (np.abs(sides) == 2).sum(axis=0)
         with np.errstate(invalid="ignore"):
-            worst = np.abs(np.hstack([estimate.x, estimate.right, estimate.left]))
+            flow = self.model.linear if self.model.flow is None else self.model.flow
+            counted = estimate.x / state_units(flow)  # as they show in z
+            worst = np.abs(np.hstack([counted, estimate.z, estimate.right, estimate.left]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
         if len(sides):
             self._last = Estimate(*[field[-1] for field in estimate])

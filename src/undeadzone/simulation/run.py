@@ -13,12 +13,12 @@ from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
 from undeadzone.simulation.run_words import in_words
+from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-LIMIT: Final = 1e12  # times its scale, beyond which a signal has diverged
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
@@ -100,11 +100,9 @@ class Run:
         The scales are the plant's own, so that no choice of units makes a run diverge.
         """
         *of_states, of_outputs, of_inputs = self.info.scales or [1.0, 1.0]
-        states = np.array(of_states or [1.0])
-        worst = np.abs(np.hstack([self.z, self.z_hat, self.d_hat])).max(axis=1) / of_outputs
-        for x in (self.x, self.x_hat):
-            worst = np.maximum(worst, (np.abs(x) / states).max(axis=1))
-        worst = np.maximum(worst, np.abs(self.u).max(axis=1) / of_inputs)
+        scales = Scales(np.array(of_states or [1.0]), of_outputs, of_inputs)
+        outputs = [self.z, self.z_hat, self.d_hat]
+        worst = shares(scales, [self.x, self.x_hat], outputs, self.u)
         bad = np.flatnonzero(~(worst < LIMIT))
         return float(self.t[bad[0]]) if bad.size else None
 

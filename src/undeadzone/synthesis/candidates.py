@@ -12,6 +12,7 @@ from undeadzone.synthesis.task import Task
 
 REACH: Final = 5.0  # times the plant's fastest pole: the largest gains in L that are tried
 SPEED: Final = (0.01, 100.0)  # gamma between these times the plant's slowest and fastest pole
+NEAR_BOUND: Final = 1e-3  # share of a bound, within which a point touches it
 WEIGHT: Final = 3.0  # largest logarithm of the ratio of two storage weights
 
 
@@ -78,7 +79,21 @@ def box(task: Task) -> tuple[Floats, Floats]:
     """
     slow, quick = float(task.poles.min()), float(task.poles.max())
     step = task.step if task.Ts is None else task.Ts
-    reach = float(np.arcsinh(min(REACH * quick, 0.5 / step) / slow))
-    least, greatest = np.log([SPEED[0] * slow, min(SPEED[1] * quick, 0.5 / step)])
+    reach = float(np.arcsinh(min(REACH * quick, task.room / step) / slow))
+    least, greatest = np.log([SPEED[0] * slow, min(SPEED[1] * quick, task.room / step)])
     sizes = task.n * task.p, task.p, task.p - 1
     return np.repeat([-reach, least, -WEIGHT], sizes), np.repeat([reach, greatest, WEIGHT], sizes)
+
+
+def touched(task: Task, point: Floats) -> str:
+    """Which gains at a point (d) are the largest that the step allows to try; empty: none."""
+    _, greatest = box(task)
+    size = task.n * task.p
+    quick, step = float(task.poles.max()), task.step if task.Ts is None else task.Ts
+    at_bound = np.abs(point) > greatest - NEAR_BOUND * np.abs(greatest)
+    names = []
+    if at_bound[:size].any() and REACH * quick > task.room / step:
+        names.append("L")
+    if at_bound[size : size + task.p].any() and SPEED[1] * quick > task.room / step:
+        names.append("gamma")
+    return " and ".join(names)

@@ -15,13 +15,23 @@ from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.optimise import evolve
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.candidates import Candidate, box, candidate_at, candidate_of, gains_at
+from undeadzone.synthesis.candidates import (
+    Candidate,
+    box,
+    candidate_at,
+    candidate_of,
+    gains_at,
+    point_of,
+    touched,
+)
 from undeadzone.synthesis.criteria import score
 from undeadzone.synthesis.task import Task, watched
 
 STARTS: Final = 10  # short searches for the fastest; the best of them is continued
 SHORT: Final = 60  # rounds of each short search
-LONG: Final = 250  # rounds of the long one
+LONG: Final = 250  # rounds of each of the long ones, the second with steps of NEAR of the box
+NEAR: Final = 0.003
+MOST: Final = 1.5  # gains per step beyond which none are tried
 WORSE: Final = 1e3  # cost of a candidate whose error does not die
 POLISHED: Final = 5  # times that the result is polished before its gains are shrunk instead
 SHRINK: Final = 0.99  # factor on L until the exact margin is met
@@ -81,13 +91,27 @@ def fastest(
     def cost_in(task: Task) -> Cost:
         return _cost(task, weights)
 
-    start = search(task, weights, seed, tick)
+    task, start = search(task, weights, seed, tick)
     best, certificate = proved(task, linear, start, cost_in)
-    return Synthesis(best, certificate, [best], ())
+    return Synthesis(best, certificate, [best], at_the_limit(task, best))
 
 
-def search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> Floats:
-    """The best of several seeded searches, before it is polished."""
+def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
+    """That the step kept a search from larger gains, if it did."""
+    names = touched(task, point_of(task, best))
+    if not names:
+        return ()
+    return (
+        f"{names} touches the largest gain that the step allows to try, {task.room:g} per step: "
+        "with a shorter simulation.step there may be better gains",
+    )
+
+
+def search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> tuple[Task, Floats]:
+    """The best of several seeded searches, before it is polished, and the task it was found in.
+
+    Where it touches the largest gains that are tried, larger ones are tried too.
+    """
     low, high = box(task)
     cost, size = _cost(task, weights), population(task)
     best, least = low, np.inf
@@ -97,7 +121,18 @@ def search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> Floats
             best, least = point, value
         if tick is not None:
             tick(1)
-    return evolve(cost, low, high, seed, size, LONG, best)[0]
+    best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best)[0])
+    while True:
+        low, high = box(task)
+        best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best, NEAR)[0])
+        if task.room >= MOST or not touched(task, best):
+            return task, best
+        task = task._replace(room=min(2 * task.room, MOST))
+
+
+def _better(cost: Cost, one: Floats, other: Floats) -> Floats:
+    """The point of less cost (d each)."""
+    return (one, other)[int(np.argmin(cost(np.stack([one, other]))))]
 
 
 def _cost(task: Task, weights: Weights) -> Cost:

@@ -20,11 +20,13 @@ from undeadzone.synthesis.candidates import (
 from undeadzone.synthesis.criteria import score
 from undeadzone.synthesis.gain_search import (
     LONG,
+    NEAR,
     RATE,
     WORSE,
     Cost,
     Synthesis,
     Tick,
+    at_the_limit,
     population,
     proved,
     search,
@@ -32,7 +34,6 @@ from undeadzone.synthesis.gain_search import (
 from undeadzone.synthesis.task import Task, watched
 
 FLOOR: Final = 0.1  # of the best rate: slower candidates are not on the front
-NEAR: Final = 0.003  # of the box: first steps of the search around present gains
 ROUNDS: Final = 200  # of the search for the front
 BETTER: Final = np.log(1.05)  # by which the knee should beat present gains
 TRADED: Final = ("rate", "disturbance", "noise")  # on the front
@@ -62,7 +63,7 @@ def balanced(
         seed: of the search.
         tick: tick(1) is called STARTS + ROUNDS times.
     """
-    quickest = search(task, RATE, seed, tick)
+    task, quickest = search(task, RATE, seed, tick)
     L, gamma = gains_at(task, quickest[None])
     best_rate = score(task, L, gamma, mismatch=False, gains=False).rate[0]
     limit = float(best_rate) * FLOOR
@@ -85,7 +86,9 @@ def balanced(
 
     start = points[np.argmin(loss_in(task)(points))]
     best, certificate = proved(task, linear, start, loss_in)
-    remarks = () if present is None else _remarks(best, present)
+    remarks = at_the_limit(task, best)
+    if present is not None:
+        remarks += _remarks(best, present)
     return Synthesis(best, certificate, _front(task, linear, points), remarks)
 
 

@@ -45,6 +45,7 @@ class Task(NamedTuple):
         seen: basis of the rest (N x ...).
         resolvents: C (s - A)^-1 at the frequencies at which the margin is looked at (f, p, n).
         margin: least margin of the certificate.
+        room: largest gains that are tried, per step.
     """
 
     linear: Matrices
@@ -62,6 +63,7 @@ class Task(NamedTuple):
     seen: Floats
     resolvents: np.ndarray
     margin: float
+    room: float = 0.5
 
     @property
     def n(self) -> int:

@@ -15,7 +15,7 @@ from undeadzone.interfaces import NumericObserver
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.scales import LIMIT
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.candidates import TestRuns, prepare_test_runs

@@ -17,6 +17,7 @@ from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import last_samples
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
+from undeadzone.simulation.scales import plant_scales
 from undeadzone.support.arrays import Floats
 
 
@@ -92,7 +93,8 @@ def row(problem: Problem, out: Outputs) -> Floats:
         tip=tip,
     )
     states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
-    return metrics.rows(tally, states, t.size, t.size - tail.start, len(problem.tracked))
+    scales, length = plant_scales(problem), t.size - tail.start
+    return metrics.rows(tally, states, scales, t.size, length, len(problem.tracked))
 
 
 def _one_number(value: Any) -> Floats:

@@ -14,7 +14,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import anchored
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.simulation.run import LIMIT
+from undeadzone.simulation.scales import LIMIT
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml

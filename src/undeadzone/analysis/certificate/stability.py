@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import Dynamics, growth
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.scaling import similar
+from undeadzone.plants.time_scales import state_units
 from undeadzone.support.arrays import Floats
 
 
 def unstable(errors: Dynamics) -> str:
     """Why no V can exist whatever the gains, or an empty string."""
     fastest, k = max((growth(A, errors.Ts), k) for k, A in enumerate(errors.A))
-    A = errors.A[k]
+    seen = Matrices(errors.A[k], errors.L, errors.C)
+    A = similar(seen.A, state_units(seen))  # what is small must not depend on the unit of time
     size = float(np.linalg.norm(A, 2))
     where = "" if len(errors.A) == 1 else f" (vertex {k})"
     if fastest > 1e-9 * size:

@@ -19,10 +19,10 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        x_std: standard deviation of x(0) about 0, one or one per state; default five times the
-            largest width.
-        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the largest width per
-            sqrt(s).
+        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
+            in z as five times the largest width.
+        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the largest width in
+            1 / |pole| of the plant.
         disturbance: rms that a coloured input disturbance may have, one or one per input [u];
             default what moves z by half of the largest width in a quarter period, rms.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th

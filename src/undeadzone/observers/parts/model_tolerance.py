@@ -143,7 +143,7 @@ def sampled_slopes(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Flo
         entries: rows and columns in it (K).
         Ts: sample time [s].
     """
-    directions = []
+    directions: list[Floats] = []
     for at in entries:
         direction = np.zeros(AB.shape)
         direction[at] = AB[at]

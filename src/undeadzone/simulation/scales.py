@@ -1,0 +1,66 @@
+"""The plant's own sizes of its signals, by which a run is judged to have diverged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.analysis.error_dynamics import delta
+from undeadzone.linear.scaling import sizes
+from undeadzone.support.arrays import Floats
+
+if TYPE_CHECKING:
+    from undeadzone.scenario.problem import Problem
+
+LIMIT: Final = 1e12  # times its scale, beyond which a signal has diverged
+
+
+class Scales(NamedTuple):
+    """Sizes of the plant's own, so that no choice of units makes a run diverge.
+
+    Attributes:
+        states: of the states (n).
+        output: of the outputs and widths.
+        input: of the inputs.
+    """
+
+    states: Floats
+    output: float
+    input: float
+
+
+def plant_scales(problem: Problem) -> Scales:
+    """The scales of a problem; those of states and inputs are 1 if the plant is nonlinear.
+
+    That of the outputs is the largest of widths, reference and start; of a state that with which
+    the outputs show about theirs, of the inputs that which makes such states.
+    """
+    t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
+    sensor, plant = problem.sensor, problem.plant.linear
+    signals = [sensor.right, sensor.left, problem.reference.value(t)]
+    if not problem.plant.nonlinear:
+        signals.append(plant.C @ problem.x0)
+    largest = max(float(np.abs(signal).max(initial=0.0)) for signal in signals)
+    output = largest if 0 < largest < np.inf else 1.0
+    if problem.plant.nonlinear:
+        return Scales(np.ones(problem.plant.n), output, 1.0)
+    Ts = problem.plant.Ts
+    A, B = delta(plant, Ts), plant.B / (Ts or 1.0)
+    states = np.maximum(output / sizes(A.T, plant.C.T), np.abs(problem.x0))
+    return Scales(states, output, float((states / sizes(A, B)).max()))
+
+
+def shares(scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats) -> Floats:
+    """The largest signal of each sample in its scale (N); not below `LIMIT`: it has diverged.
+
+    Args:
+        scales: of the plant.
+        states: x, x^ (each N x n).
+        outputs: z, z^, widths (each N x ...).
+        u: the inputs (N x m).
+    """
+    worst = np.abs(np.hstack(outputs)).max(axis=1) / scales.output
+    for x in states:
+        worst = np.maximum(worst, (np.abs(x) / scales.states).max(axis=1))
+    return np.maximum(worst, np.abs(u).max(axis=1) / scales.input)
