@@ -81,13 +81,23 @@ def limited(size: int) -> Callable[[], None]:
     return limit
 
 
-@pytest.mark.parametrize("command", ["run", "check", "design --maximise rate", "ensemble"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run --no-figures",
+        "check --no-figures",
+        "design --maximise rate --no-figures",
+        "ensemble --no-figures",
+        "tune --over controller.poles[0]=-9:-5 --runs 2 --budget 4 --no-figures",
+        "arena --methods certified --seeds 1 --processes 1",
+    ],
+)
 def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
     tmp_path: Path, command: str
 ) -> None:
     mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
     done = subprocess.run(
-        [*COMMAND, *command.split(), str(mine), "--no-figures", "--out", str(out)],
+        [*COMMAND, *command.split(), str(mine), "--out", str(out)],
         preexec_fn=limited(300),
         capture_output=True,
         text=True,

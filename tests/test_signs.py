@@ -9,16 +9,20 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from scenes import PAPER_PLANT
+from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.side_schedule import arriving
 from undeadzone.errors import InputError
+from undeadzone.linear.structure import uncontrollable_modes, unobservable_modes
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers import Certified
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.sensor import Sensor, resolve
 
 
 def test_the_largest_growth_is_that_of_the_worst_trajectory() -> None:
@@ -62,3 +66,29 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 def test_a_bound_of_widths_must_be_positive_for_each_output() -> None:
     with pytest.raises(InputError, match="must be positive, found -1"):
         bounded_widths(0.0, [3.0, -1.0], 2)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9])
+def test_a_slow_plant_is_as_observable_as_a_fast_one(unit: float) -> None:
+    A, B, C = PAPER_PLANT.linear
+    assert unobservable_modes(unit * A, C) == []
+    assert uncontrollable_modes(unit * A, B) == []
+    hidden = unobservable_modes(unit * np.diag([-1.0, -2.0]), np.array([[1.0, 0.0]]))
+    assert np.allclose(hidden, [-2.0 * unit])
+
+
+def test_an_observer_that_adapts_one_of_two_outputs_adapts() -> None:
+    model = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), np.eye(2))
+    sensor = resolve(Sensor(right=np.array([0.5, 0.4]), left=0.3), 2, 1e-2)
+    for gamma, adapts in (([5.0, 0.0], True), ([0.0, 0.0], False)):
+        assert Certified(gamma=gamma).build(model, sensor).traits.adapts is adapts
+
+
+def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
+    found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    C = PAPER_PLANT.linear.C
+    one, three = (
+        l2_gain(found.dynamics, np.array([[0.0], [1.0]]), np.ones(1), size * C) for size in (1, 3)
+    )
+    assert three.disturbance == pytest.approx(3 * one.disturbance, rel=0.01)
+    assert three.noise == pytest.approx(3 * one.noise, rel=0.01)
