@@ -15,11 +15,13 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
+from undeadzone.analysis.identifiability.linearised_run import _run
 from undeadzone.analysis.side_schedule import arriving
 from undeadzone.errors import InputError
 from undeadzone.linear.structure import uncontrollable_modes, unobservable_modes
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Certified
+from undeadzone.observers.parts import interval_step
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.sensor import Sensor, resolve
@@ -92,3 +94,26 @@ def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
     )
     assert three.disturbance == pytest.approx(3 * one.disturbance, rel=0.01)
     assert three.noise == pytest.approx(3 * one.noise, rel=0.01)
+
+
+@pytest.mark.parametrize("part", ["steps", "outputs"])
+def test_a_run_ends_where_one_entry_of_a_derivative_is_not_finite(part: str) -> None:
+    steps, outputs = np.zeros((5, 2, 4)), np.zeros((5, 1, 4))
+    {"steps": steps, "outputs": outputs}[part][3, 0, 1] = np.nan
+    cut = _run(steps, outputs, np.arange(5), 1e-9)
+    assert len(cut.steps) == len(cut.outputs) == 3
+
+
+def test_boxes_grow_by_what_their_modes_drive_in_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of upper triangular S and no rotation: |S_ij| r_j above the diagonal, S_ii r_i on it."""
+    monkeypatch.setattr(interval_step, "added_radius", lambda q, phi, z: np.zeros(3))
+    setup: Any = SimpleNamespace(pairs=[], model=SimpleNamespace(n=3))
+    S = np.array([[-1.0, 4.0, -0.5], [0.0, -2.0, 3.0], [0.0, 0.0, -5.0]])
+    r = np.array([0.1, 0.2, 0.3])
+    boxes = interval_step.Boxes(np.zeros(3), ca.SX(r), None, None)
+    q: Any = SimpleNamespace(S=S)
+    grown = interval_step.boxes_rate(setup, q, boxes, ca.SX.eye(3), None)
+    expected = np.abs(np.triu(S, 1)) @ r + np.diag(S) * r
+    np.testing.assert_allclose(ca.DM(grown.radius).full().ravel(), expected, rtol=1e-14)
