@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
@@ -15,16 +17,19 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
+from undeadzone.analysis.identifiability.linear import unknown_bias
 from undeadzone.analysis.identifiability.linearised_run import _run
 from undeadzone.analysis.side_schedule import arriving
 from undeadzone.errors import InputError
-from undeadzone.linear.structure import uncontrollable_modes, unobservable_modes
+from undeadzone.linear.structure import output_chains, uncontrollable_modes, unobservable_modes
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.numerics.optimise import evolve
 from undeadzone.observers import Certified
 from undeadzone.observers.parts import interval_step
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.sensor import Sensor, resolve
+from undeadzone.signals.exosystem import Random
 
 
 def test_the_largest_growth_is_that_of_the_worst_trajectory() -> None:
@@ -117,3 +122,37 @@ def test_boxes_grow_by_what_their_modes_drive_in_each_other(
     grown = interval_step.boxes_rate(setup, q, boxes, ca.SX.eye(3), None)
     expected = np.abs(np.triu(S, 1)) @ r + np.diag(S) * r
     np.testing.assert_allclose(ca.DM(grown.radius).full().ravel(), expected, rtol=1e-14)
+
+
+def test_a_gain_that_is_not_asked_for_is_0() -> None:
+    dynamics = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0])).dynamics
+    assert l2_gain(dynamics, noise=np.ones(1)).disturbance == 0.0
+    assert l2_gain(dynamics, E=np.array([[0.0], [1.0]])).noise == 0.0
+
+
+def test_a_random_disturbance_leaves_no_bias() -> None:
+    gusts = Random(rms=1.0, correlation_time=0.1)
+    assert unknown_bias(gusts, np.ones((2, 1)), 10.0) is None
+    assert unknown_bias(None, np.ones((2, 1)), 10.0) is None
+
+
+def test_an_evolution_begins_at_its_start() -> None:
+    low, high, start = np.array([-10.0, 100.0]), np.array([30.0, 108.0]), np.array([20.0, 101.0])
+    tried: list[Any] = []
+
+    def cost(points: Any) -> Any:
+        tried.append(points)
+        return np.zeros(len(points))
+
+    evolve(cost, low, high, seed=3, size=40, rounds=1, start=start, spread=0.01)
+    np.testing.assert_allclose(tried[0].mean(axis=0), start, atol=0.01 * 40)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_an_output_that_is_the_derivative_of_another_one_is_not_counted_twice(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, first = rng.normal(size=(4, 4)), rng.normal(size=4)
+    chains = output_chains(A, np.stack([first, first @ A]))
+    rows = chains.O / np.linalg.norm(chains.O, axis=1, keepdims=True)
+    assert rows.shape == (4, 4)
+    assert np.linalg.cond(rows) < 1e8
