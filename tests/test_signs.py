@@ -15,6 +15,7 @@ from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.certificate.robust import l2_gain
+from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.identifiability.linear import unknown_bias
@@ -178,3 +179,16 @@ def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
         claimed = build_prior(model, sensor, right, left, None, None, None, floor=0.1, wear=0.0)
         np.testing.assert_allclose(claimed.R, 0.3**2)
+
+
+@pytest.mark.parametrize("Ts", [None, 0.1, 2.0])
+@pytest.mark.parametrize("chain", [True, False])
+def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
+    Ts: float | None, chain: bool
+) -> None:
+    A = np.diag([0.0, 0.0, -0.3])
+    A[0, 1] = float(chain)
+    assert defective(A, Ts) is chain
+    if Ts is not None:  # a pole at z = -1 of two states, which a sign would take for one at z = 3
+        flip = np.array([[-2.0, float(chain)], [0.0, -2.0]]) / Ts
+        assert defective(flip, Ts) is chain
