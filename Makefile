@@ -4,7 +4,7 @@ BIN = .venv/bin
 FUZZ_SECONDS ?= 600
 MUTANTS ?= 300
 
-.PHONY: paper test bench fuzz mutants coverage clean
+.PHONY: paper test tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -25,11 +25,18 @@ mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 o
 coverage: .venv/tested        ## lines of src that no test runs
 	$(BIN)/pytest -n 2 --dist loadfile --cov=undeadzone --cov-report=term-missing:skip-covered
 
+tools:                        ## what some tests need besides Python: compiler and emulator of a microcontroller, cppcheck, browser
+	sh tests/tools.sh
+
 bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
 
+docs: .venv/documented         ## the documentation site, in site/
+	bash docs/site/katex.sh
+	$(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf .venv *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv site *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -38,6 +45,10 @@ clean:
 
 .venv/tested: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+.venv/documented: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 .venv/benched: .venv/tested

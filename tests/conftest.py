@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import undeadzone
+from tools import pytest_terminal_summary as pytest_terminal_summary
 
 settings.register_profile(
     "shared", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True

@@ -60,8 +60,11 @@ CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "computed_torque": ((), {}),  # of robot arms: test_robots_control.py
     "fuzzy_feedback": (BOTH, {"reach": 3.0, "rules": 3}),
     "gravity_pd": ((), {}),  # of robot arms: test_robots_control.py
+    "linear": (BOTH, {"numerator": [2.0, 5.0], "denominator": [0.05, 1.0]}),
+    "lqg": (BOTH, {"Q": 2.0, "integral": 5.0}),
     "lqr": (SAMPLED, {"Q": 2.0}),
     "pd": (BOTH, {"k_p": 2.0, "k_d": 0.1}),
+    "pid": (BOTH, {"k_p": 2.0, "k_i": 3.0, "k_d": 0.1, "limits": [-3.0, 3.0]}),
     "rbf_feedback": (BOTH, {"reach": 3.0, "centres": 3}),
     "sliding_mode": (BOTH, {"gain": 1.0}),
     "state_feedback": (BOTH, {"alpha": 5.0, "robust": {"gain": 0.5}}),

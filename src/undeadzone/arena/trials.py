@@ -143,7 +143,7 @@ def score(
     progress: Callable[[int], None] | None = None,
     kept: Answers | None = None,
 ) -> list[Result]:
-    """The results of methods on scenarios, with the two lines that make a regret (FRAME).
+    """The results of methods on scenarios, with the lines that are always there (FRAME).
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this

@@ -87,7 +87,7 @@ def tune(
 
 
 def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
-    """The results of the two lines that make a regret."""
+    """The results of the lines that are always there."""
     settings = {title: situation(scenario) for title, scenario in grounds.items()}
     known = catalogue()
     results: list[Result] = []
@@ -175,7 +175,7 @@ def mean_regret(
     Args:
         method: what is tried.
         grounds: scenarios by name, and what may be known of them.
-        frame: results of the two lines that make a regret.
+        frame: results of the lines that are always there.
         seeds: of the runs.
         numbers: of the method's knobs, by address.
     """

@@ -7,27 +7,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import confined, print_json, print_table, progress, say, writable
+from undeadzone.cli.common import (
+    confined,
+    print_blocks,
+    print_json,
+    print_table,
+    progress,
+    say,
+    writable,
+)
 
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
-    from undeadzone.arena.leaderboard import Row
     from undeadzone.arena.tuned_file import Tuned
     from undeadzone.scenario.schema import Scenario
 
 FOLDER = Path("arena-results")
-HEAD = (
-    "",
-    "method",
-    "median regret",
-    "behind the best",
-    "worst regret",
-    "worst where",
-    "diverged",
-    "n/a",
-    "rms z - r",
-    "coverage",
-)
 
 
 @click.command(
@@ -115,9 +110,10 @@ def arena(
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
-    full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
-    scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is done is kept
-    in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See docs/arena.md.
+    knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
+    over the scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is
+    done is kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See
+    docs/arena.md.
     """
     from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
@@ -236,58 +232,9 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    places = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
-    refused = [row.method for row in contest.rows if row.not_applicable == 1]
-    table: list[tuple[str, ...]] = [HEAD]
-    for row in contest.rows:
-        if row.method not in refused:
-            table.append(_cells(places.get(row.method, "-"), row))
-    print_table(table)
-    if refused:
-        say()
-        say(f"not applicable (--json says why): {', '.join(refused)}")
-    scenarios = _counted(len(contest.scenarios), "scenario")
-    runs = _counted(len(contest.seeds), "run")
-    say()
-    say(f"{scenarios}, {runs} each; - : line to compare with; 95 % intervals in ()")
+    print_blocks(contest.blocks())
     if written:
         say(f"written: {', '.join(map(str, written))}")
-
-
-def _counted(number: int, what: str) -> str:
-    """1 run, 2 runs."""
-    return f"{number} {what}{'s' * (number > 1)}"
-
-
-def _cells(place: str, row: Row) -> tuple[str, ...]:
-    """A row of the leaderboard as text."""
-    return (
-        place,
-        row.method,
-        _regret(row.median_regret, row.median_interval),
-        _regret(row.behind, row.behind_interval),
-        _regret(row.worst_regret, row.worst_interval),
-        row.worst_scenario,
-        _share(row.diverged),
-        _share(row.not_applicable),
-        _number(row.tracking, ".3g"),
-        _number(row.coverage, ".2f"),
-    )
-
-
-def _regret(value: float, interval: tuple[float, float]) -> str:
-    """A regret and its interval."""
-    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
-
-
-def _share(value: float) -> str:
-    """A share in percent; nothing where there is none."""
-    return f"{100 * value:.0f} %" if value else ""
-
-
-def _number(value: float | None, form: str) -> str:
-    """A number; nothing where there is none."""
-    return "" if value is None else format(value, form)
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:
