@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
@@ -26,9 +27,10 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati
 from undeadzone.linear.structure import output_chains, uncontrollable_modes, unobservable_modes
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.numerics.optimise import evolve
+from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
 from undeadzone.observers.parts import interval_step
+from undeadzone.observers.parts.member import likelihood
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.widths import bounded_widths
@@ -192,3 +194,21 @@ def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
     if Ts is not None:  # a pole at z = -1 of two states, which a sign would take for one at z = 3
         flip = np.array([[-2.0, float(chain)], [0.0, -2.0]]) / Ts
         assert defective(flip, Ts) is chain
+
+
+def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
+    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 2.0, 1.0])
+    estimated: Any = SimpleNamespace(innovation=ca.DM(e), innovation_std=ca.DM(std))
+    expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
+    assert float(likelihood(estimated)) == pytest.approx(expected)
+
+
+def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
+    def costs(points: Any) -> Any:
+        both = np.stack([points[:, 0], 1 - points[:, 0]], axis=1)
+        both[points[:, 0] > 0.5, 1] = np.inf
+        return both
+
+    _, values = pareto(costs, np.zeros(1), np.ones(1), seed=1, size=12, rounds=5)
+    assert np.isfinite(values).all()
+    assert len(values) > 1
