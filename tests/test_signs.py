@@ -209,6 +209,6 @@ def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
         both[points[:, 0] > 0.5, 1] = np.inf
         return both
 
-    _, values = pareto(costs, np.zeros(1), np.ones(1), seed=1, size=12, rounds=5)
+    _, values = pareto(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
     assert np.isfinite(values).all()
     assert len(values) > 1
