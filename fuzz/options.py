@@ -34,7 +34,7 @@ def case(draw: random.Random) -> Case:
     for parameter in command.params:
         words += _argument(draw, command, parameter)
     if command.name in LONG:
-        words.append(draw.choice(("--nonsense", "--help", "--seed=x", "--out=empty/x")))
+        words += [draw.choice(("--nonsense", "--help", "--seed=x", "--out=empty/x")), "--nonsense"]
     if draw.random() < 0.1:
         draw.shuffle(words)
     stdin = draw.choice((b"", LOG, b"\xff\xfe", b"nonsense\n"))

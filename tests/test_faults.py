@@ -72,6 +72,20 @@ def test_kill_9_of_a_command_with_workers_leaves_no_process_and_changes_no_bit(
     assert path.read_bytes() == whole.path.read_bytes()
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
+def test_kill_9_of_an_arena_leaves_no_process(tmp_path: Path) -> None:
+    mine = scenario(tmp_path, SCENARIO.replace("duration = 0.5", "duration = 500.0"))
+    command = [*COMMAND, "arena", str(mine), "--processes", "2", "--seeds", "9"]
+    with subprocess.Popen(command, start_new_session=True) as running:
+        while len(members(running.pid)) < 4:  # itself, what tracks resources, two that compute
+            assert running.poll() is None
+            time.sleep(0.05)
+        time.sleep(0.5)
+        running.kill()
+    while members(running.pid):
+        time.sleep(0.02)
+
+
 def limited(size: int) -> Callable[[], None]:
     """What keeps a new process from writing files larger than so many bytes."""
 
@@ -81,13 +95,23 @@ def limited(size: int) -> Callable[[], None]:
     return limit
 
 
-@pytest.mark.parametrize("command", ["run", "check", "design --maximise rate", "ensemble"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run --no-figures",
+        "check --no-figures",
+        "design --maximise rate --no-figures",
+        "ensemble --no-figures",
+        "tune --over controller.poles[0]=-9:-5 --runs 2 --budget 4 --no-figures",
+        "arena --methods certified --seeds 1 --processes 1",
+    ],
+)
 def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
     tmp_path: Path, command: str
 ) -> None:
     mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
     done = subprocess.run(
-        [*COMMAND, *command.split(), str(mine), "--no-figures", "--out", str(out)],
+        [*COMMAND, *command.split(), str(mine), "--out", str(out)],
         preexec_fn=limited(300),
         capture_output=True,
         text=True,

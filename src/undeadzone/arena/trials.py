@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -33,6 +32,7 @@ from undeadzone.simulation.simulate import closed, named
 from undeadzone.support import toml, tree
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
+from undeadzone.support.processes import pool as processes_of
 
 FEW: Final = 8  # trials for which a process is worth starting
 
@@ -217,7 +217,7 @@ def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, lis
     if count <= 1:
         yield from ((k, _try(job)) for k, job in enumerate(jobs))
         return
-    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+    with processes_of(count) as pool:
         waiting = {pool.submit(_try, job): k for k, job in enumerate(jobs)}
         try:
             for future in as_completed(waiting):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from undeadzone.numerics.optimise import evolve
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
+from undeadzone.support.processes import pool as processes_of
 
 BUDGET: Final = 60  # candidates of a method
 SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
@@ -62,7 +62,7 @@ def tune(
     def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
         """What is found of methods, as it comes."""
         count = os.cpu_count() if processes is None else processes
-        with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        with processes_of(count) as pool:
             waiting = {}
             for k in missing:
                 arguments = adjustable[k], dict(grounds), frame, budget, tuple(seeds), search

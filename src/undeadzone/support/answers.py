@@ -91,7 +91,11 @@ class Answers:
         if _line(head).startswith(content):  # empty, or torn in its first line
             with _writing(self._path):
                 self._file.truncate(0)
-            self._append(head)
+            try:
+                self._append(head)
+            except FileError:  # disk full
+                self._path.unlink(missing_ok=True)
+                raise
             return
         lines = [line for line in map(_checked, content.split(b"\n")) if line is not None]
         self._require(lines, problem, resume)
