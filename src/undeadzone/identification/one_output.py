@@ -78,7 +78,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     asks_place = _asks_place(prepared, options, unreached)
     kalman: list[KalmanFit] = []
     place = None
-    if verdict.word in ("dead_zone", "jump"):
+    is_jump = prepared.jumps is not None and verdict.word == "jump"
+    if verdict.word == "dead_zone" or is_jump:
         if data.silent_zeros and chosen.pairs.objective.kind == "pairs":
             kalman = fit_kalman(chosen.pairs)
         advance(1)
