@@ -13,7 +13,7 @@ from undeadzone.identification.first_fit import fitted_with_delay, without_unrea
 from undeadzone.identification.fit import Fit, polished
 from undeadzone.identification.grid import Grid, shortened
 from undeadzone.identification.intervals import find_widths
-from undeadzone.identification.kalman_likelihood import KalmanFit, fit_kalman
+from undeadzone.identification.kalman_fit import KalmanFit, fit_kalman
 from undeadzone.identification.kalman_smoother import innovations
 from undeadzone.identification.no_zone import judge_no_zone
 from undeadzone.identification.objective import Objective
