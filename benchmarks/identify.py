@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import undeadzone as uz
-from benchmarks.identify_logs import FAMILIES, MAPS, SAMPLES, Made, make, mapped
+from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
 from undeadzone.identification.fit import refit
 from undeadzone.identification.intervals import Interval
 from undeadzone.statistics.intervals import proportion
@@ -55,7 +55,8 @@ def outcome_of(family: str, seed: int) -> Outcome:
     """What `identify` makes of a log, beside its truth."""
     made = mapped(seed, family) if family in MAPS else make(seed, family)
     began = time.process_time()
-    answer = uz.identify(t=made.step, u=made.u, y=made.y)
+    answer = uz.identify(t=made.step, u=made.u, y=made.y, **OPTIONS.get(family, {}))
+    assert isinstance(answer, uz.Identified)
     spent = time.process_time() - began
     whole = answer.answer
     place = whole.evidence.place
@@ -68,8 +69,9 @@ def outcome_of(family: str, seed: int) -> Outcome:
         "true_order": made.n,
         "order": answer.order,
         "true": [made.right, made.left],
-        "right": triple(answer.right),
-        "left": triple(answer.left),
+        "delay": whole.evidence.delay,
+        "right": None if family == "motor" else triple(answer.right),
+        "left": None if family == "motor" else triple(answer.left),
         "width": triple(answer.width),
         "least_squares": least_squares(answer, made) if answer.zone else None,
         "remarks": whole.remarks,
@@ -118,9 +120,11 @@ def middle(values: list[float]) -> str:
 
 def family_row(family: str, rows: list[Outcome]) -> str:
     """One line of the table of coverage."""
-    zones = [one for one in rows if one["verdict"] in ("dead_zone", "unreached")]
+    zones = [one for one in rows if one["width"] or one["right"] or one["left"]]
     every = edges(zones)
     errors = [abs(interval[0] - truth) for interval, truth, _ in every]
+    if family == "motor":  # whose edges are not known, only the width
+        errors = [abs(one["width"][0] - sum(one["true"])) for one in zones]
     squares = [abs(ls - truth) for _, truth, ls in every if ls is not None]
     held = [interval[1] <= truth <= interval[2] for interval, truth, _ in every]
     widths = [

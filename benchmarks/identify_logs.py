@@ -12,7 +12,21 @@ from undeadzone.support.arrays import Floats
 
 SAMPLES = 1500
 DISTURBED = {"coloured": 0.1, "strong": 0.3}  # rms at z of a disturbance of the input
-FAMILIES = ("white", "coloured", "strong", "sines", "one", "behind", "drift", "heavy", "none")
+FAMILIES = (
+    "white",
+    "coloured",
+    "strong",
+    "sines",
+    "one",
+    "behind",
+    "drift",
+    "heavy",
+    "jumps",
+    "late",
+    "motor",
+    "none",
+)
+OPTIONS = {"jumps": {"kind": "jump"}, "motor": {"integrators": 1}}
 MAPS = ("saturation", "jump", "cubic", "play")
 
 
@@ -69,9 +83,14 @@ def excitation(rng: np.random.Generator, step: float, omega: float, sines: bool)
 def make(seed: int, family: str) -> Made:
     """A log of a family."""
     rng = np.random.default_rng(90_000 + seed)
+    if family == "motor":
+        return motor(rng)
     b, a, step, omega, n = plant(rng)
     u = excitation(rng, step, omega, family == "sines")
     z = lfilter(b, a, u)
+    if family == "late":
+        late = int(rng.integers(1, 9))
+        z = np.concatenate([np.zeros(late), z[:-late]])
     u, z = u / z.std(), z / z.std()
     right, left = rng.uniform(0.1, 1.0, 2)
     if family == "one":
@@ -85,7 +104,31 @@ def make(seed: int, family: str) -> Made:
         return Made(step, u, z + e, n, 0.0, 0.0)
     if family == "behind":
         return Made(step, u, dead_zone(z + w, right, left) + e, n, right, left)
+    if family == "jumps":
+        z = z + e
+        return Made(step, u, z * ((z > right) | (z < -left)), n, right, left)
     return Made(step, u, dead_zone(z + w + e, right, left), n, right, left)
+
+
+def motor(rng: np.random.Generator) -> Made:
+    """The position of a motor in a loop that keeps it near 0, in its own rms, disturbed."""
+    step, lag = 0.02, rng.uniform(0.1, 0.4)
+    num, den, _ = cont2discrete(([1.0], [lag, 1.0, 0.0]), step)
+    b, a = num.ravel(), den
+    hold = int(rng.uniform(10, 40))
+    wanted = np.repeat(rng.standard_normal(SAMPLES // hold + 1), hold)[:SAMPLES]
+    w = rng.uniform(0.0, 0.1) * lfilter([0.3], [1, -0.95], rng.standard_normal(SAMPLES))
+    u, z = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    z[:2] = rng.uniform(-0.5, 0.5)
+    for k in range(SAMPLES):
+        if k > 1:
+            driven = u[[k - 1, k - 2]] + w[[k - 1, k - 2]]
+            z[k] = -a[1] * z[k - 1] - a[2] * z[k - 2] + b[1:] @ driven
+        u[k] = 3 * wanted[k] - 2 * z[k]
+    u, z = u / z.std(), z / z.std()
+    right, left = rng.uniform(0.1, 0.8, 2)
+    e = float(rng.choice([0.02, 0.05])) * rng.standard_normal(SAMPLES)
+    return Made(step, u, dead_zone(z + e, right, left), 2, right, left)
 
 
 def disturbance(

@@ -16,18 +16,12 @@ from undeadzone.errors import InputError
 from undeadzone.identification.fit import Fit, fit_zone, polished, refit
 from undeadzone.identification.friction_step import simulate
 from undeadzone.identification.intervals import profile
-from undeadzone.identification.kalman_likelihood import KalmanFit, KalmanObjective
+from undeadzone.identification.kalman_fit import KalmanFit
+from undeadzone.identification.kalman_likelihood import KalmanObjective
 from undeadzone.identification.kalman_smoother import innovations
-from undeadzone.identification.likelihood import (
-    Noise,
-    Readings,
-    behind,
-    log_difference,
-    log_rectangle,
-    pairs,
-    singles,
-)
+from undeadzone.identification.likelihood import Noise, Readings, behind, pairs, singles
 from undeadzone.identification.long_run import long_run_covariance, sandwich
+from undeadzone.identification.normal_mass import log_difference, log_rectangle
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.plant_fit import Data, Layout, Simulator
 

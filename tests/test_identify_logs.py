@@ -184,8 +184,11 @@ def test_quantum_and_long_logs() -> None:
     y = np.round(np.random.default_rng(0).standard_normal(4000) / 0.1) * 0.1
     assert find_quantum(y) == pytest.approx(0.1)
     assert find_quantum(np.random.default_rng(0).standard_normal(4000)) == 0.0
-    grid = to_grid([log_of_arrays(0.1, np.arange(30000.0), np.arange(30000.0))])
-    assert shortened(grid).t.size == 20000
+    grid = to_grid([log_of_arrays(0.1, np.arange(250000.0), np.arange(250000.0))])
+    short = shortened(grid)
+    assert short.t.size == 100_000
+    assert short.start.tolist() == [0, 20_000, 40_000, 60_000, 80_000]
+    assert (np.diff(short.t)[19_999::20_000] > 1000).all()
 
 
 # --- damaged files

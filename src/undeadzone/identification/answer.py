@@ -9,7 +9,8 @@ from undeadzone.identification.excitation import Excitation
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.grid import Grid
 from undeadzone.identification.intervals import Interval, Widths
-from undeadzone.identification.kalman_likelihood import NAMES, KalmanFit
+from undeadzone.identification.kalman_fit import KalmanFit
+from undeadzone.identification.kalman_likelihood import NAMES
 from undeadzone.identification.no_zone import NoZone
 from undeadzone.identification.options import Options
 from undeadzone.identification.orders import OrderFit

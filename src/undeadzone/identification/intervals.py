@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from undeadzone.identification.fit import Fit, climbed
-from undeadzone.identification.kalman_likelihood import KalmanFit
+from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.likelihood import Noise, singles
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.orders import OrderFit

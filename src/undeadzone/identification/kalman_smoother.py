@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.kalman_likelihood import KalmanFit
+from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_step import matrices
-from undeadzone.identification.likelihood import hazards, log_difference
 from undeadzone.identification.log import Flags
+from undeadzone.identification.normal_mass import hazards, log_difference
 from undeadzone.support.arrays import Floats, Integers
 
 

@@ -13,7 +13,7 @@ from undeadzone.identification.first_fit import fitted_with_delay, without_unrea
 from undeadzone.identification.fit import Fit, polished
 from undeadzone.identification.grid import Grid, shortened
 from undeadzone.identification.intervals import find_widths
-from undeadzone.identification.kalman_likelihood import KalmanFit, fit_kalman
+from undeadzone.identification.kalman_fit import KalmanFit, fit_kalman
 from undeadzone.identification.kalman_smoother import innovations
 from undeadzone.identification.no_zone import judge_no_zone
 from undeadzone.identification.objective import Objective
@@ -78,7 +78,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     asks_place = _asks_place(prepared, options, unreached)
     kalman: list[KalmanFit] = []
     place = None
-    if verdict.word in ("dead_zone", "jump"):
+    is_jump = prepared.jumps is not None and verdict.word == "jump"
+    if verdict.word == "dead_zone" or is_jump:
         if data.silent_zeros and chosen.pairs.objective.kind == "pairs":
             kalman = fit_kalman(chosen.pairs)
         advance(1)

@@ -145,7 +145,7 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        if not self.answer.zone and self.answer.verdict != "jump":
+        if not self.answer.zone and self.answer.evidence.jumps is None:
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )
