@@ -162,22 +162,26 @@ def bits() -> str:
         return f"{title}\nNot run: the emulator is not installed; `make tools`.\n"
     lines = [title, *head("case", "precision", "this computer", "emulated Cortex-M4F")]
     for name in BARS:
-        scenario = case(name)
-        simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
-        problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
-        step = parts.build(problem)
-        rows = chosen(recorded(problem, step), step.readings)
         for word in ("single", "double"):
-            printed = code(step, word == "single")
-            text = source(printed, Labels("o", "benchmark", "observer"))
-            files = text.files("o") | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
-            with tempfile.TemporaryDirectory() as folder:
-                for path, content in files.items():
-                    Path(folder, path).write_text(content)
-                board = _emulated(["o.c", "o_test.c"], Path(folder))
-            said = [compiler.self_tested(files)[1], board]
-            lines.append(row(name, word, *(_verdict(part) for part in said)))
+            lines.append(row(name, word, *tested(name, word == "single")))
     return "\n".join([*lines, ""])
+
+
+def tested(name: str, single: bool) -> list[str]:
+    """What the self-test of a case says on this computer and in the emulator."""
+    scenario = case(name)
+    simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
+    problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
+    step = parts.build(problem)
+    rows = chosen(recorded(problem, step), step.readings)
+    printed = code(step, single)
+    text = source(printed, Labels("o", "benchmark", "observer"))
+    files = text.files("o") | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
+    with tempfile.TemporaryDirectory() as folder:
+        for path, content in files.items():
+            Path(folder, path).write_text(content)
+        board = _emulated(["o.c", "o_test.c"], Path(folder))
+    return [_verdict(part) for part in (compiler.self_tested(files)[1], board)]
 
 
 def _verdict(said: str) -> str:

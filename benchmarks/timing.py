@@ -16,6 +16,24 @@ def medians(
         rounds: of which each runs every program once
         uncounted: rounds before these, which compile and warm up
     """
+    times = _times(programs, rounds, uncounted)
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def least(programs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
+    """The least time of each program [s], for rounds so short that some are not disturbed.
+
+    Args:
+        programs: by name
+        rounds: of which each runs every program once
+    """
+    return {name: min(values) for name, values in _times(programs, rounds, 1).items()}
+
+
+def _times(
+    programs: Mapping[str, Callable[[], Any]], rounds: int, uncounted: int
+) -> dict[str, list[float]]:
+    """The times of each program [s] in the rounds that count."""
     times: dict[str, list[float]] = {name: [] for name in programs}
     for k in range(uncounted + rounds):
         for name, program in programs.items():
@@ -24,4 +42,4 @@ def medians(
             seconds = time.perf_counter() - began
             if k >= uncounted:
                 times[name].append(seconds)
-    return {name: statistics.median(values) for name, values in times.items()}
+    return times
