@@ -54,7 +54,8 @@ def listening(problem: Problem, run: Run | None, progress: Progress | None = Non
         whole = LARGER / (1 + LARGER) * _rms(larger.z[half])
         share = 1 - _rms(left[half]) / whole
         moves = whole > STILL * np.abs(larger.z).max(axis=0)
-    return [float(one) for one in np.where(moves & np.isfinite(share), share, np.nan)]
+    told: list[float] = np.where(moves & np.isfinite(share), share, np.nan).tolist()
+    return told
 
 
 def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run:
@@ -65,8 +66,7 @@ def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run
         run: of it.
         progress: called with the number of steps just done.
     """
-    shares = listening(resolve_scenario(scenario), run, progress)
-    known = [None if np.isnan(share) else share for share in shares]
+    known = list(map(_known, listening(resolve_scenario(scenario), run, progress)))
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
 
 
@@ -81,9 +81,19 @@ def in_words(shares: Sequence[float | None]) -> str:
     Args:
         shares: of each output; None where it cannot be told.
     """
-    each = ", ".join("?" if share is None else f"{100 * share:.0f} %" for share in shares)
+    each = ", ".join(map(_percent, shares))
     words = f"z^ follows {each} of a z that is {100 * LARGER:.0f} % larger than the model says"
     return f"ON TRUST of the model: {words}" if on_trust(shares) else words
+
+
+def _known(share: float) -> float | None:
+    """A share; None in place of NaN."""
+    return None if np.isnan(share) else share
+
+
+def _percent(share: float | None) -> str:
+    """A share in words."""
+    return "unknown" if share is None or np.isnan(share) else f"{100 * share:.0f} %"
 
 
 def _signals(problem: Problem, progress: Progress | None) -> Outputs:
