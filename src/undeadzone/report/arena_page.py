@@ -36,7 +36,7 @@ RULES: Final = (
     "A run counts by J, the rms of z − r of the tracked outputs over its last "
     f"{100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
     f"(J − J_{ZERO}) / ((d_r + d_l) / 2) on the same scenario and seed: {ZERO} knows the state, "
-    f"the plant and the disturbance. A run that diverged counts {CAP:g}, and beyond {CAP / 2:g} the "
+    f"the plant and the disturbance. A run that diverged counts {CAP:g}; beyond {CAP / 2:g} the "
     f"regret of others rises ever more slowly towards that. Where a method is not applicable the "
     f"naive observer ({NAIVE}) is left, and its regret counts.",
     "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios "

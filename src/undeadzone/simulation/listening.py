@@ -52,7 +52,8 @@ def listening(problem: Problem, run: Run | None, progress: Progress | None = Non
         whole = LARGER / (1 + LARGER) * _rms(larger.z[half])
         share = 1 - _rms(left[half]) / whole
         moves = whole > STILL * np.abs(larger.z).max(axis=0)
-    return [float(one) for one in np.where(moves & np.isfinite(share), share, np.nan)]
+    told: list[float] = np.where(moves & np.isfinite(share), share, np.nan).tolist()
+    return told
 
 
 def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run:
@@ -63,9 +64,13 @@ def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run
         run: of it.
         progress: called with the number of steps just done.
     """
-    shares = listening(resolve_scenario(scenario), run, progress)
-    known = [None if np.isnan(share) else share for share in shares]
+    known = list(map(_known, listening(resolve_scenario(scenario), run, progress)))
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
+
+
+def _known(share: float) -> float | None:
+    """A share; None in place of NaN."""
+    return None if np.isnan(share) else share
 
 
 def _signals(problem: Problem, progress: Progress | None) -> Outputs:

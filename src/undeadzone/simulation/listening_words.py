@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -20,6 +21,11 @@ def in_words(shares: Sequence[float | None]) -> str:
     Args:
         shares: of each output; None where it cannot be told.
     """
-    each = ", ".join("?" if share is None else f"{100 * share:.0f} %" for share in shares)
+    each = ", ".join(map(_percent, shares))
     words = f"z^ follows {each} of a z that is {100 * LARGER:.0f} % larger than the model says"
     return f"ON TRUST of the model: {words}" if on_trust(shares) else words
+
+
+def _percent(share: float | None) -> str:
+    """A share in words."""
+    return "unknown" if share is None or math.isnan(share) else f"{100 * share:.0f} %"
