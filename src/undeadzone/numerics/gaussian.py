@@ -121,9 +121,9 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     Args:
         belief: of x (N).
         h: row of the reading (1 x N).
-        e: innovation, the reading less what was expected.
+        e: innovation, the reading less what was expected; a number in any case.
         R: variance of v.
-        use: 0 leaves the belief as it is.
+        use: 0 leaves the belief as it is, or the share by which each variable is moved (N).
 
     Returns:
         The belief, and the variance of the innovation.
@@ -133,7 +133,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
     cov = half - (half @ h.T) @ K.T + R * (K @ K.T)
-    return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(cov)), S
+    return Gaussian(mean + K * e, _from_upper(cov)), S
 
 
 def update_unless_glitch(
@@ -203,7 +203,14 @@ def truncate(
 
 
 def truncate_unless_fake(
-    belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float, fake: Any
+    belief: Gaussian,
+    h: Any,
+    excess: Any,
+    R: Any,
+    use: Any,
+    limit: float,
+    fake: Any,
+    moved: Any = None,
 ) -> tuple[Weighed, Any]:
     """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
 
@@ -212,6 +219,8 @@ def truncate_unless_fake(
     Args:
         belief, h, excess, R, use, limit: as `truncate` takes them.
         fake: log of the probability that a silence is fake.
+        moved: share by which the bound moves each variable (N); None: all move. What it says of
+            the others is then known given those that stay.
 
     Returns:
         What is known, and 1 where the bound was used.
@@ -224,8 +233,11 @@ def truncate_unless_fake(
     trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
-    lost = trust * ratio * (ratio + alpha) - trust * (1 - trust) * ratio**2
-    after = Gaussian(mean - trust * ratio * along, _from_upper(P - lost * (along @ along.T)))
+    shift = along if moved is None else moved * along
+    kept = along - shift
+    lost = trust * ratio * (ratio + alpha) * (along @ along.T - kept @ kept.T)
+    between = trust * (1 - trust) * ratio**2 * (shift @ shift.T)
+    after = Gaussian(mean - trust * ratio * shift, _from_upper(P - lost + between))
     log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
     return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
 

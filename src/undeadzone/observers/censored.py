@@ -83,9 +83,10 @@ class Censored(
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
         tolerance = tolerances(model, self.tolerance)
-        augmentation = unknowns(model, colour, rms, bias, calibrated, tolerance)
-        lasting = max(1.0, correlation / Ts)
         glitches = glitch_share(self.glitches)
+        careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
+        augmentation = unknowns(model, colour, rms, bias, calibrated, tolerance, careful)
+        lasting = max(1.0, correlation / Ts)
         member = measured_filter(
             model,
             sensor,
@@ -95,6 +96,7 @@ class Censored(
             self.silence,
             glitches=glitches,
             claimed=self.disturbance is not None,
+            careful=careful,
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])

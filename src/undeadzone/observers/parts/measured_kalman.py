@@ -74,11 +74,12 @@ def measured_filter(
     blind: bool = False,
     glitches: float = 0.0,
     claimed: bool = True,
+    careful: bool = False,
 ) -> Member:
-    """The filter; `Setup` and `doubt_numbers` explain the arguments."""
+    """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
-    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind, doubts)
+    setup = Setup(model, sensor, augmentation, entries, bounds, order, blind, doubts, careful)
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
@@ -87,7 +88,8 @@ def measured_filter(
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
-    return Member(params._replace(doubt=doubt), init, partial(filter_step, setup))
+    params = params._replace(lasting=np.asarray(lasting), doubt=doubt)
+    return Member(params, init, partial(filter_step, setup))
 
 
 def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
@@ -203,7 +205,7 @@ def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return advance(belief, move, Q, slope)
     bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
-    return predict(belief, move, Q, setup.lasting, bend)
+    return predict(belief, move, Q, q.lasting, bend)
 
 
 def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ from undeadzone.numerics.gaussian import (
     update,
     update_unless_glitch,
 )
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.gaussian_filter import Params, informed
 from undeadzone.observers.parts.shown_belief import Setup
 from undeadzone.sensor import LEFT, RIGHT, offset
 
@@ -107,7 +107,7 @@ def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) ->
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, setup.lasting, waiting - 1))
+            waits.append(ca.if_else(used, q.lasting, waiting - 1))
     return Heard(belief, ca.vertcat(*waits), trust, log)
 
 
@@ -139,5 +139,7 @@ def heard_edge(
     if not setup.doubts:
         after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
         return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
-    one, used = truncate_unless_fake(belief, sign * h, over, q.R[i], bounded, DOUBT, q.doubt.fake)
+    moved = informed(q, setup.model, belief.cov) if setup.careful else None
+    row, fake = sign * h, q.doubt.fake
+    one, used = truncate_unless_fake(belief, row, over, q.R[i], bounded, DOUBT, fake, moved)
     return one, ca.logic_and(used, one.trust > 0.5)

@@ -23,23 +23,22 @@ class Setup(NamedTuple):
         sensor: the dead zone.
         augmentation: the unknowns beside [x; d].
         entries: entries of the covariance's upper triangle that are kept.
-        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
-            is not heard again.
         bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
         order: order of the prediction.
         blind: whether it takes every reading for z itself.
         doubts: whether a reading may be wrong.
+        careful: whether silence moves widths only as far as readings have told of them.
     """
 
     model: System
     sensor: Zone
     augmentation: Augmentation
     entries: ca.Sparsity
-    lasting: float
     bounds: bool
     order: Literal[1, 2]
     blind: bool
     doubts: bool
+    careful: bool
 
     @property
     def jump(self) -> bool:
