@@ -6,7 +6,7 @@ docs/filters.md derives them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -149,26 +149,57 @@ def update_unless_glitch(
         e: innovation, the reading less what was expected.
         R: variance of v.
         use: 0 leaves the belief as it is.
-        odds: log of the odds of a glitch before the reading is seen.
+        odds: log of the odds of a glitch before the reading is seen; None: none is one.
         reach: range over which a glitch is spread, besides `TAIL` standard deviations.
     """
-    mean, P = belief
+    P = belief.cov
     S = ca.fmax(h @ P @ h.T, 0.0) + R
+    K = P @ h.T / S
+    half = P - K @ (h @ P)
+    joseph = half - (half @ h.T) @ K.T + R * (K @ K.T)
+    return settle(belief, K, joseph, e, S, use, odds, reach)
+
+
+def settle(
+    belief: Gaussian, K: Any, cov: Any, e: Any, S: Any, use: Any, odds: Any, reach: Any
+) -> Weighed:
+    """The belief after a reading of which the regular update is known, or after a glitch.
+
+    Args:
+        belief: of x (N).
+        K: gain of the regular update (N).
+        cov: covariance that it leaves (N x N).
+        e: innovation.
+        S: variance of the innovation.
+        use, odds, reach: as `update_unless_glitch` takes them.
+    """
+    mean, P = belief
     std = ca.sqrt(S)
+    if odds is None:
+        after = Gaussian(mean + use * K * e, _from_upper(ca.if_else(use, cov, P)))
+        return Weighed(after, e, std, ca.SX(1.0), 0.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = odds - ca.log(reach + TAIL * std)
     right = -(r**2) / 2 - ca.log(2 * math.pi * S) / 2
     trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
     weight = ca.if_else(use, trust, 0.0)
-    K = P @ h.T / S
-    half = P - K @ (h @ P)
-    joseph = half - (half @ h.T) @ K.T + R * (K @ K.T)
     between = weight * (1 - weight) * near**2 * (K @ K.T)
-    cov = _from_upper((1 - weight) * P + weight * joseph + between)
-    after = Gaussian(mean + weight * near * K, cov)
+    mixed = _from_upper((1 - weight) * P + weight * cov + between)
+    after = Gaussian(mean + weight * near * K, mixed)
     log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
+
+
+def together(readings: Sequence[Weighed]) -> Weighed:
+    """What is known after readings that were taken one after the other, as columns."""
+    return Weighed(
+        belief=readings[-1].belief,
+        e=ca.vertcat(*(one.e for one in readings)),
+        std=ca.vertcat(*(one.std for one in readings)),
+        trust=ca.vertcat(*(one.trust for one in readings)),
+        log=sum(one.log for one in readings),
+    )
 
 
 def log_of_sum(a: Any, b: Any) -> Any:

@@ -17,7 +17,6 @@ from undeadzone.numerics.gaussian import (
     advance,
     predict,
     symmetric,
-    triangle,
 )
 from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
@@ -31,14 +30,10 @@ from undeadzone.observers.parts.gaussian_filter import (
 from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
 from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
-
-TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
-RECENT = 0.1  # what is left of `State.opened` while it counts
-Mask = np.ndarray[Any, np.dtype[np.bool_]]
-LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
 class State(NamedTuple):
@@ -49,8 +44,7 @@ class State(NamedTuple):
         last, previous: the last two readings, 0 where one was refused (p) [y].
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         u: the last input (m).
-        share: mean share of refused readings of late (p).
-        opened: 1 where the belief was opened just now, fading after that (1).
+        patience: with readings that are refused.
     """
 
     mean: Any
@@ -59,8 +53,7 @@ class State(NamedTuple):
     previous: Any
     wait: Any
     u: Any
-    share: Any
-    opened: Any
+    patience: Patience
 
 
 def measured_filter(
@@ -84,7 +77,7 @@ def measured_filter(
 
     def init(q: Params) -> State:
         each = np.zeros(p)
-        return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), each, np.zeros(1))
+        return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), patient(p))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
@@ -107,8 +100,8 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
-    mean, cov, restarted = sound(setup, q, predicted(setup, q, heard.belief, u))
-    after = State(mean, cov, y, s.last, heard.wait, u, s.share, s.opened)
+    mean, cov, restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))
+    after = State(mean, cov, y, s.last, heard.wait, u, s.patience)
     if setup.doubts:
         after = reconsidered(setup, q, after, side, heard.trust)
     return Step(
@@ -144,9 +137,6 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
 def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
     """The state without the readings that were refused; opened where most of late were.
 
-    An opened belief gains the prior's variances of state, disturbance and bias; of widths too where
-    it was opened not long ago.
-
     Args:
         setup: the filter.
         q: its numbers.
@@ -154,47 +144,17 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
         side: the sides on which readings were used (p).
         trust: probability that a reading was not wrong (p).
     """
-    refused = trust < 0.5
-    asked = ca.logic_or(side != 0, refused)
-    forget = q.doubt.forget
-    share = ca.if_else(asked, forget * s.share + (1 - forget) * refused, s.share)
-    opens = ca.mmax(share) > TOO_MANY
-    every, moving = (ca.DM(1.0 * of(setup)) for of in (everything, motion_alone))
-    gained = ca.if_else(s.opened > RECENT, every, moving) * q.cov
-    return s._replace(
-        cov=s.cov + ca.if_else(opens, gained, 0.0),
-        last=ca.if_else(refused, 0.0, s.last),
-        share=ca.if_else(opens, 0.0, share),
-        opened=ca.if_else(opens, 1.0, q.doubt.keep * s.opened),
+    cov, patience = reopened(
+        q,
+        setup.model,
+        setup.augmentation.constants,
+        setup.entries,
+        s.cov,
+        s.patience,
+        side != 0,
+        trust,
     )
-
-
-def everything(setup: Setup) -> Mask:
-    """Which entries that are kept are variances."""
-    rows, columns = setup.entries.get_triplet()
-    return np.array(rows) == np.array(columns)
-
-
-def motion_alone(setup: Setup) -> Mask:
-    """Which entries that are kept are variances of a state, a disturbance or a bias."""
-    n, known = setup.model.n, setup.model.n + 2 * setup.model.p
-    rows = np.array(setup.entries.get_triplet()[0])
-    last = setup.entries.size1() - setup.augmentation.constants
-    return everything(setup) & ((rows < n) | ((rows >= known) & (rows < last)))
-
-
-def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
-    """The belief if it is one of finite numbers and positive variances, else the prior.
-
-    Returns:
-        (mean, covariance (its `triangle`), 1 where it is the prior).
-    """
-    cov = triangle(belief.cov, setup.entries)
-    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
-    least = ca.mmin(ca.densify(ca.diag(belief.cov)))
-    fine = ca.logic_and(size < LIMIT, least >= 0)
-    mean = ca.if_else(fine, belief.mean, q.mean)
-    return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
+    return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:

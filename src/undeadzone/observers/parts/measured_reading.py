@@ -11,9 +11,9 @@ from undeadzone.numerics.gaussian import (
     Gaussian,
     Weighed,
     linearise,
+    together,
     truncate,
     truncate_unless_fake,
-    update,
     update_unless_glitch,
 )
 from undeadzone.observers.parts.gaussian_filter import Params, informed
@@ -66,21 +66,11 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Wei
         branch = 0.0 if setup.jump else side[i]
         expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        if setup.doubts:
-            odds, reach = q.doubt.glitch, q.doubt.reach[i]
-            one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
-        else:
-            after, S = update(belief, h, e, q.R[i], active)
-            one = Weighed(after, e, ca.sqrt(S), ca.SX(1.0), 0.0)
+        odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
+        one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
         belief = one.belief
         each.append(one)
-    return Weighed(
-        belief=belief,
-        e=ca.vertcat(*(one.e for one in each)),
-        std=ca.vertcat(*(one.std for one in each)),
-        trust=ca.vertcat(*(one.trust for one in each)),
-        log=sum(one.log for one in each),
-    )
+    return together(each)
 
 
 def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) -> Heard:
