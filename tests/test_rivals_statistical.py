@@ -31,7 +31,6 @@ from undeadzone.observers import (
     NumericObserver,
     ParticleFilter,
     Reading,
-    moving_horizon,
     particle,
 )
 from undeadzone.observers.particle import reweighted, systematic
@@ -353,6 +352,7 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
         x_std=30.0,
         disturbance=80.0,
         drift=0.0,
+        glitches=0.0,
         horizon=4 * stride * TS,
         period=stride * TS,
     )
@@ -401,6 +401,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         "x_std": 3.0,
         "disturbance": 5.0,
         "drift": 0.0,
+        "glitches": 0.0,
     }
     options = MovingHorizon(**claims, horizon=count * TS, period=TS, slack=0.1, solver=solver)
     ys, us = (
@@ -714,9 +715,10 @@ def test_wrong_options_are_named(
 
 def test_particles_are_weighed_by_their_likelihood() -> None:
     weights, e = np.array([0.2, 0.3, 0.5]), np.array([[0.5, 1.0, -2.0], [0.0, 1.5, 0.3]])
+    never = np.full(2, -np.inf)
     expected = weights * np.exp(-(e**2).sum(axis=0) / 2)
-    assert reweighted(weights, e) == pytest.approx(expected / expected.sum())
-    assert (reweighted(weights, np.full((2, 3), np.nan)) == weights).all()
+    assert reweighted(weights, e, never) == pytest.approx(expected / expected.sum())
+    assert (reweighted(weights, np.full((2, 3), np.nan), never) == weights).all()
 
 
 def test_particles_of_which_too_few_count_are_drawn_anew() -> None:
@@ -733,13 +735,13 @@ def test_the_covariance_after_a_reading_adds_information() -> None:
     root, h, R = rng.normal(size=(4, 4)), rng.normal(size=4), 0.3
     cov = root @ root.T
     expected = np.linalg.inv(np.linalg.inv(cov) + np.outer(h, h) / R)
-    assert moving_horizon.read_covariance(cov, h, R) == pytest.approx(expected)
+    assert horizon.read_covariance(cov, h, R) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("side", "expected"), [(1.0, 1.5), (-1.0, 2.7), (0.0, 2.0)])
 def test_a_row_reads_the_edge_of_its_side(side: float, expected: float) -> None:
     C, X = np.array([[1.0, 0.0]]), np.array([2.0, 9.0, 0.5, 0.7])
-    assert moving_horizon.reading_row(C, 0, side) @ X == pytest.approx(expected)
+    assert horizon.reading_row(C, 0, side) @ X == pytest.approx(expected)
 
 
 def random_window() -> Window:

@@ -74,4 +74,4 @@ class Kalman(
         rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
         member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
-        return judged(member, model, widens=glitches > 0)
+        return judged(member, model, widens=glitches > 0, recovers=False)

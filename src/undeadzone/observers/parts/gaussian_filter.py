@@ -118,9 +118,9 @@ def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
 
 
 def informed(q: Params, model: System, cov: Any) -> Any:
-    """What readings have taken from the prior variance of each width, as a share of it (N).
+    """How far readings have told of each width: its correlation with what they said (N).
 
-    1 for all that is not a width.
+    The root of the share that they took from its prior variance; 1 for all that is not a width.
 
     Args:
         q: the filter's numbers.
@@ -129,8 +129,8 @@ def informed(q: Params, model: System, cov: Any) -> Any:
     """
     n, known = model.n, model.n + 2 * model.p
     first = q.doubt.std[n:known] ** 2
-    share = ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0)
-    return ca.vertcat(ca.SX.ones(n), share, ca.SX.ones(cov.shape[0] - known))
+    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
+    return ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
 
 
 def motion(

@@ -95,10 +95,18 @@ def joint_filter(
         if share > 0:
             cov, patience = reopened(q, model, 0, entries, cov, patience, seen, known.trust)
         state = State(mean, cov, patience)
-        return Step(state, estimated, log=0.0, trust=known.trust, fits=fits, restarted=restarted)
+        return Step(
+            state=state,
+            estimate=estimated,
+            log=0.0,
+            trust=known.trust,
+            fits=fits,
+            restarted=restarted,
+            opened=patience.opened == 1,
+        )
 
     member = Member(params, lambda q: State(q.mean, q.cov, patient(model.p)), step)
-    return judged(member, model, widens=share > 0)
+    return judged(member, model, widens=share > 0, recovers=False)
 
 
 def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:

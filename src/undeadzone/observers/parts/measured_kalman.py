@@ -111,6 +111,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         trust=heard.trust,
         fits=fits,
         restarted=restarted,
+        opened=after.patience.opened == 1,
     )
 
 
