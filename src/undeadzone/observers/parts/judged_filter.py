@@ -129,10 +129,11 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
     constant, opened = record.constant, record.opened
     if constant.numel():
-        refuted = ratio > REFUTED * q.doubt.most
+        opened = ca.fmax(opened, step.opened)
+        refuted = ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
         constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
         constant = ca.if_else(step.restarted, 0.0, constant)
-        opened = ca.if_else(step.restarted, 0.0, ca.fmax(opened, step.opened))
+        opened = ca.if_else(step.restarted, 0.0, opened)
     return Record(
         total=total,
         count=count,
@@ -157,7 +158,7 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused they are those of the prior at least. A filter that knows of no constants
+    readings were refused they are those of the prior at least, about what is shown. A filter that knows of no constants
     takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
@@ -175,6 +176,8 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     n, p = model.n, model.p
     x_std, right, left = ca.vertsplit(ca.SX(q.doubt.std), [0, n, n + p, n + 2 * p])
+    right = ca.sqrt(right**2 + (estimated.right - q.mean[n : n + p]) ** 2)
+    left = ca.sqrt(left**2 + (estimated.left - q.mean[n + p : n + 2 * p]) ** 2)
     scale = x_std / ca.fmax(ca.mmax(x_std), 1e-300)
     return estimated._replace(
         x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),
