@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import coverage
 from benchmarks.markdown import row
-from benchmarks.random_problems import DURATION, RANGE, STEP, Problems, World, problems
+from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.engine import lanes
 from undeadzone.observers import Auto, Observer, Reading
 from undeadzone.plants.build import system
@@ -66,7 +66,7 @@ def doubting(known: Problems, k: int) -> Any:
 
 def from_ranges(known: Problems, k: int) -> Any:
     """`Auto` told the ranges of the widths alone."""
-    return Auto(right=RANGE)
+    return Auto(right=known.ranges[k, 0], left=known.ranges[k, 1])
 
 
 FILTERS = {
@@ -147,8 +147,9 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
     """
     built = []
     for k, model in enumerate(posed.models):
-        zone = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=posed.noise[k]), 1, STEP)
-        plant = sampled(system(Plant(**model._asdict())), STEP)
+        right, left = posed.ranges[k, :, 1]
+        zone = resolve(Sensor(right=right, left=left, noise=posed.noise[k]), 1, posed.step[k])
+        plant = sampled(system(Plant(**model._asdict())), posed.step[k])
         built.append(options(posed, k).build(plant, zone))
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])

@@ -482,7 +482,7 @@ def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read
         return method(
             right=coverage.RANGE,
             noise=problems.noise[k],
-            x_std=problems.x_std,
+            x_std=problems.x_std[k],
             disturbance=problems.disturbance[k],
             drift=0.0,
             glitches=0.0,

@@ -158,8 +158,8 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused they are those of the prior at least, about what is shown. A filter that knows of no constants
-    takes one for a centre: once its claims are refuted, both last.
+    readings were refused they are those of the prior at least, about what is shown. A filter that
+    knows of no constants takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
     factor = ca.if_else(worst > q.doubt.most, ca.sqrt(worst), 1.0)
