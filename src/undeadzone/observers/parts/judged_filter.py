@@ -105,11 +105,20 @@ def judged_step(
     estimated = step.estimate._replace(
         consistent=ca.logic_and(step.fits > 0.5, fitting(q, record)),
         refused=record.refused,
-        restarts=s.record.restarts,
+        restarts=record.restarts,
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)
-    return State(step.state, record), estimated
+    return State(step.state, begun_anew(record, step.restarted)), estimated
+
+
+def begun_anew(record: Record, restarted: Any) -> Record:
+    """The record after the sample: a filter that begins anew has refuted nothing."""
+    return record._replace(
+        restarts=record.restarts + restarted,
+        constant=ca.if_else(restarted, 0.0, record.constant),
+        opened=ca.if_else(restarted, 0.0, record.opened),
+    )
 
 
 def recorded(q: Params, record: Record, step: Step) -> Record:
@@ -132,8 +141,6 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
         opened = ca.fmax(opened, step.opened)
         refuted = ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
         constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
-        constant = ca.if_else(step.restarted, 0.0, constant)
-        opened = ca.if_else(step.restarted, 0.0, opened)
     return Record(
         total=total,
         count=count,
@@ -141,7 +148,7 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
         offset=offset,
         share=ca.if_else(asked, share, record.share),
         refused=record.refused + refused,
-        restarts=record.restarts + step.restarted,
+        restarts=record.restarts,
         constant=constant,
         opened=opened,
     )
