@@ -264,11 +264,14 @@ def truncate_unless_fake(
     trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
-    shift = along if moved is None else moved * along
-    kept = along - shift
-    lost = trust * ratio * (ratio + alpha) * (along @ along.T - kept @ kept.T)
-    between = trust * (1 - trust) * ratio**2 * (shift @ shift.T)
-    after = Gaussian(mean - trust * ratio * shift, _from_upper(P - lost + between))
+    certain, between = trust * ratio * (ratio + alpha), trust * (1 - trust) * ratio**2
+    if moved is None:
+        shift, lost = along, (certain - between) * (along @ along.T)
+    else:
+        shift = moved * along
+        lost = shift @ (certain * along - (certain + between) / 2 * shift).T
+        lost = lost + lost.T  # certain (along along' - stay stay') - between shift shift'
+    after = Gaussian(mean - trust * ratio * shift, _from_upper(P - lost))
     log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
     return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
 
