@@ -21,6 +21,7 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "honesty",
     "arm_coverage",
     "arm_operations",
     "certificates",
