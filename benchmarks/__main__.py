@@ -22,11 +22,14 @@ NAMES = (
     "coverage",
     "glitches",
     "honesty",
+    "ranges",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",
     "arms",
     "identify",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -233,10 +233,10 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
     C, offset = setup.tangents.output(s.X[:n])
     rows = np.stack([horizon.reading_row(C, i, side[i]) for i in range(p)])
     y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
-    e = np.where(side != 0, y - rows @ s.X - offset, 0.0)
+    e = np.where(np.abs(side) == 1, y - rows @ s.X - offset, 0.0)
     e_std = np.sqrt(horizon.variances(rows, s.cov) + setup.prior.prior.R)
     if setup.doubt is not None:
-        refused = (side != 0) & (glitch_chance(setup.doubt, e, e_std) > 0.5)
+        refused = (np.abs(side) == 1) & (glitch_chance(setup.doubt, e, e_std) > 0.5)
         e = np.clip(e, -CLIP * e_std, CLIP * e_std)
         side, seen = np.where(refused, 0.0, side), seen & ~refused
         s = s._replace(share=refused_share(setup.doubt, s.share, side, refused))
@@ -269,7 +269,7 @@ def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> 
     window = moved_on(s, newest)
     X = horizon.estimate(window, setup.weights, setup.solve)
     for i in range(p):
-        if side[i] != 0:
+        if abs(side[i]) == 1:
             cov = horizon.read_covariance(
                 cov, horizon.reading_row(C, i, side[i]), setup.prior.prior.R[i]
             )

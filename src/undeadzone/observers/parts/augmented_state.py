@@ -100,11 +100,18 @@ def joint_prior(
     readings = quarter_period(model) / (stride * Ts)
     ranges = width_ranges(claims.right, claims.left, model.p)
     largest = float(ranges.max())
-    drift = defaults.drift * largest if claims.drift is None else claims.drift
-    x_std = defaults.x_std * largest if claims.x_std is None else claims.x_std
     floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
     prior = build_prior(
-        model, sensor, claims.right, claims.left, claims.noise, x_std, drift, floor=floor
+        model,
+        sensor,
+        claims.right,
+        claims.left,
+        claims.noise,
+        claims.x_std,
+        claims.drift,
+        floor=floor,
+        reach=defaults.x_std,
+        wear=defaults.drift,
     )
     swing = scalar("observer.swing", claims.swing, least=0.0)
     if claims.disturbance is None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.interfaces import Observer, Reading
+from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
 from undeadzone.observers.parts.augmented_state import JointPrior, read
 from undeadzone.observers.parts.doubt import doubt_numbers, glitch_share
@@ -84,6 +84,8 @@ def joint_filter(
         belief, each = Gaussian(s.mean, symmetric(s.cov, entries)), []
         for i in range(model.p):
             sight = partial(reading_of, model, sensor.kind, q, i)
+            if sensor.limits is not None:
+                sight = partial(seen_from_limit, sight, y[i], reading.side[i])
             each.append(correct(q, belief, i, sight, y[i], reading.side[i], seen[i], odds))
             belief = each[-1].belief
         known = together(each)
@@ -114,3 +116,8 @@ def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
     return read(kind, z, X[n + i], X[n + p + i])
+
+
+def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
+    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+    return no_further(sight(X), y, side)
