@@ -21,6 +21,7 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "honesty",
     "ranges",
     "closed_loops",
     "arm_coverage",

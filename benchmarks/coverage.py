@@ -14,7 +14,6 @@ import numpy as np
 from benchmarks.filterpy_filters import extended, unscented
 from benchmarks.markdown import row
 from benchmarks.random_problems import (
-    CORRELATION,
     DURATION,
     RANGE,
     REACHES,
@@ -80,16 +79,19 @@ class Verdict(NamedTuple):
 
 def kalman(known: Problems, k: int) -> Kalman:
     """`Kalman` told the truth about problem k, a coloured disturbance taken for white."""
-    return Kalman(right=RANGE, x_std=known.x_std, disturbance=known.disturbance[k])
+    right, left = known.ranges[k]
+    claims = {"right": right, "left": left, "x_std": known.x_std[k]}
+    return Kalman(**claims, disturbance=known.disturbance[k])
 
 
 def censored(known: Problems, k: int) -> Censored:
     """`Censored` told the truth about problem k."""
     return Censored(
-        right=RANGE,
-        x_std=known.x_std,
+        right=known.ranges[k, 0],
+        left=known.ranges[k, 1],
+        x_std=known.x_std[k],
         disturbance=known.disturbance[k],
-        correlation_time=CORRELATION,
+        correlation_time=known.correlation[k],
         bias=known.bias[k],
         calibrated=0.0,
         tolerance=known.world.tolerance,
@@ -217,7 +219,7 @@ def _rival(
     F[:n, :n] = model.A
     of_widths = np.ptp(RANGE) ** 2 / 12  # variance
     rival.x = np.concatenate([np.zeros(n), np.full(2, np.mean(RANGE))])
-    rival.P = np.diag(np.concatenate([np.full(n, posed.x_std**2), np.full(2, of_widths)]))
+    rival.P = np.diag(np.concatenate([posed.x_std[k] ** 2, np.full(2, of_widths)]))
     tiny = 1e-10 * np.eye(n + 2)  # else the UKF's Cholesky factor fails
     rival.Q = posed.disturbance[k] ** 2 * np.outer(G, G) + tiny
     rival.R = np.array([[posed.noise[k] ** 2]])

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import coverage
 from benchmarks.markdown import row
-from benchmarks.random_problems import DURATION, RANGE, STEP, Problems, World, problems
+from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.engine import lanes
 from undeadzone.observers import Auto, Observer, Reading
 from undeadzone.plants.build import system
@@ -40,6 +40,8 @@ COLUMNS = (
     "x median",
     "90 %",
 )
+
+ABLATED = ("right", "0.3 s of random ones", "stuck for 1 s", "10 % random", "bias steps by 1")
 
 Spoil = Callable[[np.random.Generator, Floats], Floats]
 """(generator, readings (samples x K)) -> readings of which some are wrong."""
@@ -66,7 +68,7 @@ def doubting(known: Problems, k: int) -> Any:
 
 def from_ranges(known: Problems, k: int) -> Any:
     """`Auto` told the ranges of the widths alone."""
-    return Auto(right=RANGE)
+    return Auto(right=known.ranges[k, 0], left=known.ranges[k, 1])
 
 
 FILTERS = {
@@ -125,6 +127,20 @@ def clean(rng: np.random.Generator, y: Floats) -> Floats:
     return y
 
 
+def restless(rng: np.random.Generator, y: Floats) -> Floats:
+    """A sensor that is stuck for 1 s from the middle on, but for noise."""
+    wrong = frozen(rng, y)
+    wrong[HALF : HALF + 100] += 0.03 * rng.normal(size=(100, y.shape[1]))
+    return wrong
+
+
+def at_first(rng: np.random.Generator, y: Floats) -> Floats:
+    """Three wrong readings before any right one."""
+    wrong = y.copy()
+    wrong[:3] = 50.0
+    return wrong
+
+
 KINDS: dict[str, tuple[Spoil, float]] = {
     "right": (clean, 0.0),
     "one of 20": (one_of(20.0), 0.0),
@@ -147,8 +163,9 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
     """
     built = []
     for k, model in enumerate(posed.models):
-        zone = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=posed.noise[k]), 1, STEP)
-        plant = sampled(system(Plant(**model._asdict())), STEP)
+        right, left = posed.ranges[k, :, 1]
+        zone = resolve(Sensor(right=right, left=left, noise=posed.noise[k]), 1, posed.step[k])
+        plant = sampled(system(Plant(**model._asdict())), posed.step[k])
         built.append(options(posed, k).build(plant, zone))
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
@@ -190,6 +207,44 @@ def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int
     return plain
 
 
+class Stubborn(NamedTuple):
+    """Options of a filter that never opens its belief, however many readings it refuses."""
+
+    options: Any
+
+    def build(self, model: Any, sensor: Any) -> Observer:
+        """The filter whose mean share of refused readings never rises."""
+        observer: Observer = self.options.build(model, sensor)
+        doubt = observer.params.doubt._replace(forget=np.asarray(1.0))
+        return observer._replace(params=observer.params._replace(doubt=doubt))
+
+
+def stubborn(known: Problems, k: int) -> Any:
+    """`doubting` that never opens its belief."""
+    return Stubborn(doubting(known, k))
+
+
+def ablation(count: int = 200, seed: int = 0) -> str:
+    """What it is worth that a belief opens after most readings were refused."""
+    kinds = {kind: KINDS[kind] for kind in ABLATED}
+    kinds |= {"stuck and noisy for 1 s": (restless, 0.0), "the first three": (at_first, 0.0)}
+    names = ("readings", "belief", "worst coverage", "flagged", "x median", "90 %", "most")
+    lines = ["### A belief that opens, and one that does not\n", row(*names)]
+    lines.append(row(*["---"] * len(names)))
+    for kind, (spoil, late) in kinds.items():
+        posed = problems("both edges", SHAKEN._replace(late=late), ORDER, count, seed)
+        usual = observe(trusting(doubting), posed)
+        wrong = posed._replace(y=spoil(np.random.default_rng(seed + 1), posed.y))
+        for name, options in (("opens", doubting), ("never opens", stubborn)):
+            outcome = observe(options, wrong)
+            ratio = outcome.rms / np.fmax(usual.rms, 1e-12)
+            sizes = [f"{size:.3g}" for size in np.quantile(ratio, [0.5, 0.9, 1.0])]
+            worst = f"{outcome.verdict.covered().min():.2f}"
+            flagged = f"{1 - outcome.consistent.mean():.2f}"
+            lines.append(row(kind, name, worst, flagged, *sizes))
+    return "\n".join([*lines, "", f"`censored`, {count} problems a row, as above.", ""])
+
+
 def table(count: int = 200, seed: int = 0) -> str:
     """The table, from `count` problems a row whose z reaches both edges."""
     lines = ["## Wrong readings, and steps\n", row(*COLUMNS), row(*["---"] * len(COLUMNS))]
@@ -205,7 +260,7 @@ def table(count: int = 200, seed: int = 0) -> str:
         "z - z^ from 2 s after the middle on, over that of the same filter that takes all readings "
         "for right, on readings that are right."
     )
-    return "\n".join([*lines, "", note, ""])
+    return "\n".join([*lines, "", note, "", ablation(count, seed)])
 
 
 def _cells(outcome: Outcome, usual: Outcome) -> list[str]:

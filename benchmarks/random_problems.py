@@ -44,11 +44,14 @@ class Problems(NamedTuple):
         models: what a filter is told of the plants
         noise, disturbance, bias: rms of each (K)
         world: of this family
-        x_std: rms of the initial state
+        x_std: rms of the initial state (K x n)
         u, y: inputs and readings (samples x K)
         x: the last state (K x n)
         d: the widths d_r, d_l (K x 2)
         z: true outputs (samples x K)
+        step: sample time [s] (K)
+        correlation: that of the disturbance [s] (K)
+        ranges: declared ranges of d_r and d_l, from which they are drawn evenly (K x 2 x 2)
     """
 
     models: list[Matrices]
@@ -56,12 +59,15 @@ class Problems(NamedTuple):
     disturbance: Floats
     bias: Floats
     world: World
-    x_std: float
+    x_std: Floats
     u: Floats
     y: Floats
     x: Floats
     d: Floats
     z: Floats
+    step: Floats
+    correlation: Floats
+    ranges: Floats
 
 
 def problems(reach: str, world: World, order: int, count: int, seed: int) -> Problems:
@@ -82,15 +88,15 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
     offset, amplitude = _excursion(rng, reach, d)
     drives = []
     for model, a, c in zip(models, amplitude, offset, strict=True):
-        drives.append(_drive(rng, model, t, a, c))
+        drives.append(drive(rng, model, t, a, c))
     u = np.stack(drives, axis=1)
-    static = np.array([_response(model, 0.0).real for model in models])
+    static = np.array([response(model, 0.0).real for model in models])
     w_rms, bias_rms = world.disturbance * np.abs(u).max(axis=0), np.abs(world.bias / static)
     w = noises.coloured(seed, t.size, w_rms, CORRELATION, STEP)
     x_std = 1.0 if reach in ("both edges", "grazing") else 0.1
     x = rng.normal(size=(count, order)) * x_std
     bias = rng.normal(size=count) * bias_rms
-    plants = [zoh(_wrong(rng, model, world.tolerance), STEP) for model in models]
+    plants = [zoh(wrong_model(rng, model, world.tolerance), STEP) for model in models]
     A, B, C = (np.stack(part) for part in zip(*plants, strict=True))
     y, z = np.empty_like(u), np.empty_like(u)
     late = np.where(t > DURATION / 2, world.late, 0.0)[:, None] / static
@@ -98,7 +104,22 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
         last, z[k] = x, np.einsum("kij,kj->ki", C, x)[:, 0]
         y[k] = deadzone(z[k], d[:, 0], d[:, 1]) + noise * rng.normal(size=count)
         x = np.einsum("kij,kj->ki", A, x) + B[:, :, 0] * (u[k] + w[k] + bias + late[k])[:, None]
-    return Problems(models, noise, w_rms, bias_rms, world, x_std, u, y, last, d, z)
+    return Problems(
+        models,
+        noise,
+        w_rms,
+        bias_rms,
+        world,
+        np.full((count, order), x_std),
+        u,
+        y,
+        last,
+        d,
+        z,
+        np.full(count, STEP),
+        np.full(count, CORRELATION),
+        np.broadcast_to(RANGE, (count, 2, 2)),
+    )
 
 
 def _excursion(rng: np.random.Generator, reach: str, d: Floats) -> tuple[Floats, Floats]:
@@ -125,26 +146,26 @@ def _plant(rng: np.random.Generator, order: int) -> Matrices:
     return Matrices(A, a[0] * rng.uniform(0.5, 2.0) * np.eye(order)[:, -1:], np.eye(order)[:1])
 
 
-def _wrong(rng: np.random.Generator, model: Matrices, tolerance: float) -> Matrices:
+def wrong_model(rng: np.random.Generator, model: Matrices, tolerance: float) -> Matrices:
     """The plant behind a model whose last equation has relative errors."""
     last = np.arange(model.A.shape[0]) == model.A.shape[0] - 1
     factors = 1 + tolerance * rng.normal(size=(last.size, last.size + 1)) * last[:, None]
     return Matrices(model.A * factors[:, :-1], model.B * factors[:, -1:], model.C)
 
 
-def _response(model: Matrices, s: complex) -> Any:
+def response(model: Matrices, s: complex) -> Any:
     """The transfer function at s."""
     return (model.C @ np.linalg.solve(s * np.eye(model.A.shape[0]) - model.A, model.B))[0, 0] + 0j
 
 
-def _drive(
+def drive(
     rng: np.random.Generator, model: Matrices, t: Floats, amplitude: float, offset: float
 ) -> Floats:
     """u that leads z to offset + amplitude (0.8, 0.2) . two tones, risen to smoothly."""
     slow, phase = rng.uniform(0.2, 1.0), rng.uniform(0.0, 2 * np.pi, 2)
-    u = np.full(t.size, offset / _response(model, 0.0).real)
+    u = np.full(t.size, offset / response(model, 0.0).real)
     for frequency, share, start in ((slow, 0.8, phase[0]), (2.3 * slow, 0.2, phase[1])):
-        size = share * amplitude / _response(model, 2j * np.pi * frequency)
+        size = share * amplitude / response(model, 2j * np.pi * frequency)
         u += np.imag(size * np.exp(1j * (2 * np.pi * frequency * t + start)))
     rise = np.clip(t / RAMP, 0.0, 1.0)
     return u * rise**2 * (3 - 2 * rise)

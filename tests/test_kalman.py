@@ -531,7 +531,7 @@ def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
     """Independent widths: each has the mean of a truncated normal; the covariance stays."""
     ranges = np.array([[0.5, 1.2], [0.0, 0.4]])
     mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.2])
-    params = Params(*[None] * 10)._replace(ranges=ranges)
+    params = Params(*[None] * len(Params._fields))._replace(ranges=ranges)
 
     def shown(mean: Any, cov: Any) -> list[Any]:
         belief, log_chance = within_ranges(params, 1, Gaussian(mean, cov))

@@ -31,7 +31,6 @@ from undeadzone.observers import (
     NumericObserver,
     ParticleFilter,
     Reading,
-    moving_horizon,
     particle,
 )
 from undeadzone.observers.particle import reweighted, systematic
@@ -110,7 +109,7 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         "drift": 0.1,
     }
     ours, theirs = (
-        EKF(**claims, mode="measured").build(model, where),
+        EKF(**claims, glitches=0.0, mode="measured").build(model, where),
         Kalman(**claims, glitches=0.0).build(model, where),
     )
     one, other = on_numbers(ours, model), on_numbers(theirs, model)
@@ -119,8 +118,8 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
         (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
         same_but_for_ranges(estimate, expected, 1e-9)
-        assert s.mean == pytest.approx(t.filter.mean, rel=1e-9, abs=1e-9)
-        assert s.cov == pytest.approx(t.filter.cov, rel=1e-9, abs=1e-9)
+        assert s.filter.mean == pytest.approx(t.filter.mean, rel=1e-9, abs=1e-9)
+        assert s.filter.cov == pytest.approx(t.filter.cov, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -141,12 +140,15 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         "disturbance": 0.7,
         "drift": 0.1,
     }
-    rival = msgspec.structs.replace(options, **claims).build(model, where)
+    rival = msgspec.structs.replace(options, **claims, glitches=0.0).build(model, where)
     kalman = Kalman(**claims, glitches=0.0).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
-    mean = np.concatenate([x, s.mean[2:]])
-    s, t = s._replace(mean=mean), t._replace(filter=t.filter._replace(mean=mean))
+    mean = np.concatenate([x, s.filter.mean[2:]])
+    s, t = (
+        s._replace(filter=s.filter._replace(mean=mean)),
+        t._replace(filter=t.filter._replace(mean=mean)),
+    )
     one, other = on_numbers(rival, model), on_numbers(kalman, model)
     for _ in range(10):
         z, u = model.linear.C @ x, rng.normal(size=1)
@@ -156,8 +158,8 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         x = model.linear.A @ x + model.linear.B @ u
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
         same_but_for_ranges(estimate, expected, 1e-7)
-        assert s.mean == pytest.approx(t.filter.mean, rel=1e-7, abs=1e-9)
-        assert s.cov == pytest.approx(t.filter.cov, rel=1e-7, abs=1e-9)
+        assert s.filter.mean == pytest.approx(t.filter.mean, rel=1e-7, abs=1e-9)
+        assert s.filter.cov == pytest.approx(t.filter.cov, rel=1e-7, abs=1e-9)
 
 
 # --- UKF
@@ -170,7 +172,14 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
     kalman = pytest.importorskip("filterpy.kalman")
     rng, model = np.random.default_rng(3), sampled(plant, TS)
     observer = UKF(
-        right=[0.5, 2.0], noise=0.1, x_std=0.5, disturbance=0.0, drift=0.1, alpha=0.7, kappa=1.0
+        right=[0.5, 2.0],
+        noise=0.1,
+        x_std=0.5,
+        disturbance=0.0,
+        drift=0.1,
+        alpha=0.7,
+        kappa=1.0,
+        glitches=0.0,
     ).build(model, zone())
     step, state = on_numbers(observer, model), observer.init(observer.params)
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
@@ -186,7 +195,7 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
 
     points = kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0)
     theirs = kalman.UnscentedKalmanFilter(4, 1, TS, reading, motion, points)
-    theirs.x, theirs.P = state.mean.copy(), full(state.cov, 4)
+    theirs.x, theirs.P = state.filter.mean.copy(), full(state.filter.cov, 4)
     theirs.Q, theirs.R = np.diag([0.0, 0.0, 0.01 * TS, 0.01 * TS]), np.array([[0.01]])
     truth = np.array([0.3, 0.0])
     for k in range(80):
@@ -200,7 +209,7 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
         assert estimate.x_std == pytest.approx(np.sqrt(np.diag(theirs.P))[:2], rel=1e-6)
         assert estimate.innovation_std == pytest.approx(np.sqrt(theirs.S[0]), rel=1e-6)
         theirs.predict(u=force)
-        assert full(state.cov, 4) == pytest.approx(theirs.P, rel=1e-6, abs=1e-8)
+        assert full(state.filter.cov, 4) == pytest.approx(theirs.P, rel=1e-6, abs=1e-8)
         truth = move(truth, force).full()[:, 0]
 
 
@@ -343,6 +352,7 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
         x_std=30.0,
         disturbance=80.0,
         drift=0.0,
+        glitches=0.0,
         horizon=4 * stride * TS,
         period=stride * TS,
     )
@@ -391,6 +401,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         "x_std": 3.0,
         "disturbance": 5.0,
         "drift": 0.0,
+        "glitches": 0.0,
     }
     options = MovingHorizon(**claims, horizon=count * TS, period=TS, slack=0.1, solver=solver)
     ys, us = (
@@ -471,9 +482,10 @@ def test_filters_on_the_dead_zone_are_sure_and_wrong_about_what_they_do_not_read
         return method(
             right=coverage.RANGE,
             noise=problems.noise[k],
-            x_std=problems.x_std,
+            x_std=problems.x_std[k],
             disturbance=problems.disturbance[k],
             drift=0.0,
+            glitches=0.0,
         )
 
     problems = coverage.problems(reach, coverage.World(), 2, 60, 7)
@@ -500,7 +512,8 @@ def test_the_pseudo_measurement_pulls_a_contradicted_estimate_to_the_edge() -> N
     for pseudo, moves in ((True, True), (False, False)):
         observer = EKF(right=[0.5, 2.0], mode="measured", pseudo=pseudo).build(MODEL, zone())
         step, state = on_numbers(observer, MODEL), observer.init(observer.params)
-        state = state._replace(mean=np.array([4.0, 0.0, 1.25, 1.25]))
+        mean = np.array([4.0, 0.0, 1.25, 1.25])
+        state = state._replace(filter=state.filter._replace(mean=mean))
         _, estimate = step(state, [0.0], [0.0], [0.0])
         assert (estimate.z[0] - estimate.right[0] < 0.1) == moves
 
@@ -517,9 +530,9 @@ def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_in
     state, _ = step(state, [1.0], [2.0], [1.0])
     after, estimate = step(state, [0.3], [np.nan], [0.0])
     A, B, _ = MODEL.linear
-    assert estimate.x == pytest.approx(state.mean[:2])
+    assert estimate.x == pytest.approx(state.filter.mean[:2])
     assert estimate.innovation == 0.0
-    assert after.mean[:2] == pytest.approx(A @ state.mean[:2] + B[:, 0] * 0.3)
+    assert after.filter.mean[:2] == pytest.approx(A @ state.filter.mean[:2] + B[:, 0] * 0.3)
     (_, one), (_, two) = (step(state, [u], [1.0], [1.0]) for u in (-5.0, 5.0))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
@@ -702,9 +715,10 @@ def test_wrong_options_are_named(
 
 def test_particles_are_weighed_by_their_likelihood() -> None:
     weights, e = np.array([0.2, 0.3, 0.5]), np.array([[0.5, 1.0, -2.0], [0.0, 1.5, 0.3]])
+    never = np.full(2, -np.inf)
     expected = weights * np.exp(-(e**2).sum(axis=0) / 2)
-    assert reweighted(weights, e) == pytest.approx(expected / expected.sum())
-    assert (reweighted(weights, np.full((2, 3), np.nan)) == weights).all()
+    assert reweighted(weights, e, never) == pytest.approx(expected / expected.sum())
+    assert (reweighted(weights, np.full((2, 3), np.nan), never) == weights).all()
 
 
 def test_particles_of_which_too_few_count_are_drawn_anew() -> None:
@@ -721,13 +735,13 @@ def test_the_covariance_after_a_reading_adds_information() -> None:
     root, h, R = rng.normal(size=(4, 4)), rng.normal(size=4), 0.3
     cov = root @ root.T
     expected = np.linalg.inv(np.linalg.inv(cov) + np.outer(h, h) / R)
-    assert moving_horizon.read_covariance(cov, h, R) == pytest.approx(expected)
+    assert horizon.read_covariance(cov, h, R) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("side", "expected"), [(1.0, 1.5), (-1.0, 2.7), (0.0, 2.0)])
 def test_a_row_reads_the_edge_of_its_side(side: float, expected: float) -> None:
     C, X = np.array([[1.0, 0.0]]), np.array([2.0, 9.0, 0.5, 0.7])
-    assert moving_horizon.reading_row(C, 0, side) @ X == pytest.approx(expected)
+    assert horizon.reading_row(C, 0, side) @ X == pytest.approx(expected)
 
 
 def random_window() -> Window:

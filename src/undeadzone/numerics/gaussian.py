@@ -6,7 +6,7 @@ docs/filters.md derives them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -132,9 +132,9 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     Args:
         belief: of x (N).
         h: row of the reading (1 x N).
-        e: innovation, the reading less what was expected.
+        e: innovation, the reading less what was expected; a number in any case.
         R: variance of v.
-        use: 0 leaves the belief as it is.
+        use: 0 leaves the belief as it is, or the share by which each variable is moved (N).
 
     Returns:
         The belief, and the variance of the innovation.
@@ -144,7 +144,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
     cov = half - (half @ h.T) @ K.T + R * (K @ K.T)
-    return Gaussian(mean + K @ ca.if_else(use, e, 0.0), _from_upper(cov)), S
+    return Gaussian(mean + K * e, _from_upper(cov)), S
 
 
 def update_unless_glitch(
@@ -152,9 +152,7 @@ def update_unless_glitch(
 ) -> Weighed:
     """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
 
-    A glitch says nothing of x and is evenly spread. The covariance loses one product k k', which
-    rounds each entry once and leaves it as it is where nothing is used; no variance falls below
-    that of v seen through the gain, which it cannot in exact numbers.
+    A glitch says nothing of x and is evenly spread.
 
     Args:
         belief: of x (N).
@@ -162,26 +160,72 @@ def update_unless_glitch(
         e: innovation, the reading less what was expected.
         R: variance of v.
         use: 0 leaves the belief as it is.
-        odds: log of the odds of a glitch before the reading is seen.
+        odds: log of the odds of a glitch before the reading is seen; None: none is one.
         reach: range over which a glitch is spread, besides `TAIL` standard deviations.
     """
-    mean, P = belief
+    P = belief.cov
     S = ca.fmax(h @ P @ h.T, 0.0) + R
+    return settle(belief, P @ h.T / S, e, S, R, use, odds, reach)
+
+
+def settle(
+    belief: Gaussian, K: Any, e: Any, S: Any, R: Any, use: Any, odds: Any, reach: Any
+) -> Weighed:
+    """The belief after a reading of which the gain is known, or after a glitch.
+
+    The covariance loses one product k k', which rounds each entry once and leaves it as it is where
+    nothing is used; no variance falls below that of v seen through the gain, which it cannot in
+    exact numbers.
+
+    Args:
+        belief: of x (N).
+        K: gain of the regular update (N), the best one.
+        e: innovation.
+        S: variance of the innovation.
+        R: variance of v.
+        use, odds, reach: as `update_unless_glitch` takes them.
+    """
     std = ca.sqrt(S)
+    if odds is None:
+        return Weighed(_moved(belief, K, e, S, R, use), e, std, ca.SX(1.0), 0.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = odds - ca.log(reach + TAIL * std)
     right = -(r**2) / 2 - ca.log(2 * math.pi * S) / 2
     trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
     weight = ca.if_else(use, trust, 0.0)
-    K = P @ h.T / S
-    lost = weight * (S - (1 - weight) * near**2)
-    cov = P - (lost * K) @ K.T
-    least = weight * R * K**2
-    cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
-    after = Gaussian(mean + weight * near * K, _from_upper(cov))
+    after = _moved(belief, K, near, S - (1 - weight) * near**2, R, weight)
     log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
+
+
+def _moved(belief: Gaussian, K: Any, e: Any, known: Any, R: Any, weight: Any) -> Gaussian:
+    """The belief moved by a share of K e.
+
+    Args:
+        belief: of x (N).
+        K: gain (N).
+        e: innovation.
+        known: what the covariance loses along K, per share.
+        R: variance of v.
+        weight: the share.
+    """
+    mean, P = belief
+    cov = P - (weight * known * K) @ K.T
+    least = weight * R * K**2
+    cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
+    return Gaussian(mean + weight * e * K, _from_upper(cov))
+
+
+def together(readings: Sequence[Weighed]) -> Weighed:
+    """What is known after readings that were taken one after the other, as columns."""
+    return Weighed(
+        belief=readings[-1].belief,
+        e=ca.vertcat(*(one.e for one in readings)),
+        std=ca.vertcat(*(one.std for one in readings)),
+        trust=ca.vertcat(*(one.trust for one in readings)),
+        log=sum(one.log for one in readings),
+    )
 
 
 def log_of_sum(a: Any, b: Any) -> Any:
@@ -216,7 +260,14 @@ def truncate(
 
 
 def truncate_unless_fake(
-    belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float, fake: Any
+    belief: Gaussian,
+    h: Any,
+    excess: Any,
+    R: Any,
+    use: Any,
+    limit: float,
+    fake: Any,
+    moved: Any = None,
 ) -> tuple[Weighed, Any]:
     """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
 
@@ -225,6 +276,8 @@ def truncate_unless_fake(
     Args:
         belief, h, excess, R, use, limit: as `truncate` takes them.
         fake: log of the probability that a silence is fake.
+        moved: share by which the bound moves each variable (N); None: all move. What it says of
+            the others is then known given those that stay.
 
     Returns:
         What is known, and 1 where the bound was used.
@@ -237,8 +290,14 @@ def truncate_unless_fake(
     trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
-    lost = trust * ratio * (ratio + alpha) - trust * (1 - trust) * ratio**2
-    after = Gaussian(mean - trust * ratio * along, _from_upper(P - lost * (along @ along.T)))
+    certain, between = trust * ratio * (ratio + alpha), trust * (1 - trust) * ratio**2
+    if moved is None:
+        shift, lost = along, (certain - between) * (along @ along.T)
+    else:
+        shift = moved * along
+        lost = shift @ (certain * along - (certain + between) / 2 * shift).T
+        lost = lost + lost.T  # certain (along along' - stay stay') - between shift shift'
+    after = Gaussian(mean - trust * ratio * shift, _from_upper(P - lost))
     log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
     return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
 

@@ -91,30 +91,25 @@ def predict(belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: Weights) 
     return Gaussian(centre, _symmetric(covariance(off, off, w) + Q))
 
 
-def update(
-    belief: Gaussian, h: Callable[[Any], Any], y: Any, R: Any, use: Any, w: Weights
-) -> tuple[Gaussian, Any, Any]:
-    """The belief after one reading y = h(x) + v.
+def gain(belief: Gaussian, h: Callable[[Any], Any], R: Any, w: Weights) -> tuple[Any, Any, Any]:
+    """How one reading y = h(x) + v changes the belief.
 
     Args:
         belief: of x (N).
         h: the sensor.
-        y: the reading.
         R: variance of v.
-        use: 0 leaves the belief as it is.
         w: the weights.
 
     Returns:
-        The belief, the innovation, and the variance of the innovation.
+        What is expected of y, its variance, and the gain K (N).
     """
     spread = points(belief, w)
     read = [h(point) for point in spread]
     expected = mean(read, w)
     off = [value - expected for value in read]
     S = covariance(off, off, w) + R
-    K = use * covariance([point - belief.mean for point in spread], off, w) / S
-    e = ca.if_else(use, y - expected, 0.0)
-    return Gaussian(belief.mean + K * e, _symmetric(belief.cov - S * (K @ K.T))), e, S
+    K = covariance([point - belief.mean for point in spread], off, w) / S
+    return expected, S, K
 
 
 def _symmetric(cov: Any) -> Any:

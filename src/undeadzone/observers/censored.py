@@ -94,9 +94,10 @@ class Censored(
         units = even_units(model)
         even = in_units(model, units)
         tolerance = tolerances(model, self.tolerance, units)
-        augmentation = unknowns(even, colour, rms, bias, calibrated, tolerance)
-        lasting = max(1.0, correlation / Ts)
         glitches = glitch_share(self.glitches)
+        careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
+        augmentation = unknowns(even, colour, rms, bias, calibrated, tolerance, careful)
+        lasting = max(1.0, correlation / Ts)
         member = measured_filter(
             even,
             sensor,
@@ -106,6 +107,7 @@ class Censored(
             self.silence,
             glitches=glitches,
             claimed=self.disturbance is not None,
+            careful=careful,
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])

@@ -12,15 +12,16 @@ import casadi as ca
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
-from undeadzone.numerics.gaussian import Gaussian, linearise, predict, update
-from undeadzone.observers.parts.augmented_state import (
-    Defaults,
-    JointClaims,
-    Sight,
-    joint_filter,
-    joint_prior,
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    Weighed,
+    linearise,
+    predict,
+    update_unless_glitch,
 )
+from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.joint_filter import Sight, joint_filter
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, branch, zone
 
@@ -70,17 +71,16 @@ class EKF(
         if self.mode == "measured":
             correct = partial(correct_measured, model, sensor, self.pseudo)
         prior = joint_prior(self, model, sensor, DEFAULTS)
-        return joint_filter(model, sensor, prior, correct, predict)
+        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 
 def correct_predicted(
-    q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any
-) -> tuple[Gaussian, Any, Any]:
-    """The correction on the branch where the estimate is: (belief, innovation, its variance)."""
+    q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any, odds: Any
+) -> Weighed:
+    """The correction on the branch where the estimate is."""
     expected, h = linearise(sight, belief.mean)
     e = ca.if_else(seen, y - expected, 0.0)
-    belief, S = update(belief, h, e, q.R[i], seen)
-    return belief, e, S
+    return update_unless_glitch(belief, h, e, q.R[i], seen, odds, q.doubt.reach[i])
 
 
 def correct_measured(
@@ -94,8 +94,9 @@ def correct_measured(
     y: Any,
     side: Any,
     seen: Any,
-) -> tuple[Gaussian, Any, Any]:
-    """The correction on the measured branch: (belief, innovation, its variance).
+    odds: Any,
+) -> Weighed:
+    """The correction on the measured branch.
 
     With `pseudo`, a silent sensor is read on the branch where the estimate is.
     """
@@ -112,5 +113,4 @@ def correct_measured(
     expected, h = linearise(reading_on_branch, X)
     use = ca.logic_and(seen, taken != 0)
     e = ca.if_else(use, y - expected, 0.0)
-    belief, S = update(belief, h, e, q.R[i], use)
-    return belief, e, S
+    return update_unless_glitch(belief, h, e, q.R[i], use, odds, q.doubt.reach[i])

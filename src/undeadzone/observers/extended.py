@@ -123,6 +123,7 @@ class Extended(
             blind=self.blind,
             glitches=glitches,
             claimed=self.disturbance is not None,
+            careful=self.x_std is None or self.disturbance is None,
         )
         traits = Traits(
             adapts=not self.blind,

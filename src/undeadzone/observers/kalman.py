@@ -97,4 +97,4 @@ class Kalman(
             even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
         )
         traits = claimed_traits(prior, self.x_std)
-        return shown_states(judged(member, even, glitches > 0, traits), units)
+        return shown_states(judged(member, even, glitches > 0, traits, recovers=False), units)

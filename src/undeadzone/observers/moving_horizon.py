@@ -6,13 +6,14 @@ Edges and ranges are its constraints (docs/methods/moving_horizon.md).
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, NumericObserver, Reading, numeric_estimate
+from undeadzone.numerics.gaussian import CLIP
 from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import (
     Defaults,
@@ -21,7 +22,9 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     quarter_period,
 )
+from undeadzone.observers.parts.doubt import Doubt, doubt_numbers, glitch_chance, glitch_share
 from undeadzone.observers.parts.prior import sample_time
+from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
 from undeadzone.observers.parts.tangents import Tangents, model_tangents
 from undeadzone.observers.parts.window import Weights, Window
 from undeadzone.plants.system import System
@@ -92,7 +95,8 @@ class MovingHorizon(
                 "observer.slack: must be positive, found 0: noise alone would leave no solution"
             )
         weights = Weights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
-        return moving(model, sensor, prior, weights, nodes, stride, self.solver)
+        share = glitch_share(self.glitches)
+        return moving(model, sensor, prior, weights, nodes, stride, share, self.solver)
 
     def _grid(self, model: System) -> tuple[int, int]:
         """(intervals of the horizon, samples of an interval). Raises InputError."""
@@ -123,6 +127,7 @@ class State(NamedTuple):
         cov: covariance at the newest node (n + 2p x n + 2p).
         F, f, G: x now = F x + f + G w of that node's x (n x n, n, n x m).
         since: samples since that node.
+        share: mean share of refused readings of late (p).
     """
 
     window: Window
@@ -132,6 +137,7 @@ class State(NamedTuple):
     f: Floats
     G: Floats
     since: int
+    share: Floats
 
 
 class Setup(NamedTuple):
@@ -145,6 +151,7 @@ class Setup(NamedTuple):
         stride: samples of an interval.
         rms: rms of the disturbance that is held over a node's samples (m) [u]: it moves the state
             as far as white noise does.
+        doubt: of readings; None: none is wrong.
         tangents: the model's straight lines.
         solve: solver of the programme.
     """
@@ -155,6 +162,7 @@ class Setup(NamedTuple):
     weights: Weights
     stride: int
     rms: Floats
+    doubt: Doubt | None
     tangents: Tangents
     solve: horizon.Solver
 
@@ -166,6 +174,7 @@ def moving(
     weights: Weights,
     nodes: int,
     stride: int,
+    glitches: float,
     plugin: str,
 ) -> NumericObserver:
     """The estimator.
@@ -180,13 +189,17 @@ def moving(
         weights: what the programme weighs its errors by.
         nodes: intervals of the horizon.
         stride: samples of an interval.
+        glitches: probability that a reading is wrong; 0: none is.
         plugin: CasADi's name of the solver.
     """
     rms = np.sqrt(prior.variance / stride)
     tangents = model_tangents(model)
     start = initial_state(model, prior, tangents, nodes)
     solve = horizon.solver(plugin, *horizon.size(start.window))
-    setup = Setup(model, sensor, prior, weights, stride, rms, tangents, solve)
+    doubt = None
+    if glitches > 0:
+        doubt = doubt_numbers(model, sensor, prior.prior, glitches, claimed=False)
+    setup = Setup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
     return NumericObserver(
         prior.prior, lambda seed: start, partial(correct, setup), partial(predict, setup)
     )
@@ -202,24 +215,36 @@ def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: i
     F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
     padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
     window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
-    return State(window, mean, cov, F, f, G, 0)
+    return State(window, mean, cov, F, f, G, 0, none)
 
 
 def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """(the state, the estimate) given a reading; every `stride` samples a node is added."""
+    """(the state, the estimate) given a reading; every `stride` samples a node is added.
+
+    A reading that is likelier a glitch counts as missing. Where most of late were, or the state
+    left all bounds, all begins anew from the prior.
+    """
     n, p = setup.model.n, setup.model.p
+    if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
+        nodes = len(s.window.y) - 1
+        s = initial_state(setup.model, setup.prior, setup.tangents, nodes)
     seen = np.isfinite(reading.y)
     side = np.where(seen, reading.side, 0.0)
     C, offset = setup.tangents.output(s.X[:n])
-    rows = np.stack([reading_row(C, i, side[i]) for i in range(p)])
+    rows = np.stack([horizon.reading_row(C, i, side[i]) for i in range(p)])
     y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
     e = np.where(np.abs(side) == 1, y - rows @ s.X - offset, 0.0)
-    e_std = np.sqrt(variances(rows, s.cov) + setup.prior.prior.R)
+    e_std = np.sqrt(horizon.variances(rows, s.cov) + setup.prior.prior.R)
+    if setup.doubt is not None:
+        refused = (np.abs(side) == 1) & (glitch_chance(setup.doubt, e, e_std) > 0.5)
+        e = np.clip(e, -CLIP * e_std, CLIP * e_std)
+        side, seen = np.where(refused, 0.0, side), seen & ~refused
+        s = s._replace(share=refused_share(setup.doubt, s.share, side, refused))
     if s.since % setup.stride == 0:
         s = with_node(setup, s, y, side, seen)
     C, offset = setup.tangents.output(s.X[:n])
     sums = np.hstack([np.zeros((p, n)), np.eye(p), np.eye(p)])
-    width_std = np.sqrt(variances(sums, s.cov))
+    width_std = np.sqrt(horizon.variances(sums, s.cov))
     std = np.sqrt(np.maximum(np.diag(s.cov), 0.0))
     z = C @ s.X[:n] + offset
     return s, numeric_estimate(s.X, z, reading, setup.sensor, e, std, width_std, e_std)
@@ -245,8 +270,16 @@ def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> 
     X = horizon.estimate(window, setup.weights, setup.solve)
     for i in range(p):
         if abs(side[i]) == 1:
-            cov = read_covariance(cov, reading_row(C, i, side[i]), setup.prior.prior.R[i])
-    return State(window, s.X if X is None else X, cov, F, f, G, 0)
+            cov = horizon.read_covariance(
+                cov, horizon.reading_row(C, i, side[i]), setup.prior.prior.R[i]
+            )
+    return State(window, s.X if X is None else X, cov, F, f, G, 0, s.share)
+
+
+def refused_share(doubt: Doubt, share: Floats, side: Floats, refused: Any) -> Floats:
+    """The mean share of refused readings after one more on some outputs (p)."""
+    mean = doubt.forget * share + (1 - doubt.forget) * refused
+    return np.where(refused | (side != 0), mean, share)
 
 
 def covariance_now(setup: Setup, s: State) -> Floats:
@@ -283,24 +316,3 @@ def predict(setup: Setup, s: State, u: Floats) -> State:
         G=A @ s.G + B * setup.rms,
         since=s.since + 1,
     )
-
-
-def reading_row(C: Floats, i: int, side: float) -> Floats:
-    """h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side 0."""
-    p = C.shape[0]
-    edges = np.zeros(2 * p)
-    edges[i] = -1.0 * (side > 0)
-    edges[p + i] = 1.0 * (side < 0)
-    return np.concatenate([C[i], edges])
-
-
-def variances(rows: Floats, cov: Floats) -> Floats:
-    """The variance of h X for each row h."""
-    return np.asarray(np.einsum("ij,jk,ik->i", rows, cov, rows))
-
-
-def read_covariance(cov: Floats, h: Floats, R: float) -> Floats:
-    """The covariance after a reading h X + v, var v = R (Joseph's form)."""
-    K = cov @ h / (h @ cov @ h + R)
-    half = np.eye(len(h)) - np.outer(K, h)
-    return np.asarray(half @ cov @ half.T + R * np.outer(K, K))

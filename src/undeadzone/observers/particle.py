@@ -18,6 +18,9 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     read,
 )
+from undeadzone.observers.parts.doubt import glitch_reach, glitch_share
+from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.recovery import LIMIT
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats, Integers
@@ -64,7 +67,7 @@ class ParticleFilter(
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
         prior = joint_prior(self, model, sensor, DEFAULTS)
-        return bootstrap(model, sensor, prior, self.particles)
+        return bootstrap(model, sensor, prior, self.particles, glitch_share(self.glitches))
 
 
 class State(NamedTuple):
@@ -105,6 +108,7 @@ class Setup(NamedTuple):
         sensor: the dead zone.
         prior: what it starts from.
         particles: how many there are.
+        glitches: probability that a reading is wrong.
         columns: the model on as many columns.
     """
 
@@ -112,12 +116,15 @@ class Setup(NamedTuple):
     sensor: Zone
     prior: JointPrior
     particles: int
+    glitches: float
     columns: Vectorised
 
 
-def bootstrap(model: System, sensor: Zone, prior: JointPrior, count: int) -> NumericObserver:
-    """The filter with `count` particles."""
-    setup = Setup(model, sensor, prior, count, vectorised(model, count))
+def bootstrap(
+    model: System, sensor: Zone, prior: JointPrior, count: int, glitches: float
+) -> NumericObserver:
+    """The filter with `count` particles; glitches: probability that a reading is wrong."""
+    setup = Setup(model, sensor, prior, count, glitches, vectorised(model, count))
     return NumericObserver(
         prior.prior, partial(start, setup), partial(correct, setup), partial(predict, setup)
     )
@@ -125,17 +132,27 @@ def bootstrap(model: System, sensor: Zone, prior: JointPrior, count: int) -> Num
 
 def start(setup: Setup, seed: int) -> State:
     """Particles drawn from the prior."""
+    return drawn(setup, seed, 0)._replace(sample=1)
+
+
+def drawn(setup: Setup, seed: int, sample: int) -> State:
+    """Particles drawn from the prior at that sample."""
     n, p, count = setup.model.n, setup.model.p, setup.particles
     prior, _, ranges = setup.prior
-    rng = _random(seed, 0)
+    rng = _random(seed, 2 * sample)
     x = prior.mean[:n, None] + prior.std[:n, None] * rng.standard_normal((n, count))
     widths = rng.uniform(ranges[:, :1], ranges[:, 1:], (2 * p, count))
-    return State(x, widths, even(count), 1, seed)
+    return State(x, widths, even(count), sample, seed)
 
 
 def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """(the particles weighed by a reading and perhaps resampled, the estimate)."""
+    """(the particles weighed by a reading and perhaps resampled, the estimate).
+
+    Particles that left all bounds are drawn anew.
+    """
     sensor, R, p = setup.sensor, setup.prior.prior.R, setup.model.p
+    if not (np.abs(s.x) < LIMIT).all():
+        s = drawn(setup, s.seed, s.sample)
     seen = np.isfinite(reading.y)
     z = setup.columns.output(s.x)
     y = np.where(seen, reading.y / sensor.slope, 0.0)
@@ -143,7 +160,8 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
     residuals = (y[:, None] - expected) / np.sqrt(R)[:, None]
     if sensor.limits is not None:
         residuals = limited(residuals, reading.side)
-    weights = reweighted(s.weights, residuals[seen])
+    glitch = glitch_odds(setup.glitches, setup.prior.prior)
+    weights = reweighted(s.weights, residuals[seen], glitch[seen])
     X = np.vstack([s.x, s.widths])
     mean, S = expected @ s.weights, R + weighted_variance(expected, s.weights)
     width_variance = weighted_variance(s.widths[:p] + s.widths[p:], weights)
@@ -214,15 +232,27 @@ def systematic(weights: Floats, offset: float) -> Integers:
     return np.minimum(places, count - 1)  # rounding may leave the sum below the last point
 
 
-def reweighted(weights: Floats, e: Floats) -> Floats:
-    """weights exp(-|e|^2 / 2), normalised; unchanged if no particle is a number any more.
+def glitch_odds(glitches: float, prior: Prior) -> Floats:
+    """Log density of a glitch over that of a regular reading without residual (p)."""
+    reach = glitch_reach(prior)
+    with np.errstate(divide="ignore"):
+        odds: Floats = np.log(glitches / (1 - glitches) * np.sqrt(2 * np.pi * prior.R) / reach)
+    return odds
+
+
+def reweighted(weights: Floats, e: Floats, glitch: Floats) -> Floats:
+    """The weights times exp(-e^2 / 2) + exp(glitch) of each reading, normalised.
+
+    Unchanged if no particle is a number any more.
 
     Args:
         weights: of the particles (M).
         e: residuals of the readings that were seen, in standard deviations (seen x M).
+        glitch: `glitch_odds` of these readings (seen).
     """
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        logs = np.log(weights) - (e**2).sum(axis=0) / 2
+        likelihood = np.logaddexp(-(e**2) / 2, glitch[:, None])
+        logs = np.log(weights) + likelihood.sum(axis=0)
         likely = np.exp(logs - logs.max())
         likely = np.where(np.isfinite(likely), likely, 0.0)
     total = likely.sum()

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
+
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics import unscented
-from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.augmented_state import (
-    Defaults,
-    JointClaims,
-    Sight,
-    joint_filter,
-    joint_prior,
-)
+from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
+from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.joint_filter import Sight, joint_filter
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import scalar
@@ -64,15 +61,24 @@ class UKF(
         weights = self._weights(model.n + 2 * model.p)
 
         def correct(
-            q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any
-        ) -> tuple[Gaussian, Any, Any]:
-            return unscented.update(belief, sight, y, q.R[i], seen, weights)
+            q: Params,
+            belief: Gaussian,
+            i: int,
+            sight: Sight,
+            y: Any,
+            side: Any,
+            seen: Any,
+            odds: Any,
+        ) -> Weighed:
+            expected, S, K = unscented.gain(belief, sight, q.R[i], weights)
+            e = ca.if_else(seen, y - expected, 0.0)
+            return settle(belief, K, e, S, q.R[i], seen, odds, q.doubt.reach[i])
 
         def predict(belief: Gaussian, move: Any, Q: Any) -> Gaussian:
             return unscented.predict(belief, move, Q, weights)
 
         prior = joint_prior(self, model, sensor, DEFAULTS)
-        return joint_filter(model, sensor, prior, correct, predict)
+        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
     def _weights(self, size: int) -> unscented.Weights:
         """The weights of the points of `size` variables. Raises InputError."""

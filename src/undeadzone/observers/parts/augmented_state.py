@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
-import casadi as ca
 import msgspec
 import numpy as np
 
 from undeadzone import sensor as sensors
-from undeadzone.interfaces import Estimate, Observer, Reading, no_further
 from undeadzone.linear.hold import sampled_noise
-from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
-from undeadzone.observers.parts.gaussian_filter import (
-    Augmentation,
-    Params,
-    filter_numbers,
-    kept_entries,
-    motion,
-    to_estimate,
-    white,
-)
+from undeadzone.observers.parts.doubt import GLITCHES
 from undeadzone.observers.parts.prior import Prior, build_prior, sample_time, width_ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
-from undeadzone.sensor import Zone, present
+from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 CROWD = 100  # readings in a quarter period beyond which each is given more noise
@@ -49,6 +36,8 @@ class JointClaims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         swing: rms, in largest widths, by which the default disturbance moves z.
         drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the largest
             width.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as published.
     """
 
     right: Array
@@ -58,6 +47,7 @@ class JointClaims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     disturbance: Array | None = None
     swing: float = 0.1
     drift: float | None = None
+    glitches: float = GLITCHES
 
 
 class Defaults(NamedTuple):
@@ -166,70 +156,6 @@ def quarter_period(model: System) -> float:
     """`time_scale` [s] of a sampled model."""
     assert model.flow is not None
     return time_scale(model.flow)
-
-
-class State(NamedTuple):
-    """Mean and covariance (its `triangle`) of [x; d_r; d_l] before the reading."""
-
-    mean: Any
-    cov: Any
-
-
-Sight = Callable[[Any], Any]
-"""From [x; d_r; d_l] to the reading y_i / m_i without noise."""
-
-Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian, Any, Any]]
-"""(q, belief, i, sight, y_i / m_i, side_i, present) -> (belief, innovation, its variance)."""
-
-Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
-"""(belief, change in a sample, covariance that it adds) -> belief at the next sample."""
-
-
-def joint_filter(
-    model: System, sensor: Zone, prior: JointPrior, correct: Correct, predict: Predict
-) -> Observer:
-    """The filter as an observer.
-
-    Args:
-        model: the sampled model.
-        sensor: the dead zone.
-        prior: what it starts from.
-        correct: the correction by the reading of one output after the other.
-        predict: the motion to the next sample.
-    """
-    augmentation: Augmentation = white(model, prior.variance)
-    params = filter_numbers(model, sensor, prior.prior, augmentation)
-    entries = kept_entries(model, augmentation)
-
-    def step(q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-        belief, innovations, variances = Gaussian(s.mean, symmetric(s.cov, entries)), [], []
-        for i in range(model.p):
-            seen = present(reading.y[i])
-            y = ca.if_else(seen, reading.y[i], 0.0) / q.slope[i]
-            sight = partial(reading_of, model, sensor.kind, q, i)
-            if sensor.limits is not None:
-                sight = partial(seen_from_limit, sight, y, reading.side[i])
-            belief, e, S = correct(q, belief, i, sight, y, reading.side[i], seen)
-            innovations.append(e)
-            variances.append(S)
-        after = predict(belief, *motion(model, q, augmentation, belief, u))
-        e, e_std = ca.vertcat(*innovations), ca.sqrt(ca.vertcat(*variances))
-        estimated = to_estimate(model, sensor, q, belief, reading, e, e_std)
-        return State(after.mean, triangle(after.cov, entries)), estimated
-
-    return Observer(params, lambda q: State(q.mean, q.cov), step)
-
-
-def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
-    """The reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
-    n, p = model.n, model.p
-    z = model.output(q.model, X[:n])[i]
-    return read(kind, z, X[n + i], X[n + p + i])
-
-
-def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
-    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
-    return no_further(sight(X), y, side)
 
 
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:

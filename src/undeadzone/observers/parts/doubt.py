@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
+from undeadzone.numerics.gaussian import CLIP, TAIL
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
@@ -74,7 +75,7 @@ def doubt_numbers(
     return Doubt(
         glitch=np.log(share / (1 - share)),
         fake=np.log(FAKE * share),
-        reach=REACH * prior.ranges[:, 1].reshape(2, model.p).max(axis=0),
+        reach=glitch_reach(prior),
         noisy=1.0 * (noisy & (sensor.quantum == 0)),
         fade=np.exp(-model.Ts / (SPAN * quarter)),
         keep=np.exp(-model.Ts / (HISTORY * quarter)),
@@ -82,6 +83,24 @@ def doubt_numbers(
         forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
     )
+
+
+def glitch_reach(prior: Prior) -> Floats:
+    """The range over which a wrong reading is evenly spread (p) [z]."""
+    return np.asarray(REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
+
+
+def glitch_chance(doubt: Doubt, e: Floats, std: Floats) -> Floats:
+    """The chance that readings with these innovations are glitches (p).
+
+    Args:
+        doubt: numbers of the doubt.
+        e, std: innovations and their standard deviations (p) [z].
+    """
+    r = np.clip(e / std, -CLIP, CLIP)
+    wrong = doubt.glitch - np.log(doubt.reach + TAIL * std)
+    right = -(r**2) / 2 - np.log(2 * np.pi * std**2) / 2
+    return np.asarray(1 / (1 + np.exp(right - wrong)))
 
 
 def glitch_share(claimed: float) -> float:

@@ -68,6 +68,8 @@ class Params(NamedTuple):
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
+        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
+            is not heard again.
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
         ends: of the range of the readings, as `Ends`; None: they have none.
     """
@@ -82,6 +84,7 @@ class Params(NamedTuple):
     cov: Floats
     ranges: Floats
     rate: Floats
+    lasting: Any
     doubt: Any = None
     ends: Any = None
 
@@ -106,6 +109,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         cov=cov[rows, columns],
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),
+        lasting=np.asarray(1.0),
     )
 
 
@@ -114,6 +118,22 @@ def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
     if augmentation.entries is not None:
         return augmentation.entries
     return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
+
+
+def informed(q: Params, model: System, cov: Any) -> Any:
+    """How far readings have told of each width: its correlation with what they said (N).
+
+    The root of the share that they took from its prior variance; 1 for all that is not a width.
+
+    Args:
+        q: the filter's numbers.
+        model: the model.
+        cov: covariance of [x; d; extra] (N x N).
+    """
+    n, known = model.n, model.n + 2 * model.p
+    first = q.doubt.std[n:known] ** 2
+    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
+    return ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
 
 
 def motion(

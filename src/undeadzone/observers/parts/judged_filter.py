@@ -18,6 +18,7 @@ from undeadzone.observers.parts.member import Member, Step
 from undeadzone.plants.system import System
 
 NO_TRAITS = Traits()
+REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -32,6 +33,9 @@ class Record(NamedTuple):
         share: fading share of refused readings among those that were used (p).
         refused: number of refused readings (p).
         restarts: how often the filter lost its state (1).
+        constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
+            filter that knows of constants, and so recovers.
+        opened: 1 once the belief was opened (1); empty as `constant` is.
     """
 
     total: Any
@@ -41,6 +45,8 @@ class Record(NamedTuple):
     share: Any
     refused: Any
     restarts: Any
+    constant: Any
+    opened: Any
 
 
 class State(NamedTuple):
@@ -64,7 +70,9 @@ class Setup(NamedTuple):
     widens: bool
 
 
-def judged(member: Member, model: System, widens: bool, traits: Traits = NO_TRAITS) -> Observer:
+def judged(
+    member: Member, model: System, widens: bool, traits: Traits = NO_TRAITS, recovers: bool = True
+) -> Observer:
     """The filter as an observer.
 
     Args:
@@ -72,12 +80,15 @@ def judged(member: Member, model: System, widens: bool, traits: Traits = NO_TRAI
         model: the sampled model.
         widens: whether it shows wider intervals where the readings do not fit its claims.
         traits: of the observer.
+        recovers: whether its state holds what a lasting misfit may be, so that it can end.
     """
     setup, p = Setup(member, model, widens), model.p
 
     def init(q: Params) -> State:
-        none = np.zeros(p)
-        return State(member.init(q), Record(none, none, np.ones(p), none, none, none, np.zeros(1)))
+        none, once = np.zeros(p), np.zeros(1)
+        kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept)
+        return State(member.init(q), record)
 
     return Observer(member.params, init, partial(judged_step, setup), traits=traits)
 
@@ -94,11 +105,20 @@ def judged_step(
     estimated = step.estimate._replace(
         consistent=ca.logic_and(step.fits > 0.5, fitting(q, record)),
         refused=record.refused,
-        restarts=s.record.restarts,
+        restarts=record.restarts,
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)
-    return State(step.state, record), estimated
+    return State(step.state, begun_anew(record, step.restarted)), estimated
+
+
+def begun_anew(record: Record, restarted: Any) -> Record:
+    """The record after the sample: a filter that begins anew has refuted nothing."""
+    return record._replace(
+        restarts=record.restarts + restarted,
+        constant=ca.if_else(restarted, 0.0, record.constant),
+        opened=ca.if_else(restarted, 0.0, record.opened),
+    )
 
 
 def recorded(q: Params, record: Record, step: Step) -> Record:
@@ -113,21 +133,29 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
     refused = step.trust < 0.5
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
-    offset = fade * record.offset + (1 - fade) * e
+    offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
+    constant, opened = record.constant, record.opened
+    if constant.numel():
+        opened = ca.fmax(opened, step.opened)
+        refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
+        constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
     return Record(
         total=sums.total,
         count=sums.count,
         ratio=sums.ratio,
-        offset=ca.if_else(used, offset, record.offset),
+        offset=offset,
         share=ca.if_else(asked, share, record.share),
         refused=record.refused + refused,
-        restarts=record.restarts + step.restarted,
+        restarts=record.restarts,
+        constant=constant,
+        opened=opened,
     )
 
 
 def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    return ca.logic_and(ca.mmax(record.ratio) <= q.doubt.most, ca.mmax(record.share) <= LOST)
+    fits = ca.logic_and(ca.mmax(record.ratio) <= q.doubt.most, ca.mmax(record.share) <= LOST)
+    return ca.logic_and(fits, ca.sum1(record.constant) == 0) if record.constant.numel() else fits
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
@@ -135,13 +163,17 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused they are those of the prior at least.
+    readings were refused they are those of the prior at least, about what is shown. A filter that
+    knows of no constants takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
     factor = ca.if_else(worst > q.doubt.most, ca.sqrt(worst), 1.0)
     fits = fitting(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
+    if record.constant.numel():
+        off = ca.fmax(off, record.constant)
+        lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
 
     def shown(std: Any, off: Any, least: Any) -> Any:
         wider = ca.if_else(fits, std, ca.sqrt((factor * std) ** 2 + off**2))
@@ -149,6 +181,8 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     n, p = model.n, model.p
     x_std, right, left = ca.vertsplit(ca.SX(q.doubt.std), [0, n, n + p, n + 2 * p])
+    right = ca.sqrt(right**2 + (estimated.right - q.mean[n : n + p]) ** 2)
+    left = ca.sqrt(left**2 + (estimated.left - q.mean[n + p : n + 2 * p]) ** 2)
     scale = x_std / ca.fmax(ca.mmax(x_std), 1e-300)
     return estimated._replace(
         x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),

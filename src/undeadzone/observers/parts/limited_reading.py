@@ -115,7 +115,7 @@ def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: A
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, setup.lasting, waiting - 1))
+            waits.append(ca.if_else(used, q.lasting, waiting - 1))
     return Heard(belief, ca.vertcat(*waits), trust, log)
 
 

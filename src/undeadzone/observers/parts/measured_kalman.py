@@ -17,7 +17,6 @@ from undeadzone.numerics.gaussian import (
     advance,
     predict,
     symmetric,
-    triangle,
 )
 from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
@@ -37,14 +36,10 @@ from undeadzone.observers.parts.limited_reading import (
 from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
 from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
-
-TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
-RECENT = 0.1  # what is left of `State.opened` while it counts
-Mask = np.ndarray[Any, np.dtype[np.bool_]]
-LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
 class State(NamedTuple):
@@ -56,8 +51,7 @@ class State(NamedTuple):
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p); where
             the readings have a range, then until a limit is, upper ones, then lower ones (2p).
         u: the last input (m).
-        share: mean share of refused readings of late (p).
-        opened: 1 where the belief was opened just now, fading after that (1).
+        patience: with readings that are refused.
     """
 
     mean: Any
@@ -66,8 +60,7 @@ class State(NamedTuple):
     previous: Any
     wait: Any
     u: Any
-    share: Any
-    opened: Any
+    patience: Patience
 
 
 def measured_filter(
@@ -81,20 +74,21 @@ def measured_filter(
     blind: bool = False,
     glitches: float = 0.0,
     claimed: bool = True,
+    careful: bool = False,
 ) -> Member:
-    """The filter; `Setup` and `doubt_numbers` explain the arguments."""
+    """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
-    setup = Setup(model, sensor, augmentation, entries, lasting, bounds, order, blind, doubts)
+    setup = Setup(model, sensor, augmentation, entries, bounds, order, blind, doubts, careful)
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
         each, waits = np.zeros(p), np.zeros(4 * p if setup.ends else 2 * p)
-        return State(q.mean, q.cov, each, each, waits, np.zeros(m), each, np.zeros(1))
+        return State(q.mean, q.cov, each, each, waits, np.zeros(m), patient(p))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
-    params = params._replace(doubt=doubt, ends=ends(sensor, prior))
+    params = params._replace(lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior))
     return Member(params, init, partial(filter_step, setup))
 
 
@@ -114,8 +108,8 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
-    mean, cov, restarted = sound(setup, q, predicted(setup, q, heard.belief, u))
-    after = State(mean, cov, y, s.last, heard.wait, u, s.share, s.opened)
+    mean, cov, restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))
+    after = State(mean, cov, y, s.last, heard.wait, u, s.patience)
     if setup.doubts:
         after = reconsidered(setup, q, after, side, heard.trust)
     return Step(
@@ -125,6 +119,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         trust=heard.trust,
         fits=fits,
         restarted=restarted,
+        opened=after.patience.opened == 1,
     )
 
 
@@ -176,9 +171,6 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
 def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
     """The state without the readings that were refused; opened where most of late were.
 
-    An opened belief gains the prior's variances of state, disturbance and bias; of widths too where
-    it was opened not long ago.
-
     Args:
         setup: the filter.
         q: its numbers.
@@ -186,47 +178,17 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
         side: the sides on which readings were used (p).
         trust: probability that a reading was not wrong (p).
     """
-    refused = trust < 0.5
-    asked = ca.logic_or(side != 0, refused)
-    forget = q.doubt.forget
-    share = ca.if_else(asked, forget * s.share + (1 - forget) * refused, s.share)
-    opens = ca.mmax(share) > TOO_MANY
-    every, moving = (ca.DM(1.0 * of(setup)) for of in (everything, motion_alone))
-    gained = ca.if_else(s.opened > RECENT, every, moving) * q.cov
-    return s._replace(
-        cov=s.cov + ca.if_else(opens, gained, 0.0),
-        last=ca.if_else(refused, 0.0, s.last),
-        share=ca.if_else(opens, 0.0, share),
-        opened=ca.if_else(opens, 1.0, q.doubt.keep * s.opened),
+    cov, patience = reopened(
+        q,
+        setup.model,
+        setup.augmentation.constants,
+        setup.entries,
+        s.cov,
+        s.patience,
+        side != 0,
+        trust,
     )
-
-
-def everything(setup: Setup) -> Mask:
-    """Which entries that are kept are variances."""
-    rows, columns = setup.entries.get_triplet()
-    return np.array(rows) == np.array(columns)
-
-
-def motion_alone(setup: Setup) -> Mask:
-    """Which entries that are kept are variances of a state, a disturbance or a bias."""
-    n, known = setup.model.n, setup.model.n + 2 * setup.model.p
-    rows = np.array(setup.entries.get_triplet()[0])
-    last = setup.entries.size1() - setup.augmentation.constants
-    return everything(setup) & ((rows < n) | ((rows >= known) & (rows < last)))
-
-
-def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
-    """The belief if it is one of finite numbers and positive variances, else the prior.
-
-    Returns:
-        (mean, covariance (its `triangle`), 1 where it is the prior).
-    """
-    cov = triangle(belief.cov, setup.entries)
-    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
-    least = ca.mmin(ca.densify(ca.diag(belief.cov)))
-    fine = ca.logic_and(size < LIMIT, least >= 0)
-    mean = ca.if_else(fine, belief.mean, q.mean)
-    return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
+    return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
@@ -237,7 +199,7 @@ def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return advance(belief, change, Q, slope)
     bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
-    return predict(belief, change, Q, setup.lasting, bend)
+    return predict(belief, change, Q, q.lasting, bend)
 
 
 def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:

@@ -11,12 +11,12 @@ from undeadzone.numerics.gaussian import (
     Gaussian,
     Weighed,
     linearise,
+    together,
     truncate,
     truncate_unless_fake,
-    update,
     update_unless_glitch,
 )
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.gaussian_filter import Params, informed
 from undeadzone.observers.parts.shown_belief import Setup
 from undeadzone.sensor import LEFT, RIGHT, offset
 
@@ -66,21 +66,11 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Wei
         branch = 0.0 if setup.jump else side[i]
         expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        if setup.doubts:
-            odds, reach = q.doubt.glitch, q.doubt.reach[i]
-            one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
-        else:
-            after, S = update(belief, h, e, q.R[i], active)
-            one = Weighed(after, e, ca.sqrt(S), ca.SX(1.0), 0.0)
+        odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
+        one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
         belief = one.belief
         each.append(one)
-    return Weighed(
-        belief=belief,
-        e=ca.vertcat(*(one.e for one in each)),
-        std=ca.vertcat(*(one.std for one in each)),
-        trust=ca.vertcat(*(one.trust for one in each)),
-        log=sum(one.log for one in each),
-    )
+    return together(each)
 
 
 def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) -> Heard:
@@ -107,7 +97,7 @@ def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) ->
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, setup.lasting, waiting - 1))
+            waits.append(ca.if_else(used, q.lasting, waiting - 1))
     return Heard(belief, ca.vertcat(*waits), trust, log)
 
 
@@ -139,5 +129,7 @@ def heard_edge(
     if not setup.doubts:
         after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
         return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
-    one, used = truncate_unless_fake(belief, sign * h, over, q.R[i], bounded, DOUBT, q.doubt.fake)
+    moved = informed(q, setup.model, belief.cov) if setup.careful else None
+    row, fake = sign * h, q.doubt.fake
+    one, used = truncate_unless_fake(belief, row, over, q.R[i], bounded, DOUBT, fake, moved)
     return one, ca.logic_and(used, one.trust > 0.5)

@@ -20,6 +20,7 @@ class Step(NamedTuple):
         trust: probability that the reading was not wrong (p).
         fits: 1 where the widths lie in their claimed ranges, or may do so, else 0 (1).
         restarted: whether it lost its state and begins anew (1).
+        opened: whether it opened its belief, for most readings were refused (1).
     """
 
     state: Any
@@ -28,6 +29,7 @@ class Step(NamedTuple):
     trust: Any
     fits: Any
     restarted: Any
+    opened: Any
 
 
 class Member(NamedTuple):

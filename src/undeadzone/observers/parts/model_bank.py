@@ -56,6 +56,7 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
             trust=weighted_mean(share, [one.trust for one in steps]),
             fits=weighted_mean(share, [one.fits for one in steps]),
             restarted=sum(one.restarted for one in steps) > 0,
+            opened=sum(one.opened for one in steps) > 0,
         )
 
     return Member(member.params, init, step)

@@ -23,23 +23,22 @@ class Setup(NamedTuple):
         sensor: the dead zone.
         augmentation: the unknowns beside [x; d].
         entries: entries of the covariance's upper triangle that are kept.
-        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
-            is not heard again.
         bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
         order: order of the prediction.
         blind: whether it takes every reading for z itself.
         doubts: whether a reading may be wrong.
+        careful: whether silence moves widths only as far as readings have told of them.
     """
 
     model: System
     sensor: Zone
     augmentation: Augmentation
     entries: ca.Sparsity
-    lasting: float
     bounds: bool
     order: Literal[1, 2]
     blind: bool
     doubts: bool
+    careful: bool
 
     @property
     def ends(self) -> bool:
@@ -66,15 +65,21 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
         limited = mix(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
-    return clipped(setup, q, limited)
+    return clipped(setup.model.n, q, limited, setup.doubts)
 
 
-def clipped(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+def clipped(n: int, q: Params, belief: Gaussian, doubts: bool) -> tuple[Gaussian, Any]:
     """The belief with every width's mean in its claimed range, and whether it may lie there.
 
     A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
+
+    Args:
+        n: number of states.
+        q: the filter's numbers.
+        belief: about [x; d; extra].
+        doubts: whether the variance gains anything.
     """
-    n, count = setup.model.n, q.ranges.shape[0]
+    count = q.ranges.shape[0]
     widths = belief.mean[n : n + count]
     inside = ca.fmax(ca.fmin(widths, q.ranges[:, 1]), q.ranges[:, 0])
     excess = widths - inside
@@ -82,7 +87,7 @@ def clipped(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
     refuted = excess**2 > FAR**2 * variances
     mean = ca.vertcat(belief.mean[:n], inside, belief.mean[n + count :])
     cov = belief.cov
-    if setup.doubts:
+    if doubts:
         rest = cov.shape[0] - n - count
         gained = ca.diag(ca.if_else(refuted, excess**2, 0.0))
         cov = cov + ca.diagcat(ca.SX(n, n), gained, ca.SX(rest, rest))

@@ -16,7 +16,7 @@ from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.scaling import similar
 from undeadzone.numerics.gaussian import Gaussian, update
-from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
+from undeadzone.observers.parts.gaussian_filter import Augmentation, Params, informed
 from undeadzone.observers.parts.model_tolerance import Tolerance
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import state_units, time_scale
@@ -75,6 +75,7 @@ class Setup(NamedTuple):
         biased: from the biases to the inputs (m x biases).
         disturbing: from p to the inputs (m x size of p).
         shaken: how many inputs have a disturbance.
+        careful: whether a small bias moves widths only as far as readings have told of them.
     """
 
     model: System
@@ -83,6 +84,7 @@ class Setup(NamedTuple):
     biased: Floats
     disturbing: Floats
     shaken: int
+    careful: bool
 
 
 def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
@@ -135,6 +137,7 @@ def unknowns(
     bias: Floats,
     calibrated: float,
     tolerance: Tolerance,
+    careful: bool = False,
 ) -> Augmentation:
     """Bias, disturbance and tolerance states of those inputs and entries that have any.
 
@@ -145,6 +148,7 @@ def unknowns(
         bias: rms of a constant at the inputs (m) [u]; 0: there is none.
         calibrated: probability that the biases are `SMALL`.
         tolerance: what of the model is uncertain.
+        careful: whether a small bias moves widths only as far as readings have told of them.
     """
     from scipy.linalg import block_diag
 
@@ -153,7 +157,7 @@ def unknowns(
     inputs = shaken.shape[1]
     sizes = [0, biased.shape[1], colour.C.size * inputs, tolerance.std.size]
     disturbing = shaken @ np.kron(colour.C, np.eye(inputs))
-    setup = Setup(model, tolerance, np.cumsum(sizes).tolist(), biased, disturbing, inputs)
+    setup = Setup(model, tolerance, np.cumsum(sizes).tolist(), biased, disturbing, inputs, careful)
     variance = rms[rms > 0] ** 2
     numbers = Numbers(
         F=colour.F,
@@ -243,11 +247,12 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
         (belief, the log of its odds).
     """
     odds = q.augmentation.odds
+    moved = informed(q, setup.model, belief.cov) if setup.careful else 1.0
     first = setup.model.n + 2 * setup.model.p
     for i in range(setup.biased.shape[1]):
         R = q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
         e = -belief.mean[first + i]
         h = ca.SX.eye(belief.mean.shape[0])[first + i, :]
-        belief, S = update(belief, h, e, R, 1.0)
+        belief, S = update(belief, h, e, R, moved)
         odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
     return belief, odds

@@ -219,3 +219,24 @@ def constraints(
     low = np.concatenate([at_high, above_left, weights.ranges[:, 0] - d.b])
     high = np.concatenate([below_right, at_low, weights.ranges[:, 1] - d.b])
     return np.vstack([right.M - violation, left.M + violation, d.M]), low, high
+
+
+def reading_row(C: Floats, i: int, side: float) -> Floats:
+    """h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side 0."""
+    p = C.shape[0]
+    edges = np.zeros(2 * p)
+    edges[i] = -1.0 * (side > 0)
+    edges[p + i] = 1.0 * (side < 0)
+    return np.concatenate([C[i], edges])
+
+
+def variances(rows: Floats, cov: Floats) -> Floats:
+    """The variance of h X for each row h."""
+    return np.asarray(np.einsum("ij,jk,ik->i", rows, cov, rows))
+
+
+def read_covariance(cov: Floats, h: Floats, R: float) -> Floats:
+    """The covariance after a reading h X + v, var v = R (Joseph's form)."""
+    K = cov @ h / (h @ cov @ h + R)
+    half = np.eye(len(h)) - np.outer(K, h)
+    return np.asarray(half @ cov @ half.T + R * np.outer(K, K))

@@ -1,0 +1,117 @@
+"""Whether shown intervals hold the truth where the world is as declared, and where it is not.
+
+`python -m benchmarks.honesty FOLDER` keeps every part in the folder and goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.coverage import ROUNDING
+from benchmarks.glitches import doubting, from_ranges, observe
+from benchmarks.honest_problems import KINDS, ORDERS, RATES, SAMPLES, problems
+from benchmarks.markdown import head, row
+from undeadzone.statistics.intervals import proportion
+from undeadzone.support.arrays import Floats
+
+CLAIMS = {"told": doubting, "ranges alone": from_ranges}
+COLUMNS = (
+    "world",
+    "claims",
+    "d_r",
+    "d_l",
+    "width",
+    "centre",
+    "z",
+    "lowest, 95 % interval",
+    "not consistent",
+    "of runs that miss",
+    "rms of z - z^ [widths]",
+)
+
+
+class Part(NamedTuple):
+    """What a filter makes of the problems of one kind and order.
+
+    Attributes:
+        misses: errors beyond 1.96 standard deviations, of d_r, d_l, width, centre, z (K x 5)
+        consistent: what it says in the end (K)
+        rms: of z - z^ late in the run, over the mean of d_r and d_l (K)
+    """
+
+    misses: Floats
+    consistent: Floats
+    rms: Floats
+
+
+def part(claims: str, kind: str, order: int, count: int, seed: int) -> Part:
+    """Solve the problems of one kind and order."""
+    posed = problems(KINDS[kind], order, count, seed)
+    outcome = observe(CLAIMS[claims], posed)
+    errors, stds = outcome.verdict.errors, outcome.verdict.stds
+    held = np.abs(errors) <= 1.96 * stds + ROUNDING  # a number that is none holds nothing
+    return Part(1.0 * ~held, outcome.consistent, outcome.rms / posed.d.mean(axis=1))
+
+
+def kept(folder: Path | None, claims: str, kind: str, order: int, count: int, seed: int) -> Part:
+    """`part`, from the folder if it is there already."""
+    if folder is None:
+        return part(claims, kind, order, count, seed)
+    name = f"{claims}, {kind}, order {order}, {count} of seed {seed}.npz".replace(" ", "_")
+    path = folder / name
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *part(claims, kind, order, count, seed))
+        print(name, file=sys.stderr, flush=True)
+    with np.load(path) as arrays:
+        return Part(*arrays.values())
+
+
+def table(count: int = 50, seed: int = 0, folder: Path | None = None) -> str:
+    """The table, from `count` problems of each order a row."""
+    parts = {}
+    for claims in CLAIMS:
+        for order in ORDERS:
+            for kind in KINDS:
+                parts[claims, kind, order] = kept(folder, claims, kind, order, count, seed)
+    lines = ["## Honesty: intervals where the world is as declared, and where it is not\n"]
+    lines += head(*COLUMNS)
+    for kind in KINDS:
+        for claims in CLAIMS:
+            each = [parts[claims, kind, order] for order in ORDERS]
+            pooled = Part(*(np.concatenate(values) for values in zip(*each, strict=True)))
+            lines.append(row(kind, claims, *_cells(pooled)))
+    rates = f"{RATES[0]:g} Hz to {RATES[1] / 1000:g} kHz"
+    note = (
+        f"{count * len(ORDERS)} problems of orders {ORDERS} a row, {SAMPLES} readings at {rates}. "
+        "Told: true rms, and times, before what is wrong. Of runs that miss: the share of those "
+        "with a miss among the five that then call themselves not consistent."
+    )
+    return "\n".join([*lines, "", note, ""])
+
+
+def _cells(pooled: Part) -> list[str]:
+    """The outcome of a row in its cells."""
+    runs = len(pooled.misses)
+    shares = 1 - pooled.misses.mean(axis=0)
+    lowest = proportion(runs - int(pooled.misses.sum(axis=0).max()), runs)
+    flagged = pooled.consistent == 0
+    missing = pooled.misses.any(axis=1)
+    noticed = "-"
+    if missing.any():
+        noticed = f"{flagged[missing].mean():.2f} of {int(missing.sum())}"
+    return [
+        *(f"{share:.2f}" for share in shares),
+        f"{lowest.low:.2f} to {lowest.high:.2f}",
+        f"{flagged.mean():.2f}",
+        noticed,
+        f"{np.median(pooled.rms):.3g}",
+    ]
+
+
+if __name__ == "__main__":
+    print(table(folder=Path(sys.argv[1]) if sys.argv[1:] else None))

@@ -1,0 +1,123 @@
+"""Gaussian filters that see the dead zone as one function of [x; d_r; d_l], reading by reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from undeadzone.interfaces import Observer, Reading, no_further
+from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
+from undeadzone.observers.parts.augmented_state import JointPrior, read
+from undeadzone.observers.parts.doubt import doubt_numbers, glitch_share
+from undeadzone.observers.parts.gaussian_filter import (
+    Params,
+    filter_numbers,
+    kept_entries,
+    motion,
+    to_estimate,
+    white,
+)
+from undeadzone.observers.parts.judged_filter import judged
+from undeadzone.observers.parts.member import Member, Step
+from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
+from undeadzone.observers.parts.shown_belief import clipped
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone, present
+
+Sight = Callable[[Any], Any]
+"""From [x; d_r; d_l] to the reading y_i / m_i without noise."""
+
+Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any, Any], Weighed]
+"""(q, belief, i, sight, y_i / m_i, side_i, present, odds of a glitch or None) -> what is known."""
+
+Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
+"""(belief, motion, covariance that it adds) -> belief at the next sample."""
+
+
+class State(NamedTuple):
+    """What a joint filter carries from sample to sample.
+
+    Attributes:
+        mean, cov: mean and covariance (its `triangle`) of [x; d_r; d_l] before the reading.
+        patience: with readings that are refused.
+    """
+
+    mean: Any
+    cov: Any
+    patience: Patience
+
+
+def joint_filter(
+    model: System,
+    sensor: Zone,
+    prior: JointPrior,
+    glitches: float,
+    correct: Correct,
+    predict: Predict,
+) -> Observer:
+    """The filter as an observer.
+
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        glitches: probability that a reading is wrong; 0: none is.
+        correct: the correction by the reading of one output after the other.
+        predict: the motion to the next sample.
+
+    Raises:
+        InputError: for a share of glitches that is none.
+    """
+    share = glitch_share(glitches)
+    augmentation = white(model, prior.variance)
+    doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)
+    params = filter_numbers(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
+    entries = kept_entries(model, augmentation)
+
+    def step(q: Params, s: State, u: Any, reading: Reading) -> Step:
+        seen = present(reading.y)
+        y = ca.if_else(seen, reading.y, 0.0) / q.slope
+        odds = q.doubt.glitch if share > 0 else None
+        belief, each = Gaussian(s.mean, symmetric(s.cov, entries)), []
+        for i in range(model.p):
+            sight = partial(reading_of, model, sensor.kind, q, i)
+            if sensor.limits is not None:
+                sight = partial(seen_from_limit, sight, y[i], reading.side[i])
+            each.append(correct(q, belief, i, sight, y[i], reading.side[i], seen[i], odds))
+            belief = each[-1].belief
+        known = together(each)
+        shown, fits = clipped(model.n, q, belief, share > 0)
+        estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
+        after = predict(belief, *motion(model, q, augmentation, belief, u))
+        mean, cov, restarted = sound(q, entries, after)
+        patience = s.patience
+        if share > 0:
+            cov, patience = reopened(q, model, 0, entries, cov, patience, seen, known.trust)
+        state = State(mean, cov, patience)
+        return Step(
+            state=state,
+            estimate=estimated,
+            log=0.0,
+            trust=known.trust,
+            fits=fits,
+            restarted=restarted,
+            opened=patience.opened == 1,
+        )
+
+    member = Member(params, lambda q: State(q.mean, q.cov, patient(model.p)), step)
+    return judged(member, model, widens=share > 0, recovers=False)
+
+
+def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
+    """The reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
+    n, p = model.n, model.p
+    z = model.output(q.model, X[:n])[i]
+    return read(kind, z, X[n + i], X[n + p + i])
+
+
+def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
+    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+    return no_further(sight(X), y, side)

@@ -1,0 +1,199 @@
+"""What filters show is right, wide, or withdrawn: wrong readings, silence, late constants."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from benchmarks import coverage, glitches, honest_problems
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import undeadzone as uz
+from scenes import PAPER_PLANT
+from test_glitches import AT, PLANT, SENSOR, TS, drive
+from undeadzone.interfaces import Estimate, NumericObserver, Reading
+from undeadzone.linear.hold import zoh
+from undeadzone.numerics import gaussian
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.plants.system import sampled
+from undeadzone.sensor import resolve
+from undeadzone.support.arrays import Floats
+
+LOW, HIGH = 0.2, 3.0
+FILTERS = {
+    "kalman": uz.Kalman,
+    "censored": uz.Censored,
+    "extended": uz.Extended,
+    "ekf": uz.EKF,
+    "ukf": uz.UKF,
+    "particle_filter": uz.ParticleFilter,
+    "moving_horizon": uz.MovingHorizon,
+}
+RIVALS = ("ekf", "ukf", "particle_filter", "moving_horizon")
+
+
+@cache
+def built(name: str) -> Any:
+    """The filter for the paper's plant, as something that steps on numbers."""
+    options = FILTERS[name](right=[LOW, HIGH])
+    observer = options.build(sampled(PAPER_PLANT, TS), resolve(SENSOR, 1, TS))
+    return observer if isinstance(observer, NumericObserver) else options
+
+
+def follow(name: str, y: Floats, u: Floats) -> list[Estimate]:
+    """The estimates along readings and inputs."""
+    observer, estimates = built(name), []
+    if not isinstance(observer, NumericObserver):
+        online = uz.Online(observer, PLANT, SENSOR, TS)
+        return [online.update(*pair) for pair in zip(y, u, strict=True)]
+    state = observer.start(0)
+    for reading, force in zip(y, u, strict=True):
+        side = np.sign(reading) * (np.abs(reading) > resolve(SENSOR, 1, TS).threshold)
+        state, one = observer.correct(state, Reading(np.atleast_1d(reading), side))
+        state = observer.predict(state, np.atleast_1d(force))
+        estimates.append(one)
+    return estimates
+
+
+def late_rms(estimates: list[Estimate]) -> float:
+    """The rms of z - z^ from 2 s after a wrong reading on."""
+    z = np.array([one.z[0] for one in estimates])
+    return float(np.sqrt(np.mean((z - drive()[1][: len(z)])[AT + 200 :] ** 2)))
+
+
+@cache
+def usual(name: str) -> float:
+    u, _, y = drive()
+    return late_rms(follow(name, y, u))
+
+
+@pytest.mark.parametrize("name", RIVALS)
+@pytest.mark.parametrize("size", [-1e6, 0.99e300])
+def test_no_filter_is_ruined_by_a_reading(name: str, size: float) -> None:
+    u, _, y = drive()
+    wrong = y.copy()
+    wrong[AT : AT + 3] = size
+    estimates = follow(name, wrong, u)
+    assert all(np.isfinite(np.concatenate(one)).all() for one in estimates)
+    assert late_rms(estimates) <= 1.2 * usual(name) + 1e-3
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf"])
+def test_rivals_count_what_they_refuse_and_begin_anew_where_lost(name: str) -> None:
+    u, _, y = (part[:400].copy() for part in drive())
+    before = follow(name, y, u)[-1].refused
+    y[200:203] = 1e4
+    assert follow(name, y, u)[-1].refused == before + 3
+    u[300] = 1e200
+    last = follow(name, y, u)[-1]
+    assert np.isfinite(np.concatenate(last)).all()
+    assert last.restarts >= 1
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-2, 8))
+@settings(max_examples=6, deadline=None)
+def test_widths_are_shown_in_their_claimed_ranges(name: str, seed: int, scale: float) -> None:
+    """Whatever is read, after whatever input."""
+    rng = np.random.default_rng(seed)
+    y = 10**scale * rng.normal(size=60) * (rng.uniform(size=60) < 0.7)
+    y[rng.uniform(size=60) < 0.1] = np.nan
+    for one in follow(name, y, 10 * rng.normal(size=60)):
+        widths = np.concatenate([one.right, one.left])
+        assert np.isfinite(np.concatenate(one)).all()
+        assert (widths >= LOW - 1e-12).all()
+        assert (widths <= HIGH + 1e-12).all()
+
+
+# --- Silence
+
+
+def numbers(*parts: Any) -> list[Floats]:
+    return [np.asarray(ca.evalf(ca.SX(part)).full()) for part in parts]
+
+
+@given(st.floats(-4.0, 1.5), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, seed: int) -> None:
+    """A variable of share 0 keeps mean and variance; the covariance stays one for every share."""
+    root = np.random.default_rng(seed).normal(size=(3, 3))
+    P, mean, h = (
+        root @ root.T + 0.1 * np.eye(3),
+        np.array([1.0, 2.0, 0.5]),
+        ca.SX([[1.0, -1.0, 0.3]]),
+    )
+    row = np.array([1.0, -1.0, 0.3])
+    excess = -alpha * np.sqrt(row @ P @ row + 0.01)
+    belief = Gaussian(ca.SX(mean), ca.SX(P))
+    for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
+        one, _ = gaussian.truncate_unless_fake(
+            belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved)
+        )
+        after, cov = numbers(*one.belief)
+        assert np.linalg.eigvalsh(cov).min() > 0
+        if moved[1] == 0.0:
+            assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
+            assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
+    every, _ = gaussian.truncate_unless_fake(
+        belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
+    )
+    plain, _ = gaussian.truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
+    for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
+
+
+def test_edges_that_are_never_reached_stay_unknown_under_default_claims() -> None:
+    """Silence under a doubted gust is no evidence for wide zones: it was, by .5 in the width."""
+
+    def options(known: coverage.Problems, k: int) -> Any:
+        right, left = known.ranges[k]
+        return uz.Censored(right=right, left=left, levels=1)
+
+    posed = coverage.problems("no edge", glitches.SHAKEN, 1, 120, 31)
+    verdict = glitches.observe(options, posed).verdict
+    assert verdict.covered().min() >= 0.92
+    assert (np.abs(verdict.errors.mean(axis=0)[:4]) < 0.15).all()
+
+
+# --- Late constants
+
+
+def test_a_filter_that_knows_no_constants_withdraws_what_a_bias_refuted() -> None:
+    world = glitches.QUIET._replace(late=1.0)
+    posed = coverage.problems("both edges", world, 2, 60, 4)
+    outcome = glitches.observe(coverage.kalman, posed)
+    assert outcome.verdict.covered().min() >= 0.8  # .04 before
+    assert np.mean(outcome.consistent == 0) >= 0.95
+
+
+def test_a_filter_that_knows_no_constants_is_believed_where_there_is_none() -> None:
+    posed = coverage.problems("both edges", glitches.QUIET, 2, 100, 4)
+    outcome = glitches.observe(coverage.kalman, posed)
+    assert np.mean(outcome.consistent == 0) <= 0.1
+    assert outcome.verdict.covered().min() >= 0.9
+    assert np.median(outcome.verdict.stds[:, 2]) < 0.01
+
+
+# --- The problems of the benchmark
+
+
+@pytest.mark.parametrize("poles", ["stable", "unstable", "marginal"])
+def test_a_problem_is_the_same_in_every_unit_of_time(poles: str) -> None:
+    """Its sampled plant gives the same outputs of the same inputs, and its truth stays in range."""
+    posed = honest_problems.problems(honest_problems.Kind(poles=poles), 3, 6, 5)
+    other = honest_problems.in_unit(posed, np.array([1e-3, 0.1, 1.0, 7.0, 50.0, 1e3]))
+    for k in range(6):
+        answers = []
+        for one in (posed, other):
+            A, B, C = zoh(one.models[k], one.step[k])
+            answers.append([(C @ np.linalg.matrix_power(A, i) @ B)[0, 0] for i in range(6)])
+        assert answers[0] == pytest.approx(answers[1], rel=1e-6, abs=1e-12)
+    rates = 1 / posed.step
+    assert (honest_problems.RATES[0] <= rates * (1 + 1e-9)).all()
+    assert (rates <= honest_problems.RATES[1] * (1 + 1e-9)).all()
+    assert ((posed.ranges[:, :, 0] <= posed.d) & (posed.d <= posed.ranges[:, :, 1])).all()
+    assert np.isfinite(posed.y).all()
