@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,9 +20,10 @@ from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
+from undeadzone.analysis.identifiability.edges import reaching
 from undeadzone.analysis.identifiability.linear import unknown_bias
 from undeadzone.analysis.identifiability.linearised_run import _run
-from undeadzone.analysis.side_schedule import arriving
+from undeadzone.analysis.side_schedule import _samples, arriving
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati
@@ -212,3 +214,22 @@ def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
     _, values = pareto(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
     assert np.isfinite(values).all()
     assert len(values) > 1
+
+
+@pytest.mark.parametrize("mean", [0.3, -0.3])
+def test_a_swing_that_cures_reaches_both_edges(mean: float) -> None:
+    still = visiting([True], [True])._replace(
+        low=np.array([mean]), mean=np.array([mean]), high=np.array([mean])
+    )
+    swing, about = map(
+        float, re.findall(r"of (\S+) about (\S+) reaches", reaching(still, 0).text)[0]
+    )
+    assert about == mean
+    assert mean + swing > 1.0
+    assert mean - swing < -1.0
+
+
+def test_a_period_that_samples_never_meet_is_none() -> None:
+    assert _samples(0.5, 0.1, 30.0) == (5, True)
+    assert _samples(0.25, 0.1, 30.0) == (5, True)
+    assert _samples(np.pi / 10, 0.1, 30.0) == (300, False)
