@@ -199,7 +199,7 @@ def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
 
 
 def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
-    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 2.0, 1.0])
+    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 3.0, 1.0])
     estimated: Any = SimpleNamespace(innovation=ca.DM(e), innovation_std=ca.DM(std))
     expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
     assert float(likelihood(estimated)) == pytest.approx(expected)
@@ -207,7 +207,7 @@ def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
 
 def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
     def costs(points: Any) -> Any:
-        both = np.stack([points[:, 0], 1 - points[:, 0]], axis=1)
+        both = np.stack([1 - points[:, 0], points[:, 0]], axis=1)
         both[points[:, 0] > 0.5, 1] = np.inf
         return both
 
