@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,9 +20,10 @@ from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
+from undeadzone.analysis.identifiability.edges import reaching
 from undeadzone.analysis.identifiability.linear import unknown_bias
 from undeadzone.analysis.identifiability.linearised_run import _run
-from undeadzone.analysis.side_schedule import arriving
+from undeadzone.analysis.side_schedule import _samples, arriving
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati
@@ -197,7 +199,7 @@ def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
 
 
 def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
-    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 2.0, 1.0])
+    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 3.0, 1.0])
     estimated: Any = SimpleNamespace(innovation=ca.DM(e), innovation_std=ca.DM(std))
     expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
     assert float(likelihood(estimated)) == pytest.approx(expected)
@@ -205,10 +207,29 @@ def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
 
 def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
     def costs(points: Any) -> Any:
-        both = np.stack([points[:, 0], 1 - points[:, 0]], axis=1)
+        both = np.stack([1 - points[:, 0], points[:, 0]], axis=1)
         both[points[:, 0] > 0.5, 1] = np.inf
         return both
 
     _, values = pareto(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
     assert np.isfinite(values).all()
     assert len(values) > 1
+
+
+@pytest.mark.parametrize("mean", [0.3, -0.3])
+def test_a_swing_that_cures_reaches_both_edges(mean: float) -> None:
+    still = visiting([True], [True])._replace(
+        low=np.array([mean]), mean=np.array([mean]), high=np.array([mean])
+    )
+    swing, about = map(
+        float, re.findall(r"of (\S+) about (\S+) reaches", reaching(still, 0).text)[0]
+    )
+    assert about == mean
+    assert mean + swing > 1.0
+    assert mean - swing < -1.0
+
+
+def test_a_period_that_samples_never_meet_is_none() -> None:
+    assert _samples(0.5, 0.1, 30.0) == (5, True)
+    assert _samples(0.25, 0.1, 30.0) == (5, True)
+    assert _samples(np.pi / 10, 0.1, 30.0) == (300, False)
