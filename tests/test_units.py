@@ -93,7 +93,7 @@ def test_a_check_is_the_same_in_any_units(time: float) -> None:
 
 
 def test_states_that_are_large_in_their_unit_have_not_diverged() -> None:
-    """In microseconds the third derivative of z is beyond 1e18: no ensemble calls that divergence."""
+    """In microseconds the third derivative of z is beyond 1e18, which no ensemble calls lost."""
     problem = resolve_scenario(scenario(1e-6, 1.0, 1.0, "kalman"))
     scales = plant_scales(problem)
     states = 10 * scales.states[None]
