@@ -11,11 +11,14 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
+from undeadzone.ensemble.metrics import Tally, rows
 from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
 from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.plants.time_scales import pace, rates_of_motion, state_units, time_scale
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.scales import plant_scales
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]
 MISMATCH = np.array([1.05, 0.95, 1.05, 0.95])  # of the model's coefficients
@@ -87,6 +90,18 @@ def test_a_check_is_the_same_in_any_units(time: float) -> None:
     assert other["l2_gain"]["noise"] == pytest.approx(usual["l2_gain"]["noise"], rel=1e-4)
     for name, std in usual["std"].items():
         assert other["std"][name] / 1e6 == pytest.approx(std, rel=2e-6), name
+
+
+def test_states_that_are_large_in_their_unit_have_not_diverged() -> None:
+    """In microseconds the third derivative of z is beyond 1e18, which no ensemble calls lost."""
+    problem = resolve_scenario(scenario(1e-6, 1.0, 1.0, "kalman"))
+    scales = plant_scales(problem)
+    states = 10 * scales.states[None]
+    assert states.max() > 1e18
+    one, none = np.ones((1, 1)), np.zeros((1, 0))
+    tally = Tally(one, one, one, one, one, one, one, one, none)
+    for factor, lost in ((1.0, 0.0), (1e12, 1.0), (np.nan, 1.0)):
+        assert rows(tally, factor * states, scales, 10, 5, 1)[0, -1] == lost
 
 
 def random_plant(rng: np.random.Generator, n: int) -> Matrices:
