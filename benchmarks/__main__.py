@@ -21,12 +21,14 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "ranges",
     "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",
     "arms",
     "identify",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -18,7 +18,8 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
-from undeadzone.simulation.listening import in_words, listening, on_trust
+from undeadzone.simulation.listening import listening
+from undeadzone.simulation.listening_words import in_words, on_trust
 from undeadzone.simulation.simulate import simulate
 
 BARE: dict[str, Any] = {

@@ -35,6 +35,7 @@ def test_every_example_is_tested() -> None:
         "paper_2sin",
         "asymmetric_noise",
         "jump_velocity",
+        "load_cell_limited",
         "third_order",
         "two_outputs",
         "integrators",
@@ -64,6 +65,13 @@ def test_paper(name: str) -> None:
 
 def test_asymmetric_noise() -> None:
     np.testing.assert_allclose(run("asymmetric_noise").widths, [[1.3, 0.6]], atol=0.03)
+
+
+def test_load_cell_limited() -> None:
+    limited = run("load_cell_limited")
+    assert 0.1 < np.mean(np.abs(limited.side) == 1) < 0.15
+    np.testing.assert_allclose(limited.widths, [[1.2, 0.7]], atol=0.05)
+    assert limited.rms_tracking < 0.06
 
 
 def test_jump_velocity() -> None:

@@ -92,7 +92,10 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     def f(X: Any) -> Any:
         return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
 
-    moments = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
+    def predict(m: Any, P: Any) -> Gaussian:
+        return gaussian.predict(Gaussian(m, P), lambda X: f(X) - X, Q)
+
+    moments = evaluate(predict, mean, root @ root.T)
     nodes, weights = np.polynomial.hermite_e.hermegauss(4)
     points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
     weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)

@@ -73,6 +73,11 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     cost: float | None
 
 
+def contestants(rows: Sequence[Row]) -> list[Row]:
+    """The rows that are no lines to compare with, and could be entered somewhere."""
+    return [row for row in rows if not row.reference and row.not_applicable < 1]
+
+
 def regrets(results: Sequence[Result]) -> dict[str, Floats]:
     """Regret (scenarios x seeds) by method; NaN where refused.
 

@@ -15,7 +15,7 @@ from undeadzone.linear.fast_gain import fast_feedback
 from undeadzone.linear.poles import state_gain
 from undeadzone.linear.riccati import feedback, lyapunov, weight
 from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import mean_pole
+from undeadzone.plants.time_scales import mean_pole, pace, state_units
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 
 CHOICES = ("K", "poles", "alpha", "speed")
@@ -141,12 +141,18 @@ class StateFeedback(
 def rest(model: System) -> Floats:
     """[x; u] per unit of a constant w ((n + m) x n), at rest.
 
-    There x' = A x + B u + w is 0, and so are the first m outputs.
+    There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
+    in which neither the unit of time nor that of u matters.
     """
-    A, B, C = model.linear if model.flow is None else model.flow
-    C = C[: model.m]
-    steady = np.block([[A, B], [C, np.zeros((len(C), model.m))]])
-    return -np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
+    flow = model.linear if model.flow is None else model.flow
+    A, B, C = flow
+    of_x, rate, C = state_units(flow), pace(flow), C[: model.m]
+    of_w = (rate * of_x)[:, None]
+    push = np.abs(B / of_w).max(axis=0)
+    of_u = 1 / np.where(push > 0, push, 1.0)
+    steady = np.block([[A * of_x / of_w, B * of_u / of_w], [C * of_x, np.zeros((len(C), model.m))]])
+    even = np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
+    return np.asarray(-np.concatenate([of_x, of_u])[:, None] * even / of_w.T)
 
 
 class Params(NamedTuple):

@@ -14,6 +14,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import default_disturbance
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import Augmentation
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
@@ -21,7 +22,7 @@ from undeadzone.observers.parts.model_tolerance import named
 from undeadzone.observers.parts.prior import Prior, build_prior
 from undeadzone.observers.parts.separate_joints import separate
 from undeadzone.observers.parts.unknown_inputs import coloured, correlation_time, unknowns
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
@@ -104,14 +105,17 @@ class Extended(
             rms = default_disturbance(model, prior.ranges.max(), correlation)
         else:
             rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
-        augmentation = self._augmentation(model, correlation, rms, Ts)
+        # Joints that are filtered each for itself need [q; q'] as it is.
+        units = np.ones(model.n) if self.joints == "separate" else even_units(model)
+        even = in_units(model, units)
+        augmentation = self._augmentation(even, correlation, rms, Ts)
         lasting = max(1.0, correlation / Ts)
         bounds = self.silence and not self.blind
         glitches = glitch_share(self.glitches)
         member = measured_filter(
-            model,
+            even,
             sensor,
-            prior,
+            counted_prior(prior, units),
             augmentation,
             lasting,
             bounds,
@@ -126,7 +130,8 @@ class Extended(
             start_std=None if self.x_std is None else prior.std[: model.n],
             centre_std=None if prior.centre is None else prior.centre[:, 1],
         )
-        return judged(member, model, glitches > 0 and not self.blind, traits)
+        judge = judged(member, even, glitches > 0 and not self.blind, traits)
+        return shown_states(judge, units)
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""

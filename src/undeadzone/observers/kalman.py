@@ -11,11 +11,12 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import agitation
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
 
@@ -90,5 +91,10 @@ class Kalman(
         else:
             rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
-        member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
-        return judged(member, model, glitches > 0, claimed_traits(prior, self.x_std))
+        units = even_units(model)
+        even = in_units(model, units)
+        member = measured_filter(
+            even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
+        )
+        traits = claimed_traits(prior, self.x_std)
+        return shown_states(judged(member, even, glitches > 0, traits), units)

@@ -10,7 +10,7 @@ from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.html import Html, folded, paragraph, table, tag
-from undeadzone.simulation.listening import in_words
+from undeadzone.simulation.listening_words import in_words
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 SCORES: Final = {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import png
-from undeadzone.simulation.listening import in_words
+from undeadzone.simulation.listening_words import in_words
 from undeadzone.simulation.run import Run
 from undeadzone.support.text import printable
 

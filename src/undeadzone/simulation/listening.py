@@ -7,7 +7,6 @@ that follows its model alone keeps the whole error, one that listens follows (do
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Final
 
 import msgspec
@@ -19,13 +18,12 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
+from undeadzone.simulation.listening_words import LARGER
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import Progress, prepare, run_loop
 from undeadzone.support.arrays import Floats
 
-LARGER: Final = 0.05  # by which the true z is larger than the model says
-LOUD: Final = 0.5  # share of it that z^ must follow, not to be taken on trust
 STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
 
 
@@ -70,30 +68,9 @@ def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
 
 
-def on_trust(shares: Sequence[float | None]) -> bool:
-    """Whether some z^ hardly follows its readings, so that the model is taken on trust."""
-    return any(share is not None and share < LOUD for share in shares)
-
-
-def in_words(shares: Sequence[float | None]) -> str:
-    """Shares, in words.
-
-    Args:
-        shares: of each output; None where it cannot be told.
-    """
-    each = ", ".join(map(_percent, shares))
-    words = f"z^ follows {each} of a z that is {100 * LARGER:.0f} % larger than the model says"
-    return f"ON TRUST of the model: {words}" if on_trust(shares) else words
-
-
 def _known(share: float) -> float | None:
     """A share; None in place of NaN."""
     return None if np.isnan(share) else share
-
-
-def _percent(share: float | None) -> str:
-    """A share in words."""
-    return "unknown" if share is None or np.isnan(share) else f"{100 * share:.0f} %"
 
 
 def _signals(problem: Problem, progress: Progress | None) -> Outputs:

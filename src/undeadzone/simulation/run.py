@@ -12,6 +12,8 @@ import numpy as np
 from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
+from undeadzone.simulation.run_words import in_words
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 
 LAST: Final = 2.0  # [s] over which errors are measured
@@ -31,7 +33,7 @@ class Run:
         x: state (N x n).
         z: true output (N x p) [z].
         y: reading (N x p) [y].
-        side: measured side (N x p): +1 right, -1 left, 0 silent.
+        side: measured side (N x p): +1 right, -1 left, 0 silent, +2, -2 at a limit of the range.
         x_hat: estimate of x (N x n).
         z_hat: estimate of z (N x p) [z].
         d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].
@@ -235,6 +237,19 @@ class Run:
             "seconds": self.info.seconds,
         }
         return finite(numbers)
+
+    def in_words(self) -> dict[str, Any]:
+        """The lines that `undeadzone run` prints, by what they are about."""
+        last = min(LAST, float(self.t[-1] - self.t[0]))
+        return in_words(self.info, self.summary(), last)
+
+    def __str__(self) -> str:
+        """The table that `undeadzone run` prints."""
+        return shown.text([self.in_words()])
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, [self.in_words()])
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

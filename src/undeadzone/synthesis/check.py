@@ -41,11 +41,11 @@ def check(scenario: Scenario) -> dict[str, Any]:
         Numbers that are not finite are None. By key:
 
         - certified: whether one V proves convergence for every sequence of sides; None where the
-          method has no constant gains. A nonlinear model is certified on the scenario's region.
+            method has no constant gains. A nonlinear model is certified on the scenario's region.
         - margin, frequency [rad/s]: of the proof.
         - l2_gain {disturbance, noise}: BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2
-          int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the input and v on y (each
-          the least with the other absent; None if not proved).
+            int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the input and v on y
+            (each the least with the other absent; None if not proved).
         - rate [1/s], time_constant [s]: of the error along the reference.
         - never: errors that stay.
         - states: which are determined (none are listed of a nonlinear model).

@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.analysis.error_dynamics import delta, pattern
 from undeadzone.analysis.identifiability.edges import MARGIN as MARGIN
 from undeadzone.analysis.identifiability.edges import Cure as Cure
-from undeadzone.analysis.identifiability.edges import reaching, unreached
+from undeadzone.analysis.identifiability.edges import rarely_exact, reaching, unreached
 from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.linear.matrices import Matrices
@@ -194,7 +194,8 @@ def verdicts(
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
         known = {name: hidden.width(i, name) for name in DIRECTIONS}
-        reasons = (*unreached(schedule, visited, i), *confounded)
+        remark = rarely_exact(schedule, i)
+        reasons = (*unreached(schedule, visited, i), *confounded, *remark)
         judged.append(Verdict(**known, reasons=reasons, std=None))
     return judged
 
@@ -203,7 +204,8 @@ def _jump_verdict(schedule: Schedule, visited: np.ndarray, i: int) -> Verdict:
     """What a jump sensor's readings tell of output i: a width is known where its edge is passed."""
     right, left = bool(visited[i, 0]), bool(visited[i, 1])
     both = right and left
-    return Verdict(right, left, both, both, tuple(unreached(schedule, visited, i)))
+    reasons = (*unreached(schedule, visited, i), *rarely_exact(schedule, i))
+    return Verdict(right, left, both, both, reasons)
 
 
 def cures(

@@ -10,7 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from undeadzone.analysis.identifiability.beforehand import beforehand
-from undeadzone.analysis.identifiability.edges import largest_deviations, unreached, vague
+from undeadzone.analysis.identifiability.edges import (
+    largest_deviations,
+    rarely_exact,
+    unreached,
+    vague,
+)
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -20,9 +25,10 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.linearised_run import symmetric
 from undeadzone.analysis.identifiability.observability import Observability, observability
-from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.analysis.reading_levels import reading, reading_levels
+from undeadzone.analysis.side_schedule import recorded
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, zone
+from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 LIMIT = 1e9  # beyond this a state has diverged
@@ -70,7 +76,7 @@ def verdicts_along(
     schedule = recorded(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
-    side = np.where(arrived, zone(z, *reading_levels(sensor).T), 0.0)
+    side = np.where(arrived, reading(z, sensor).side, 0.0)
     told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
@@ -82,6 +88,7 @@ def verdicts_along(
             *unreached(schedule, visited, i),
             *_confounded(model, known, visited[i], i, biases, uncertain),
             *vague(std, most, right, left),
+            *rarely_exact(schedule, i),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         judged.append(Verdict(**enough, reasons=reasons, std=std))

@@ -9,10 +9,12 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, unless it is claimed
 
 
 class Prior(NamedTuple):
@@ -62,6 +64,7 @@ def build_prior(
     drift: Array | None,
     *,
     floor: float = FLOOR,
+    reach: float = REACH,
     wear: float = 0.0,
     start: Array = 0.0,
     centre: Array | None = None,
@@ -75,10 +78,13 @@ def build_prior(
         sensor: the dead zone.
         right, left: claimed ranges of d_r, d_l; left None: those of right.
         noise: rms of a reading [z]; None: the sensor's, but at least `floor`.
-        x_std: standard deviation of x(0); None: five times the largest width.
-        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width.
+        x_std: standard deviation of x(0); None: what shows as `reach` times the largest width
+            (`state_units`).
+        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width in
+            1 / |pole|, which is 2 / pi quarter periods.
         floor: least noise, as a share of the claimed range.
-        wear: drift, in largest widths per sqrt(s), where none is claimed.
+        reach: standard deviation of x(0), in largest widths, where none is claimed.
+        wear: drift, in largest widths per 1 / sqrt(|pole|), where none is claimed.
         start: mean of x(0), one number or one per state.
         centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
 
@@ -97,11 +103,12 @@ def build_prior(
         rms = _claimed_noise(noise, p)
         least = np.zeros(p)
     if x_std is None:
-        spread = np.full(model.n, 5 * largest)
+        spread = reach * largest * state_units(model.flow or model.linear)
     else:
         spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
-    walk = wear * largest if drift is None else drift
-    growth = scalar("observer.drift", walk, least=0.0) ** 2 * Ts
+    if drift is None:
+        drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear))
+    growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
     x0 = vector("observer.start", start, model.n, "one per state")
     return Prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
