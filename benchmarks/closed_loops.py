@@ -22,7 +22,7 @@ from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Random, Sines, Tone
 
-COUNT = int(os.environ.get("CLOSED_LOOPS", "40"))
+COUNT = int(os.environ.get("CLOSED_LOOPS", "24"))
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly
 STEP, DURATION = 0.01, 15.0  # [s]
 TOLERANCE = 0.05  # claimed and true relative rms error of the model

@@ -36,6 +36,7 @@ from undeadzone.observers import (
 from undeadzone.observers.particle import reweighted, systematic
 from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.observers.parts.even_states import even_units
 from undeadzone.observers.parts.window import Affine, Weights, Window
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -144,7 +145,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     kalman = Kalman(**claims, glitches=0.0).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
-    mean = np.concatenate([x, s.filter.mean[2:]])
+    mean = np.concatenate([x / even_units(model), s.filter.mean[2:]])
     s, t = (
         s._replace(filter=s.filter._replace(mean=mean)),
         t._replace(filter=t.filter._replace(mean=mean)),

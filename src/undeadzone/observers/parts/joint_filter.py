@@ -12,6 +12,7 @@ from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
 from undeadzone.observers.parts.augmented_state import JointPrior, read
 from undeadzone.observers.parts.doubt import doubt_numbers, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import (
     Params,
     filter_numbers,
@@ -24,7 +25,7 @@ from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.member import Member, Step
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import clipped
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone, present
 
 Sight = Callable[[Any], Any]
@@ -72,6 +73,9 @@ def joint_filter(
         InputError: for a share of glitches that is none.
     """
     share = glitch_share(glitches)
+    units = even_units(model)
+    model = in_units(model, units)
+    prior = prior._replace(prior=counted_prior(prior.prior, units))
     augmentation = white(model, prior.variance)
     doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)
     params = filter_numbers(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
@@ -108,7 +112,7 @@ def joint_filter(
         )
 
     member = Member(params, lambda q: State(q.mean, q.cov, patient(model.p)), step)
-    return judged(member, model, widens=share > 0, recovers=False)
+    return shown_states(judged(member, model, widens=share > 0, recovers=False), units)
 
 
 def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:

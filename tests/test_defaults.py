@@ -1,0 +1,134 @@
+"""What is left out: gains that listen, the observer and controller that nobody names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenes import scene
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
+from undeadzone.errors import InputError
+from undeadzone.observers import Auto, Certified, Kalman
+from undeadzone.observers.parts.default_gains import default_adaptation, default_gain
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert, read_for_logs
+from undeadzone.simulation.listening import listening
+from undeadzone.simulation.listening_words import in_words, on_trust
+from undeadzone.simulation.simulate import simulate
+
+BARE: dict[str, Any] = {
+    "plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+    "sensor": {"right": 1.0, "left": 0.7},
+    "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.5},
+}
+
+
+def plant(unit: float) -> System:
+    """The same plant in another unit of time."""
+    return system(
+        Plant(A=[[0.0, 1.0], [-4 * unit**2, -1.2 * unit]], B=[[0.0], [1.0]], C=[[1.0, 0.0]])
+    )
+
+
+@pytest.mark.parametrize("unit", [1e-5, 1.0, 1e4])
+def test_default_gains_are_those_of_the_plant_in_any_unit_of_time(unit: float) -> None:
+    L, own = default_gain(plant(1.0))[:, 0], default_gain(plant(unit))[:, 0]
+    np.testing.assert_allclose(own / [unit, unit**2], L, rtol=1e-6)
+    assert default_adaptation(plant(unit)) == pytest.approx(6.0 * unit)
+
+
+@pytest.mark.parametrize("Ts", [None, 1e-3, 0.1, 0.5])
+def test_default_gains_are_certified_and_strong(Ts: float | None) -> None:
+    model = plant(1.0) if Ts is None else sampled(plant(1.0), Ts)
+    L, gamma = default_gain(model), np.array([default_adaptation(model)])
+    assert certify(model.linear, L, gamma, Ts).certified
+    at_rest = -plant(1.0).linear.C @ np.linalg.solve(plant(1.0).linear.A, L)
+    if Ts in (None, 1e-3):
+        assert at_rest[0, 0] == pytest.approx(5.0, rel=0.01)
+
+
+def test_kalman_listens_unless_it_is_told_not_to() -> None:
+    """With 10 % off in the friction; the claim of no disturbance takes the model on trust."""
+    wrong = {"model": {"A": [[0.0, 1.0], [-1.0, -1.8]]}}
+    time = {"simulation": {"time": "sampled", "step": 0.01, "duration": 12.0}}
+    error, shares = {}, {}
+    for name, options in {"usual": {}, "deaf": {"disturbance": 0.0}}.items():
+        observer = {"method": "kalman", "right": [0.0, 3.0]} | options
+        scenario = convert(BARE | wrong | time | {"observer": observer})
+        run = simulate(scenario)
+        error[name] = run.rms_estimation
+        shares[name] = listening(resolve_scenario(scenario), run)
+    assert error["usual"] < 0.1 < error["deaf"]
+    assert not on_trust(shares["usual"])
+    assert on_trust(shares["deaf"])
+
+
+def test_an_observer_without_gain_follows_its_model_alone() -> None:
+    scenario = scene(
+        observer={"method": "luenberger", "L": [0.0, 0.0]}, simulation={"duration": 12.0}
+    )
+    (share,) = listening(resolve_scenario(scenario), None)
+    assert share == pytest.approx(0.0, abs=0.01)
+    assert in_words([share]).startswith("ON TRUST")
+    assert not in_words([0.9, None]).startswith("ON TRUST")
+
+
+def test_an_output_at_rest_tells_nothing_of_listening() -> None:
+    still = scene(
+        plant={**BARE["plant"], "x0": [0.0, 0.0]},
+        reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
+        simulation={"duration": 2.0},
+    )
+    assert np.isnan(listening(resolve_scenario(still), None)).all()
+    assert not on_trust([None])
+
+
+def test_a_scenario_that_names_neither_gets_the_usual_ones() -> None:
+    scenario = convert(BARE)
+    assert isinstance(scenario.observer, Auto)
+    assert np.array_equal(np.ravel(scenario.observer.right), [0.0, 3.0])
+    assert isinstance(scenario.controller, StateFeedback)
+    declared = convert(BARE | {"declared": {"right": [0.2, 1.5], "bias": 0.1}})
+    assert isinstance(declared.observer, Auto)
+    assert (list(declared.observer.right), declared.observer.bias) == ([0.2, 1.5], 0.1)
+    for time in ("continuous", "sampled"):
+        step = 1e-3 if time == "continuous" else 0.01
+        run = simulate(
+            convert(BARE | {"simulation": {"time": time, "step": step, "duration": 10.0}}),
+            check_step=False,
+        )
+        assert run.rms_tracking < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arm", "time", "expected"),
+    [
+        ("one_link", "continuous", ComputedTorque),
+        ("elastic_joint", "sampled", LQR),
+        ("elastic_joint", "continuous", StateFeedback),
+    ],
+)
+def test_arms_get_controllers_of_their_own(arm: str, time: str, expected: type) -> None:
+    scenario = convert(BARE | {"plant": {"arm": {"kind": arm}}, "simulation": {"time": time}})
+    assert isinstance(scenario.controller, expected)
+
+
+def test_along_a_log_a_range_must_come_from_somewhere(tmp_path: Any) -> None:
+    path = tmp_path / "log.toml"
+    path.write_text("[plant]\nsecond_order = { zeta = 0.5, omega_n = 4.0, gain = 16.0 }\n")
+    with pytest.raises(InputError, match=r"observer: missing; name one and the range"):
+        read_for_logs(path)
+
+
+def test_options_keep_what_is_given() -> None:
+    model = plant(1.0)
+    given = Certified(L=[1.0, 1.5], gamma=10.0).build(model, resolve_scenario(scene()).sensor)
+    assert given.traits.L is not None
+    assert np.array_equal(given.traits.L[:, 0], [1.0, 1.5])
+    assert Kalman(right=[0.0, 1.0]).disturbance is None
