@@ -26,6 +26,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "damaged_logs",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
