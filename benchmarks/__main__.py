@@ -21,12 +21,15 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "ranges",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",
     "arms",
     "identify",
     "damaged_logs",
+    "firmware",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -23,7 +23,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 PLANT = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=16.0), x0=[1.0, 0.0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
-KALMAN = uz.Kalman(right=[0.0, 2.0])
+KALMAN = uz.Kalman(right=[0.0, 2.0], disturbance=0.0)
 LOGS_ALONE = """
 title = "A load cell"
 [plant]
@@ -159,7 +159,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
     """
     A, B, C = model.linear
     online = uz.Online(
-        msgspec.structs.replace(KALMAN, disturbance=variance**0.5), PLANT, SENSOR, 0.01
+        msgspec.structs.replace(KALMAN, disturbance=variance**0.5, x_std=10.0), PLANT, SENSOR, 0.01
     )
     e = online.update_many(run.y[:N], run.u[:N])[0].innovation[:, 0]
     size = 4 + N  # x(0), d_r, d_l, w
@@ -189,7 +189,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
 
 @pytest.mark.parametrize("disturbance", [0.01, 0.5])
 def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbance: float) -> None:
-    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, glitches=0.0)
+    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
     model, zone, observer = built_for(options, PLANT, SENSOR, 0.01, 10)
     N = 250
     smoothed = smooth(model, graph_of(observer), zone.threshold, run.y[:N], run.u[:N])
@@ -233,7 +233,7 @@ def test_smoothing_of_two_outputs() -> None:
         x0=[1.0, 0.0, -1.0],
     )
     two = scenario(
-        uz.Kalman(right=[0.0, 2.0]),
+        KALMAN,
         plant=plant,
         sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
         reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),

@@ -16,6 +16,7 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
+from tools import require
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports import accuracy, compiler, export, parts, vectors
 from undeadzone.exports.code import code
@@ -198,7 +199,7 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
     [
         ({"tunable": ("observer.gama",)}, "did you mean observer.gamma"),
         ({"tunable": ("observer.left0",)}, "changes nothing"),
-        ({"to": "fmu9"}, "to: expected one of c, arduino"),
+        ({"to": "fmu9"}, "to: expected one of c, arduino, fmu2, fmu3, python"),
         ({"precision": "half"}, "precision: expected one of"),
         ({"part": "controller"}, "part: expected one of"),
         ({"name": "Arm"}, "name: expected a letter"),
@@ -424,10 +425,7 @@ def test_a_run_that_ends_by_itself_is_not_continued() -> None:
 @pytest.mark.parametrize("controller", [False, True])
 def test_cppcheck_finds_nothing_in_certified(controller: bool, tmp_path: Path) -> None:
     """Its checks, and its MISRA add-on but for 2.5: the step and the hash are for the user."""
-    if shutil.which("cppcheck") is None:
-        if "emulator" in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
-            pytest.fail("not installed: cppcheck")
-        pytest.skip("not installed: cppcheck")
+    require("emulator", [] if shutil.which("cppcheck") else ["cppcheck"])
     part = parts.PARTS[int(controller)]
     uz.export(certified(), out=tmp_path / "fw", name="joint", part=part)
     source = str(tmp_path / "fw" / "joint.c")

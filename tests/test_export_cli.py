@@ -89,3 +89,26 @@ def test_exit_code_1_where_float_is_not_enough(monkeypatch: pytest.MonkeyPatch) 
 def test_bad_options_are_input_errors(options: tuple[str, ...]) -> None:
     with pytest.raises(InputError):
         called(*options)
+
+
+def test_an_FMU_and_a_module_are_in_double_unless_told_otherwise(tmp_path: Path) -> None:
+    for target, file in (("fmu2", "arm_joint.fmu"), ("python", "arm_joint.py")):
+        code, result = called("--to", target, "--out", target)
+        assert code == 0
+        assert "arm_joint (observer, double)" in result.stdout
+        assert (tmp_path / target / file).exists()
+    _, result = called("--to", "python", "--precision", "single", "--out", "python")
+    assert "arm_joint (observer, single)" in result.stdout
+    assert "ctypes.c_float" in (tmp_path / "python" / "arm_joint.py").read_text()
+
+
+@pytest.mark.parametrize("out", ["arm.toml", "arm.toml/fw", "mine"])
+def test_the_folder_is_looked_at_before_anything_is_computed(
+    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    monkeypatch.setattr(export, "resolve_scenario", lambda _: pytest.fail("computed"))
+    with pytest.raises(InputError):
+        called("--out", out)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml", "mine"]

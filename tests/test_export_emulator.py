@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from test_engines import OBSERVERS, small
+from tools import require
 from undeadzone.exports import compiler, export
 from undeadzone.scenario.schema import Scenario
 
@@ -32,13 +32,7 @@ def tools(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip by the names of Debian's packages; fail where UNDEADZONE_REQUIRE names the emulator."""
     monkeypatch.setattr(export, "STEPS", 600)
     monkeypatch.setattr(compiler, "compiler", lambda: None)  # accuracy is measured elsewhere
-    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
-    if not missing:
-        return
-    message = f"not installed: {', '.join(missing)}"
-    if "emulator" in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
-        pytest.fail(message)
-    pytest.skip(message)
+    require("emulator", [package for tool, package in TOOLS.items() if shutil.which(tool) is None])
 
 
 def case(name: str) -> Scenario:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from test_engines import OBSERVERS, small
+from undeadzone.engine import live
 
 PLANT = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]], x0=[0.5, 0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
@@ -89,3 +91,63 @@ def test_refuses_what_a_scenario_would_refuse() -> None:
         uz.Online(OBSERVER, msgspec.structs.replace(PLANT, C=[[0, 0]]), SENSOR, STEP)
     with pytest.raises(uz.StepError, match=r"observer\.gamma"):
         uz.Online(OBSERVER, PLANT, SENSOR, 0.5)
+
+
+@pytest.mark.parametrize("method", ["certified", "kalman"])
+def test_a_compiled_step_has_every_bit_of_the_virtual_machine(method: str) -> None:
+    of = small("sampled", observer={"method": method} | OBSERVERS[method][1])
+    parts = (of.observer, of.plant, of.sensor, of.simulation.step)
+    plain, compiled, blocks = uz.Online(*parts), *(uz.Online(*parts, compiled=True) for _ in "ab")
+    assert (plain.engine, compiled.engine) == ("virtual machine", "compiled")
+    random = np.random.default_rng(3)
+    y, u = random.normal(size=(2, 300, 1)) * 2
+    y[np.abs(y) < 0.5], y[::17], u[::23] = 0.0, np.nan, np.inf
+    every, sides = blocks.update_many(y, u)
+    for k in range(len(y)):
+        compiled.update_into(float(y[k, 0]), float(u[k, 0]))
+        for one, two, three in zip(plain.update(y[k], u[k]), compiled.latest, every, strict=True):
+            np.testing.assert_array_equal(one, two)
+            np.testing.assert_array_equal(one, three[k])
+        assert (plain.side == compiled.side).all()
+        assert (plain.side == sides[k]).all()
+    assert plain.missing == compiled.missing == blocks.missing == 18
+
+
+def test_latest_is_a_view_made_once_and_unknown_before_the_first_sample() -> None:
+    for compiled in (False, True):
+        online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=compiled)
+        latest = online.latest
+        assert np.isnan(latest.x).all()
+        assert (online.side == 0).all()
+        assert online.update_into(2.0, 1.0) is None
+        first = latest.z.copy()
+        online.update_into(np.array([2.5]), np.array([1.0]))
+        assert latest is online.latest
+        assert latest.z != first
+        shown = online.peek(1.0)
+        assert shown.z_inverse != latest.z_inverse
+        assert online.samples == 2
+
+
+def test_several_outputs_and_inputs_compiled() -> None:
+    plant = uz.Plant(A=-np.eye(2), B=np.eye(2), C=np.eye(2))
+    sensor = uz.Sensor(right=[1.0, 1.0], left=[1.0, 1.0])
+    one, two = (
+        uz.Online(uz.Certified(gamma=1.0), plant, sensor, STEP, compiled=c) for c in (False, True)
+    )
+    for k in range(20):
+        y, u = np.array([np.sin(k), np.nan]), np.array([1.0, -k])
+        np.testing.assert_array_equal(one.update(y, u).x, two.update(y, u).x)
+    assert (two.missing, two.engine) == (20, "compiled")
+
+
+def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object) -> None:
+        raise uz.InputError("no instruction OP_OF_TOMORROW")
+
+    monkeypatch.setattr(live, "CompiledStepper", refuse)
+    online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=True)
+    assert online.engine == "virtual machine: no instruction OP_OF_TOMORROW"
+    assert np.isfinite(online.update(2.0, 1.0).x).all()

@@ -112,3 +112,12 @@ class Stepper:
         """Evaluate `out` at the present state and `w`, then advance the state."""
         self._evaluate()
         self.state[:] = self._next
+
+    def run(self, w: Floats) -> Floats:
+        """The outputs along w (N x inputs), a row each; the state advances."""
+        outputs = np.empty((len(w), self.out.size))
+        for k, row in enumerate(w):
+            self.w[:] = row
+            self()
+            outputs[k] = self.out
+        return outputs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 from undeadzone.errors import InputError
@@ -21,24 +22,32 @@ def compiler() -> str | None:
     return None
 
 
-def shared_library(sources: list[Path], out: Path) -> Path:
+def require_compiler() -> str:
+    """The command of a C compiler. Raises InputError where there is none."""
+    command = compiler()
+    if command is None:
+        raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
+    return command
+
+
+def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
     """Compile C into a shared library.
 
     Args:
-        sources: the files.
+        sources: the files, all in one folder.
         out: the library to be made.
+        options: for the compiler, beside those that keep the bits.
 
     Raises:
         InputError: there is no compiler, or it refuses.
     """
-    command = compiler()
-    if command is None:
-        raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
-    files = [str(path) for path in sources]
-    options = [*FLAGS, "-O1", "-fPIC", "-shared", "-o", str(out)]
+    command = require_compiler()
+    folder = sources[0].parent
+    files = [path.name for path in sources]
+    every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
-        line = [command, *extra, *options, *files, "-lm"]
-        finish = subprocess.run(line, capture_output=True, text=True)
+        line = [command, *extra, *every, *files, "-lm"]
+        finish = subprocess.run(line, capture_output=True, text=True, cwd=folder)
         if finish.returncode == 0:
             break
     if finish.returncode:
@@ -68,24 +77,22 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
     return max(steps) + sum(frames.values()) if max(steps) else None
 
 
-def self_tested(folder: Path, name: str) -> tuple[bool, str]:
-    """(whether it passed, what it printed) of `make` and the self-test of an export.
+def self_tested(files: dict[str, str]) -> tuple[bool, str]:
+    """(whether it passed, what it printed) of the self-test of an export, built and run apart.
 
     Args:
-        folder: the export; it is left as it was but for the program, which is removed.
-        name: its prefix.
+        files: the C of the export and of its self-test, by name.
     """
     command = compiler()
     if command is None:
         return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
-    program = folder / f"{name}_test"
-    sources = [str(folder / f"{name}.c"), str(folder / f"{name}_test.c")]
-    make = [command, *FLAGS, "-O2", "-o", str(program), *sources, "-lm"]
-    try:
-        built = subprocess.run(make, capture_output=True, text=True)
+    sources = [name for name in files if name.endswith(".c")]
+    with tempfile.TemporaryDirectory() as name:
+        for path, text in files.items():
+            Path(name, path).write_text(text, encoding="utf-8")
+        make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
+        built = subprocess.run(make, capture_output=True, text=True, cwd=name)
         if built.returncode:
             return False, built.stderr.strip()[:500]
-        done = subprocess.run([str(program)], capture_output=True, text=True)
-    finally:
-        program.unlink(missing_ok=True)
+        done = subprocess.run([str(Path(name, "tested"))], capture_output=True, text=True)
     return done.returncode == 0, done.stdout.strip()

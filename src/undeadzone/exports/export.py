@@ -8,19 +8,20 @@ from typing import Any, NamedTuple
 
 import undeadzone
 from undeadzone.errors import InputError
-from undeadzone.exports import accuracy, compiler, folder, parts
+from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code
 from undeadzone.exports.expressions import LARGEST, LEAST
 from undeadzone.exports.fields import identifier
 from undeadzone.exports.instructions import operations, uses_of
+from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
+from undeadzone.exports.targets import Material
 from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
-TARGETS = ("c", "arduino")
 PRECISIONS = ("single", "double")
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
@@ -49,7 +50,7 @@ def export(
     scenario: Scenario,
     to: str = "c",
     out: str | Path = "firmware",
-    precision: str = "single",
+    precision: str | None = None,
     part: str = "observer",
     tunable: tuple[str, ...] = (),
     name: str | None = None,
@@ -59,13 +60,15 @@ def export(
 
     Args:
         scenario: a scenario with simulation.time = "sampled".
-        to: "c", or "arduino" for a library of the Arduino IDE.
-        out: folder for the files; replaced if it is an earlier export.
-        precision: "single" for float, or "double".
+        to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
+            co-simulation; "python" for a module that needs no undeadzone;
+            "page" for one HTML file in which the scenario's loop runs.
+        out: folder for the files, or the HTML file; replaced if it is an earlier export.
+        precision: "single" for float, or "double"; default: double but for "c" and "arduino".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
-        check: also build the self-test with this computer's compiler and run it ("c" only).
+        check: also build the self-test with this computer's compiler and run it (not for Arduino).
 
     Returns:
         The files, and a report. Accuracy is measured where there is a C compiler; single
@@ -75,10 +78,15 @@ def export(
         InputError: a scenario that cannot be exported, or an unknown option.
         FileError: the folder is something else, or cannot be written.
     """
-    _require("to", to, TARGETS)
+    _require("to", to, tuple(targets.PRECISION))
+    precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
+    if to == "page":
+        _require_plain(precision, part, tunable, name, check)
+        return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
     folder.require_replaceable(Path(out))
+    targets.require_possible(to, prefix)
     problem = resolve_scenario(scenario)
     step = parts.build(problem, part, tuple(tunable))
     double = code(step, single=False)
@@ -87,21 +95,12 @@ def export(
     rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, scenario, prefix, part, tuple(tunable))
     report |= _measured(double, printed, text, rows)
-    files = {f"{prefix}.h": text.header, f"{prefix}.c": text.code}
-    if text.math:
-        files[f"{prefix}_math.h"] = text.math
-    if to == "arduino":
-        files = {f"src/{path}": content for path, content in files.items()}
-        report["files"] = sorted([*files, *folder.arduino_files(report | {"files": []})])
-        files |= folder.arduino_files(report)
-    else:
-        vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
-        files[f"{prefix}_test.c"] = selftest(printed, prefix, vectors)
-        report["files"] = sorted([*files, *folder.build_files(report | {"files": []}, False)])
-        files |= folder.build_files(report, bool(text.math))
+    vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
+    tested = selftest(printed, prefix, vectors)
+    files = targets.files(to, Material(printed, text, tested, scenario.units, report))
     written = folder.write_folder(files, Path(out))
-    if check and to == "c":
-        passed, said = compiler.self_tested(Path(out), prefix)
+    if check and to != "arduino":
+        passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
         report["self_test"] = said
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
@@ -112,6 +111,24 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
     """Raise InputError for a word that is not known."""
     if value not in known:
         raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
+
+
+def _require_plain(
+    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
+) -> None:
+    """Raise InputError for an option that means nothing to a page."""
+    options = {
+        "precision": precision != "double",
+        "part": part != "observer",
+        "tunable": tunable,
+        "name": name,
+        "check": check,
+    }
+    for key, value in options.items():
+        if value:
+            raise InputError(
+                f"{key}: a page has the whole loop, in double, and no such choice; leave it out"
+            )
 
 
 def _prefix(name: str | None, title: str) -> str:
@@ -194,5 +211,6 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         "float_against_double": table,
         "sides_differ": result.sides,
         "smallest_correlation_eigenvalue": result.eigenvalue,
+        "smallest_correlation_eigenvalue_in_float": result.eigenvalue_in_float,
     }
     return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}

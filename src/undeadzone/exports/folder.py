@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError
-from undeadzone.support.files import reason
+from undeadzone.support.files import reason, require_folder
 from undeadzone.support.text import printable
 
+Files = dict[str, str | bytes]
 GENERATOR = "undeadzone export"
 MANIFEST = "manifest.json"
 
@@ -68,18 +69,16 @@ void loop() {{
 """
 
 
-def readme(report: dict[str, Any], arduino: bool = False) -> str:
+def readme(report: dict[str, Any], build: str = "") -> str:
     """The README of an export.
 
     Args:
         report: what the manifest holds.
-        arduino: whether it is an Arduino library, which has no self-test beside it.
+        build: how it is built or installed; default: by make, with the self-test.
     """
     name, sizes = report["name"], report["sizes"]
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-    build = f"Run `make && ./{name}_test`: exit code 0 means that every bit agrees."
-    if arduino:
-        build = "Copy this folder into the libraries folder of the Arduino IDE."
+    build = build or f"Run `make && ./{name}_test`: exit code 0 means that every bit agrees."
     phases = ""
     if report["two_phase"]:
         phases = f"""
@@ -154,7 +153,9 @@ def arduino_files(report: dict[str, Any]) -> dict[str, str]:
     return {
         "library.properties": PROPERTIES.format(name=name, title=title),
         f"examples/{name}_example/{name}_example.ino": sketch,
-        "README.md": readme(report, arduino=True),
+        "README.md": readme(
+            report, "Copy this folder into the libraries folder of the Arduino IDE."
+        ),
         MANIFEST: manifest(report),
     }
 
@@ -165,7 +166,8 @@ def manifest(report: dict[str, Any]) -> str:
 
 
 def require_replaceable(out: Path) -> None:
-    """Raise FileError unless a folder is absent, empty or an earlier export."""
+    """Raise FileError unless a folder can be written, and is absent, empty or an earlier export."""
+    require_folder(out.absolute().parent)
     if not out.exists():
         return
     if not out.is_dir():
@@ -184,11 +186,11 @@ def require_replaceable(out: Path) -> None:
         )
 
 
-def write_folder(files: dict[str, str], out: Path) -> list[Path]:
+def write_folder(files: Files, out: Path) -> list[Path]:
     """Write files into a new folder that takes the name `out` once it is whole.
 
     Args:
-        files: texts by their paths inside the folder.
+        files: texts and bytes by their paths inside the folder.
         out: the folder; an earlier export there is replaced.
 
     Returns:
@@ -202,9 +204,10 @@ def write_folder(files: dict[str, str], out: Path) -> list[Path]:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as name:
             fresh = Path(name) / "new"
-            for path, text in files.items():
+            for path, content in files.items():
                 (fresh / path).parent.mkdir(parents=True, exist_ok=True)
-                (fresh / path).write_text(text, encoding="utf-8")
+                whole = content.encode() if isinstance(content, str) else content
+                (fresh / path).write_bytes(whole)
             if out.exists():
                 os.replace(out, Path(name) / "old")
             os.replace(fresh, out)

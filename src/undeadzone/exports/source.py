@@ -46,6 +46,15 @@ class Source(NamedTuple):
     math: str
     functions: list[str]
 
+    def files(self, prefix: str) -> dict[str, str]:
+        """The files by name.
+
+        Args:
+            prefix: what every symbol begins with.
+        """
+        named = {f"{prefix}.h": self.header, f"{prefix}.c": self.code}
+        return named | ({f"{prefix}_math.h": self.math} if self.math else {})
+
 
 def source(code: Code, labels: Labels) -> Source:
     """The C of an export."""

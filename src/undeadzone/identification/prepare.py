@@ -14,6 +14,7 @@ from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.options import Options
 from undeadzone.identification.plant_fit import Data
+from undeadzone.logs.range_ends import range_ends
 from undeadzone.support.arrays import Floats, Integers
 
 STRETCH = 250  # samples of an integrating plant that have one state at their start
@@ -67,6 +68,13 @@ def prepare(grid: Grid, options: Options) -> Prepared:
         remarks.append(
             f"{spikes.size} readings beyond {SPIKE:g} times the usual size are taken as missing,"
             f" the first at {grid.t[spikes[0]]:.6g} s"
+        )
+    ends = range_ends(grid.y, ok, grid.quantum)
+    if ends.found:
+        ok[ends.at] = False
+        remarks.append(
+            f"{int(ends.at.sum())} readings stick at the ends of the range {ends.text}: there they "
+            "only bound the output, and are taken as missing"
         )
     y = np.where(ok, grid.y, 0.0)
     threshold = _threshold(grid, options)

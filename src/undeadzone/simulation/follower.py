@@ -55,7 +55,8 @@ class Follower:
         self._online = None if self._numeric else Online(*parts)
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
-        self._counts = np.zeros((3, self.model.p), int)  # of sides: right, left, silent
+        # Of sides: right, left, silent, at a limit of the range.
+        self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
         self._diverged = False
         self._last: Estimate | None = None
@@ -94,6 +95,7 @@ class Follower:
         self._missing += int((~present).any(axis=1).sum())
         for row, side in enumerate((1, -1, 0)):
             self._counts[row] += (present & (sides == side)).sum(axis=0)
+        self._counts[3] += (np.abs(sides) == 2).sum(axis=0)
         with np.errstate(invalid="ignore"):
             worst = np.abs(np.hstack([estimate.x, estimate.right, estimate.left]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
@@ -156,7 +158,7 @@ class Follower:
             reason = "the inputs in its gaps are not known, and were taken as constant"
             verdict = verdict._replace(reasons=[*verdict.reasons, reason])
         p = self.model.p
-        right, left, silent = self._counts.tolist()
+        right, left, silent, limited = self._counts.tolist()
         return LogInfo(
             title=scenario.title,
             method=str(type(scenario.observer).__struct_config__.tag),
@@ -188,6 +190,7 @@ class Follower:
             uncertain=list(self.observer.traits.uncertain),
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
             units=scenario.units,
+            limited=limited if self.zone.limits is not None else [],
         )
 
 

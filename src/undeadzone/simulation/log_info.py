@@ -39,6 +39,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         uncertain: names of the parameters that the observer estimates.
         joints: names of an arm's joints; empty without an arm.
         units: names of units.
+        limited: samples at a limit of the range, of each output (p); empty: there is none.
+        remarks: what else the log shows, for the user.
     """
 
     title: str
@@ -71,12 +73,16 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     uncertain: list[str] = []
     joints: list[str] = []
     units: Units = Units()
+    limited: list[int] = []
+    remarks: list[str] = []
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""
         numbers = msgspec.to_builtins(self)
-        for name in ("right", "left", "silent"):
+        for name in ("right", "left", "silent", "limited"):
             numbers[f"samples_{name}"] = numbers.pop(name)
+        if not self.limited:
+            del numbers["samples_limited"]
         for name, value in numbers.items():
             if name.startswith(("d_", "samples_")) and isinstance(value, list) and len(value) == 1:
                 numbers[name] = value[0]

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import casadi as ca
 import numpy as np
 
 from undeadzone.engine.interpret import Stepper
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
 from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.observer_graph import BlockRunner, Out, observer_graph
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
+
+if TYPE_CHECKING:
+    from undeadzone.engine.live import CompiledStepper
 
 FEW = 8  # samples in a block from which on it is run at once
 
@@ -29,15 +37,21 @@ class Online:
     Args:
         observer: options of the observer.
         plant: the plant as the observer knows it.
-        sensor: kind, slope, noise and threshold; its widths are used by the oracle only.
+        sensor: kind, slope, noise, threshold and range; its widths are used by the oracle only.
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
+        compiled: whether the step is compiled for this processor: the same bits in a fraction of
+            the time. The first time this takes up to half a minute; the result is kept on disk.
 
     Attributes:
         model: the sampled model.
+        engine: what computes a sample: "compiled", or "virtual machine" and why it is not compiled.
+        latest: the estimate from the last sample, as views that the next sample overwrites;
+            NaN before the first.
         samples: how many samples came in.
         missing: how many of them had a reading missing.
-        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing.
+        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing; twice
+            that at a limit of the range.
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -50,16 +64,26 @@ class Online:
         sensor: Sensor,
         step: float,
         substeps: int = 10,
+        compiled: bool = False,
     ) -> None:
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps)
-        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone.threshold)
+        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
-        self.side = np.zeros(self.model.p)
-        self._step = Stepper(graph, state, params)
+        self._step, self._blocks, self.engine = _engine(graph, state, params, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        self._where: Out = tree.slices(shapes)
-        self._blocks = BlockRunner(graph, params)
+        where: Out = tree.slices(shapes)
+        self._where = where
+        self.latest = Estimate(*[self._out[part] for part in where.estimate])
+        self._entries, self._last = self._w.data, self._out.data
+        self._is_single = (self.model.p, self.model.m) == (1, 1)
+        self._out[:] = np.nan
+        self._out[where.side] = 0.0
+
+    @property
+    def side(self) -> Floats:
+        """Measured side of the last reading (p)."""
+        return self._out[self._where.side].copy()
 
     def update(self, y: Array, u: Array) -> Estimate:
         """Take one sample in, give one estimate out.
@@ -72,15 +96,27 @@ class Online:
             The estimate from this reading and all before it, as NumPy arrays; empty where the
             observer estimates nothing.
         """
-        self._w[: self._p] = y
-        self._w[self._p :] = u
+        self.update_into(y, u)
+        out = self._out.copy()
+        return Estimate(*[out[part] for part in self._where.estimate])
+
+    def update_into(self, y: Array, u: Array) -> None:
+        """Take one sample in; `latest` then holds the estimate, and nothing is copied.
+
+        Args:
+            y: reading (p); NaN or infinite: missing. Numbers of Python are the fastest.
+            u: input (m) that acts from this sample to the next; not finite: as before.
+        """
+        if self._is_single and type(y) is float and type(u) is float:
+            self._entries[0] = y
+            self._entries[1] = u
+        else:
+            self._w[: self._p] = y
+            self._w[self._p :] = u
         self._step()
         self.samples += 1
-        out = self._out.copy()
-        self.side = out[self._where.side]
-        if out[-1]:
+        if self._last[-1]:
             self.missing += 1
-        return Estimate(*[out[part] for part in self._where.estimate])
 
     def update_many(self, y: Floats, u: Floats) -> tuple[Estimate, Floats]:
         """Take a block of samples in, give their estimates out, as `update` does one by one.
@@ -96,19 +132,15 @@ class Online:
             The estimates, a row for each sample in each field, and the measured sides (N x p).
         """
         w = np.hstack([y, u])
-        if len(w) < FEW:
-            out: Floats = np.empty((len(w), self._out.size))
-            for k, row in enumerate(w):
-                self._w[:] = row
-                self._step()
-                out[k] = self._out
-        else:
+        if self._blocks is not None and len(w) >= FEW:
             out = self._blocks.run(self._step.state, w)
+        else:
+            out = self._step.run(w)
+        if len(w):
+            self._out[:] = out[-1]
         self.samples += len(w)
         self.missing += int(out[:, -1].sum())
         sides = out[:, self._where.side]
-        if len(w):
-            self.side = sides[-1].copy()
         return Estimate(*[out[:, part] for part in self._where.estimate]), sides
 
     def peek(self, y: Array) -> Estimate:
@@ -119,10 +151,25 @@ class Online:
         Args:
             y: reading (p).
         """
-        before = self._step.state.copy(), self.samples, self.missing, self.side
+        before = self._step.state.copy(), self._out.copy(), self.samples, self.missing
         estimate = self.update(y, 0.0)
-        self._step.state[:], self.samples, self.missing, self.side = before
+        self._step.state[:], self._out[:], self.samples, self.missing = before
         return estimate
+
+
+def _engine(
+    graph: ca.Function, state: Floats, params: Floats, compiled: bool
+) -> tuple[Stepper | CompiledStepper, BlockRunner | None, str]:
+    """What runs single samples, what runs blocks (None: the same), and how it is called."""
+    engine = "virtual machine"
+    if compiled:
+        from undeadzone.engine.live import CompiledStepper
+
+        try:
+            return CompiledStepper(graph, state, params), None, "compiled"
+        except InputError as error:
+            engine = f"virtual machine: {error}"
+    return Stepper(graph, state, params), BlockRunner(graph, params), engine
 
 
 def built_for(
@@ -144,7 +191,7 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = resolve(sensor, model.p, Ts)
+    zone = resolve(sensor, model.p, Ts, pace(system.linear))
     built = observer.build(model, zone)
     require_bounded_error(model, built, Ts)
     return model, zone, built

@@ -1,0 +1,158 @@
+"""modelDescription.xml of FMI 2.0 and 3.0."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any, Final
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from undeadzone.exports.fmu.variables import Variable
+from undeadzone.support.text import printable
+
+_NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
+
+# Capabilities: names differ between the versions in one letter.
+_CAN: Final = {
+    2: {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    },
+    3: {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+    },
+}
+
+
+_HELD: Final = {"dependencies": ""}
+
+
+def token(report: dict[str, Any], version: int) -> str:
+    """What tells that description and binary belong together, made of the hash.
+
+    Args:
+        report: name, hash and version of the export.
+        version: of FMI, 2 or 3.
+    """
+    words = (report["name"], report["hash"], report["version"], f"fmi{version}")
+    return "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, " ".join(words))) + "}"
+
+
+def description(
+    report: dict[str, Any], listed: list[Variable], sources: list[str], version: int
+) -> str:
+    """The text of modelDescription.xml.
+
+    Args:
+        report: what the manifest holds.
+        listed: the variables, in the order of their references.
+        sources: names of the C files to be compiled.
+        version: of FMI, 2 or 3.
+    """
+    name = report["name"]
+    root = Element("fmiModelDescription", {"fmiVersion": f"{version}.0", "modelName": name})
+    root.set("guid" if version == 2 else "instantiationToken", token(report, version))
+    root.set("description", _plain(str(report["title"])))
+    root.set("generationTool", f"undeadzone {report['version']}")
+    root.set("variableNamingConvention", "flat")
+    kind = SubElement(root, "CoSimulation", {"modelIdentifier": name, **_CAN[version]})
+    if version == 2:
+        files = SubElement(kind, "SourceFiles")
+        for source in sources:
+            SubElement(files, "File", {"name": source})
+    else:
+        kind.set("fixedInternalStepSize", repr(report["step"]))
+    _units(root, listed, version)
+    times = {"startTime": "0.0", "stepSize": repr(report["step"])}
+    SubElement(root, "DefaultExperiment", times)
+    parent = SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(listed):
+        _variable(parent, reference, variable, version)
+    if version == 3:
+        attributes = {"name": "time", "valueReference": str(len(listed))}
+        attributes |= {"causality": "independent", "variability": "continuous", "unit": "s"}
+        SubElement(parent, "Float64", attributes)
+    _structure(root, listed, version)
+    return _text(root)
+
+
+def _units(root: Element, listed: list[Variable], version: int) -> None:
+    """The units that variables name; in FMI 3 time is a variable too."""
+    names = {_plain(variable.unit) for variable in listed if variable.unit}
+    if version == 3:
+        names.add("s")
+    if names:
+        parent = SubElement(root, "UnitDefinitions")
+        for name in sorted(names):
+            SubElement(parent, "Unit", {"name": name})
+
+
+def _variable(parent: Element, reference: int, variable: Variable, version: int) -> None:
+    """A variable: the type is inside of it in FMI 2, its name in FMI 3."""
+    is_parameter = variable.causality == "parameter"
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": _plain(variable.meaning),
+        "causality": variable.causality,
+        "variability": "tunable" if is_parameter else "discrete",
+    }
+    typed: dict[str, str] = {}
+    if variable.unit:
+        typed["unit"] = _plain(variable.unit)
+    if variable.start is None:
+        attributes["initial"] = "calculated"
+    else:
+        typed["start"] = "false" if variable.is_flag else repr(variable.start)
+    if version == 2:
+        inner = "Boolean" if variable.is_flag else "Real"
+        SubElement(SubElement(parent, "ScalarVariable", attributes), inner, typed)
+    else:
+        kind = "Boolean" if variable.is_flag else "Float64"
+        SubElement(parent, kind, attributes | typed)
+
+
+def _structure(root: Element, listed: list[Variable], version: int) -> None:
+    """The outputs, which depend on no input of the present moment: they are of the last sample."""
+    parent = SubElement(root, "ModelStructure")
+    shown = [k for k, variable in enumerate(listed) if variable.causality == "output"]
+    if version == 3:
+        for word, known in (("Output", _HELD), ("InitialUnknown", {})):
+            for k in shown:
+                SubElement(parent, word, {"valueReference": str(k), **known})
+        return
+    for word, known in (("Outputs", _HELD), ("InitialUnknowns", {})):
+        group = SubElement(parent, word)
+        for k in shown:
+            SubElement(group, "Unknown", {"index": str(k + 1), **known})
+
+
+def _plain(text: str) -> str:
+    """A text on one line that XML can hold."""
+    return printable(" ".join(text.split())).translate(_NO_XML)
+
+
+def build_description(name: str, sources: list[str]) -> str:
+    """The text of sources/buildDescription.xml of FMI 3.0.
+
+    Args:
+        name: the model's identifier.
+        sources: names of the C files to be compiled.
+    """
+    root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    built = SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    files = SubElement(built, "SourceFileSet", {"language": "C99"})
+    for source in sources:
+        SubElement(files, "SourceFile", {"name": source})
+    return _text(root)
+
+
+def _text(root: Element) -> str:
+    """An XML document."""
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

@@ -1,0 +1,31 @@
+"""Programs that some tests need: they skip by name, or fail where these are required."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+
+import pytest
+
+
+def require(group: str, missing: list[str]) -> None:
+    """Skip the test that calls this, by the names of what is missing.
+
+    Where UNDEADZONE_REQUIRE names the group (emulator, fmu, browser) it fails instead.
+    """
+    if not missing:
+        return
+    message = f"{group}: not installed: {', '.join(missing)}"
+    if group in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
+        pytest.fail(message)
+    pytest.skip(message)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say which tests were skipped for want of what, and how many: no skip is silent."""
+    counts: Counter[str] = Counter()
+    for report in terminalreporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        counts[reason.removeprefix("Skipped: ")] += 1
+    for reason, count in sorted(counts.items()):
+        terminalreporter.write_line(f"skipped {count}: {reason}")
