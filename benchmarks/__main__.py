@@ -29,6 +29,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "damaged_logs",
     "firmware",
 )
 HEAD = (

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from benchmarks.damaged_logs import counted
 from click.testing import CliRunner
 from scipy.io import savemat
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.errors import FileError, InputError, UndeadzoneError
+from undeadzone.errors import FileError, InputError
 from undeadzone.identification.grid import find_quantum, shortened, to_grid
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.scenario.reader import read
@@ -194,41 +196,9 @@ def test_quantum_and_long_logs() -> None:
 # --- damaged files
 
 
-def damaged(rng: np.random.Generator, text: str) -> bytes:
-    """A log with a few random wounds."""
-    data = bytearray(text.encode())
-    for _ in range(rng.integers(1, 6)):
-        place = int(rng.integers(0, len(data)))
-        match rng.integers(0, 6):
-            case 0:
-                data[place] = int(rng.integers(0, 256))
-            case 1:
-                del data[place : place + int(rng.integers(1, 40))]
-            case 2:
-                data[place:place] = rng.choice([b",", b";", b"\n", b"nan", b"1e400", b'"', b"\t"])
-            case 3:
-                data[place:place] = data[place : place + 30]
-            case 4:
-                del data[place:]
-            case _:
-                data[place:place] = rng.bytes(3)
-        if not data:
-            break
-    return bytes(data)
-
-
 def test_damaged_csv_files_end_in_a_log_or_in_words(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    rows = np.column_stack([0.1 * np.arange(40), rng.standard_normal((40, 2)).round(3)])
-    path = tmp_path / "log.csv"
-    refused = 0
-    for _ in range(1500):
-        path.write_bytes(damaged(rng, text_of(rows)))
-        try:
-            to_grid([read_log(path)])
-        except UndeadzoneError:
-            refused += 1
-    assert refused > 300
+    counts = counted(700, tmp_path / "log.csv")
+    assert min(counts.values()) > 20
 
 
 # --- the command
@@ -270,11 +240,31 @@ def test_the_command_writes_a_scenario_that_runs(
     run = uz.simulate(problem)
     assert run.diverged_at is None
     assert abs(run.d_hat[-1, 0] - answer["right"][0]) < 0.1
+    assert uz.estimate(tmp_path / "log.toml", written).consistent
     table = runner.invoke(
         group, ["identify", str(written), "--order", "2", "--no-figures", "--place", "sensor"]
     )
     for words in ("d_right", "d_left", "width", "centre", "held out", "log.toml"):
         assert words in table.output
+
+
+def test_two_records_become_certified_gains_and_a_run(written: Path, tmp_path: Path) -> None:
+    """From two logs of one plant to a scenario, to gains with a proof, to a run with them."""
+    rows = np.loadtxt(written, delimiter=",", skiprows=1)
+    halves = [tmp_path / "first.csv", tmp_path / "second.csv"]
+    for path, part in zip(halves, (rows[:400], rows[400:]), strict=True):
+        path.write_text(text_of(part))
+    answer = uz.identify([str(path) for path in halves], order=2, place="sensor")
+    assert answer.answer.evidence.grid.start.tolist() == [0, 400]
+    (tmp_path / "both.toml").write_text(answer.scenario())
+    problem = read(tmp_path / "both.toml")
+    proved = uz.design(problem, "rate")
+    assert proved.margin > 0
+    observer = uz.Certified(L=proved.L, gamma=proved.gamma)
+    simulation = msgspec.structs.replace(problem.simulation, duration=20.0)
+    run = uz.simulate(msgspec.structs.replace(problem, observer=observer, simulation=simulation))
+    assert run.diverged_at is None
+    assert abs(run.d_hat[-1] - [answer.right.value, answer.left.value]).max() < 0.1
 
 
 def test_the_command_says_no_and_bad_input(written: Path, tmp_path: Path) -> None:

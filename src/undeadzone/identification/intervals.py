@@ -208,9 +208,10 @@ def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
         theta = fit.theta
         for k in direction:
             fixed = (float(values[k]), float(values[k]))
+            both = objective.limits.tied
             limits = Limits(
-                fixed if side == "right" else objective.limits.right,
-                fixed if side == "left" else objective.limits.left,
+                fixed if both or side == "right" else objective.limits.right,
+                fixed if both or side == "left" else objective.limits.left,
             )
             held = Objective(objective.simulator, objective.kind, limits, objective.readings.ok)
             top = climbed(held, theta, steps)

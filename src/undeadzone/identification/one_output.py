@@ -93,7 +93,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         there = rescued(verdict, elsewhere, rivals)
         place = None if there is verdict else elsewhere
         verdict = there
-    if verdict.word in ("dead_zone", "other"):
+    if verdict.word in ("dead_zone", "other", "unclear"):
         verdict = unmodelled(verdict, chosen.pairs)
     offset = options.offset_rms()
     widths = find_widths(

@@ -203,6 +203,8 @@ def _record(answer: Answer) -> str:
     silent = answer.evidence.excitation.silent
     if answer.fit.objective.kind != "behind":
         return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
+    if not answer.zone:
+        return text + "; no exact zeros"
     return text + f"; no exact zeros: noise behind the zone; {100 * silent:.0f} % of z inside it"
 
 
@@ -257,6 +259,8 @@ def _disturbance(answer: Answer, unit: str) -> str:
     """rms and correlation time."""
     disturbance = answer.disturbance
     where = "at z" if disturbance.ahead else "behind the zone"
+    if not disturbance.ahead and not answer.zone:
+        where = "left of the readings"
     text = f"rms {disturbance.rms:.3g}{unit} {where}"
     if disturbance.correlation_time is not None:
         text += f", correlation time {disturbance.correlation_time:.2g} s"

@@ -21,17 +21,17 @@ RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 
 
 def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
-    """The verdict dead_zone or other, with what the model lacks.
+    """The verdict, with what the model lacks where that has a name.
 
     Args:
-        verdict: so far.
+        verdict: dead_zone, other or unclear, so far.
         fit: plant and zone.
 
     Returns:
-        `other` where the readings inside the zone lie about another value than 0; a caution where
-        the plant's stiffness depends on z.
+        `other` where the readings inside the zone lie about another value than 0; a caution, or a
+        reason why nothing is clear, where the plant's stiffness depends on z.
     """
-    offset = offset_inside(fit)
+    offset = None if verdict.word == "unclear" else offset_inside(fit)
     if offset is not None:
         value = offset * fit.objective.data.y_scale
         reason = (
@@ -42,15 +42,17 @@ def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
     if verdict.word == "other":
         return verdict
     share, chance, slope = cubic_share(fit)
-    if share > SHARE and chance < CHANCE:
-        how = "stiffer" if slope < 0 else "softer"
-        caution = (
-            f"the cube of z^ as a force explains {100 * share:.0f} % of the one-step residual: the"
-            f" plant is weakly nonlinear, {how} far from 0; its resonance depends on the amplitude,"
-            " and the widths may be off by more than their intervals"
-        )
-        return Verdict(verdict.word, verdict.reasons, [*verdict.cautions, caution])
-    return verdict
+    if share < SHARE or chance > CHANCE:
+        return verdict
+    how = "stiffer" if slope < 0 else "softer"
+    words = (
+        f"the cube of z^ as a force explains {100 * share:.0f} % of the one-step residual: the"
+        f" plant is nonlinear, {how} far from 0, and its resonance depends on the amplitude"
+    )
+    if verdict.word == "unclear":
+        return verdict._replace(reasons=[*verdict.reasons, words])
+    caution = f"{words}; the widths may be off by more than their intervals"
+    return verdict._replace(cautions=[*verdict.cautions, caution])
 
 
 def offset_inside(fit: Fit) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.identification.intervals import profile
 from undeadzone.identification.kalman_smoother import innovations as filtered
-from undeadzone.identification.orders import correlation, innovations
+from undeadzone.identification.orders import correlation, innovations, trained_part
 from undeadzone.identification.residual_map import expected_reading
 from undeadzone.identification.result import Identified
 from undeadzone.report.style import (
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from undeadzone.support.arrays import Floats
+
+MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
 POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
@@ -48,7 +51,7 @@ def figures(found_log: Identified) -> dict[str, Figure]:
         "residual_map": _residual_map(found_log),
         "residual": _residual(found_log),
     }
-    if found_log.zone:
+    if found_log.right is not None:
         drawn["hidden"] = _hidden(found_log)
         if found_log.verdict == "dead_zone":
             drawn["profiles"] = _profiles(found_log)
@@ -77,16 +80,18 @@ def _overview(found_log: Identified) -> Figure:
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     axes = panels["signals"]
     t = grid.t[part]
-    if found_log.zone:
-        _zone_bands(axes, found_log)
+    _zone_bands(axes, found_log)
     y = np.where(grid.ok, grid.y, np.nan)[part]
     axes.plot(t, (answer.fit.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
     axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
-    first = int((1 - answer.options.held_out) * grid.t.size)
-    for each in panels.values():
-        each.axvspan(grid.t[first], grid.t[-1], color=ZONE, alpha=0.12, linewidth=0)
-    finish(axes, "Output and reading; shaded: held out", label("z, y", _unit(found_log)), "")
     data = answer.fit.objective.data
+    held_out = ~trained_part(data, answer.options.held_out)
+    for each in panels.values():
+        each.fill_between(
+            t, 0, 1, where=held_out[part], color=ZONE, alpha=0.12, linewidth=0,
+            transform=each.get_xaxis_transform(),
+        )  # fmt: skip
+    finish(axes, "Output and reading; shaded: held out", label("z, y", _unit(found_log)), "")
     side = np.where(data.ok, data.side, np.nan)[part]
     panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
@@ -131,7 +136,7 @@ def _residual_map(found_log: Identified) -> Figure:
     answer = found_log.answer
     residuals, scale = answer.evidence.residuals, answer.scale
     fit = answer.evidence.chosen.singles
-    figure, panels = sheet([["map", "static"]], "What the dead zone leaves", height=3.4)
+    figure, panels = sheet([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
@@ -143,13 +148,23 @@ def _residual_map(found_log: Identified) -> Figure:
     unit = _unit(found_log)
     finish(axes, "Residual by z^", label("y - E[y | z^]", unit), label(r"$\hat z$", unit))
     axes = panels["static"]
-    axes.plot((fit.z * scale)[ok], fit.objective.readings.y[ok] * scale, ".", color=READING,
+    axes.plot((fit.z * scale)[ok], answer.evidence.grid.y[ok], ".", color=READING,
               markersize=1.5, alpha=0.5, label="readings")  # fmt: skip
-    order = np.argsort(fit.z)
-    axes.plot((fit.z * scale)[order], (expected_reading(fit) * scale)[order], color=ESTIMATE,
-              label="dead zone")  # fmt: skip
+    z, expected = _sensor_map(found_log)
+    axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
     return figure
+
+
+def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
+    """z in order, and the reading that the fitted sensor gives there."""
+    answer = found_log.answer
+    fit, jumps = answer.evidence.chosen.singles, answer.evidence.jumps
+    z = np.sort(fit.z) * answer.scale
+    if jumps is None:
+        return z, np.sort(expected_reading(fit)) * answer.scale
+    right, left = (edge.value * answer.scale for edge in jumps)
+    return z, np.where((z > right) | (z < -left), z, 0.0)
 
 
 def _residual(found_log: Identified) -> Figure:
