@@ -1,7 +1,10 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = .venv/bin
 
-.PHONY: paper test tools bench clean
+FUZZ_SECONDS ?= 600
+MUTANTS ?= 300
+
+.PHONY: paper test tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -10,7 +13,17 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadfile
+
+fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
+	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
+
+mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 of them, an hour
+	$(BIN)/python -m mutants map
+	$(BIN)/python -m mutants run --count $(MUTANTS)
+
+coverage: .venv/tested        ## lines of src that no test runs
+	$(BIN)/pytest -n 2 --dist loadfile --cov=undeadzone --cov-report=term-missing:skip-covered
 
 tools:                        ## what some tests need besides Python: compiler and emulator of a microcontroller, cppcheck, browser
 	sh tests/tools.sh
@@ -18,8 +31,12 @@ tools:                        ## what some tests need besides Python: compiler a
 bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
 
+docs: .venv/documented         ## the documentation site, in site/
+	bash docs/site/katex.sh
+	$(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf .venv *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv site *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -28,6 +45,10 @@ clean:
 
 .venv/tested: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+.venv/documented: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 .venv/benched: .venv/tested

@@ -21,6 +21,8 @@ NAMES = (
     "precision",
     "coverage",
     "glitches",
+    "ranges",
+    "closed_loops",
     "arm_coverage",
     "arm_operations",
     "certificates",

@@ -1,196 +1,173 @@
-"""Coverage and errors of `uz.identify` over random plants, and its verdicts on other maps."""
+"""Coverage and errors of `uz.identify` over random plants, and its verdicts on other maps.
+
+Every answer is kept in build/identify.jsonl as soon as there is one, and not computed again: a
+study of hours can be done in parts. IDENTIFY_SEEDS: logs a family (10). IDENTIFY_MINUTES: stop
+after so many and print what there is. IDENTIFY_ONLY: families, with commas between. Remove the file
+to begin anew, as after a change of the estimator.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import time
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
 
 import undeadzone as uz
-from undeadzone.support.arrays import Floats
+from benchmarks.identify_logs import FAMILIES, MAPS, SAMPLES, Made, make, mapped
+from undeadzone.identification.fit import refit
+from undeadzone.identification.intervals import Interval
+from undeadzone.statistics.intervals import proportion
 
-SAMPLES = 1500
-SEEDS = int(os.environ.get("IDENTIFY_SEEDS", "10"))  # logs a family; 50 for the acceptance
-DISTURBED = {"coloured": 0.1, "strong": 0.3}  # rms at z of a disturbance of the input
-FAMILIES = ("white", "coloured", "strong", "sines", "one", "behind", "drift", "heavy", "none")
-MAPS = ("saturation", "jump", "cubic", "play")
-
-
-class Made(NamedTuple):
-    """A log and its truth: step [s], u, y, order, d_r, d_l; z is scaled to rms 1."""
-
-    step: float
-    u: Floats
-    y: Floats
-    n: int
-    right: float
-    left: float
+KEPT = Path("build/identify.jsonl")
+Outcome = dict[str, Any]
 
 
-def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
+def families() -> list[str]:
+    """The families that are asked for."""
+    only = os.environ.get("IDENTIFY_ONLY")
+    return only.split(",") if only else [*FAMILIES, *MAPS]
 
 
-def plant(rng: np.random.Generator) -> tuple[Floats, Floats, float, float, int]:
-    """A sampled plant of order 1 to 3: numerator, denominator, step, natural frequency, order."""
-    n = int(rng.integers(1, 4))
-    omega = 2 * np.pi * rng.uniform(0.5, 1.5)
-    damping = rng.uniform(0.2, 0.9)
-    if n == 1:
-        num, den = [omega], [1, omega]
-    elif n == 2:
-        num, den = [omega**2], [1, 2 * damping * omega, omega**2]
-    else:
-        fast = omega * rng.uniform(0.7, 3)
-        num = [omega**2 * fast]
-        den = np.polymul([1, 2 * damping * omega, omega**2], [1, fast])
-    step = 2 * np.pi / omega / rng.uniform(15, 40)
-    b, a, _ = cont2discrete((num, den), step)
-    return b.ravel(), a, step, omega, n
-
-
-def excitation(rng: np.random.Generator, step: float, omega: float, sines: bool) -> Floats:
-    """First-order noise, steps, or two to four sines."""
-    time_ = np.arange(SAMPLES) * step
-    if sines:
-        count = int(rng.integers(2, 5))
-        u = np.zeros(SAMPLES)
-        for factor in (0.21, 0.47, 0.83, 1.31)[:count]:
-            phase = rng.uniform(0, 6.3)
-            u += rng.uniform(0.5, 1) * np.sin(omega * factor * time_ + phase)
-        return u
-    if rng.random() < 0.5:
-        pole = math.exp(-step * omega * rng.uniform(0.3, 1))
-        return lfilter([1], [1, -pole], rng.standard_normal(SAMPLES))
-    hold = max(2, int(rng.uniform(0.5, 2) * 2 * np.pi / omega / step))
-    return np.repeat(rng.standard_normal(SAMPLES // hold + 1), hold)[:SAMPLES]
-
-
-def make(seed: int, family: str) -> Made:
-    """A log of a family."""
-    rng = np.random.default_rng(90_000 + seed)
-    b, a, step, omega, n = plant(rng)
-    u = excitation(rng, step, omega, family == "sines")
-    z = lfilter(b, a, u)
-    u, z = u / z.std(), z / z.std()
-    right, left = rng.uniform(0.1, 1.0, 2)
-    if family == "one":
-        left = -float(np.quantile(z, 0.03)) * rng.uniform(0.8, 1)
-    s = float(rng.choice([0.02, 0.05, 0.1]))
-    e = s * rng.standard_normal(SAMPLES)
-    if family == "heavy":
-        e = 0.08 / math.sqrt(3) * rng.standard_t(3, SAMPLES)
-    w = disturbance(rng, family, b, a, step, omega)
-    if family == "none":
-        return Made(step, u, z + e, n, 0.0, 0.0)
-    if family == "behind":
-        return Made(step, u, dead_zone(z + w, right, left) + e, n, right, left)
-    return Made(step, u, dead_zone(z + w + e, right, left), n, right, left)
-
-
-def disturbance(
-    rng: np.random.Generator, family: str, b: Floats, a: Floats, step: float, omega: float
-) -> Floats:
-    """What is added to z ahead of the zone besides white noise."""
-    if family in DISTURBED:
-        pole = math.exp(-step * omega / rng.uniform(0.3, 2))
-        w = lfilter(b, a, lfilter([1], [1, -pole], rng.standard_normal(SAMPLES + 500)))[500:]
-        return w / w.std() * DISTURBED[family]
-    if family == "drift":
-        pole = math.exp(-step * omega / 20)
-        w = lfilter([1], [1, -pole], rng.standard_normal(SAMPLES + 3000))[3000:]
-        return w / w.std() * 0.15
-    return np.zeros(SAMPLES)
-
-
-def mapped(seed: int, kind: str) -> Made:
-    """A log of another map than a dead zone."""
-    made = make(seed, "none")
-    rng = np.random.default_rng(seed)
-    z = made.y
-    if kind == "saturation":
-        y = np.clip(z, -0.8, 1.0)
-    elif kind == "jump":
-        y = np.where((z > 0.4) | (z < -0.7), z, 0.0)
-    elif kind == "cubic":
-        y = z + 0.5 * z**3
-    else:
-        y, now = np.empty(z.size), 0.0
-        for k, value in enumerate(z):
-            now = min(max(now, value - 0.4), value + 0.4)
-            y[k] = now
-        y += 0.03 * rng.standard_normal(z.size)
-    return made._replace(y=y)
-
-
-def answered(made: Made, **options: Any) -> tuple[uz.Identified, float]:
-    """The answer and the CPU seconds that it took."""
-    began = time.process_time()
-    answer = uz.identify(t=made.step, u=made.u, y=made.y, **options)
-    return answer, time.process_time() - began
-
-
-def row(family: str) -> str:
-    """One line of the table of coverage."""
-    errors, halves, held, widths, seconds = [], [], [], [], []
-    found, right_order = 0, 0
-    for seed in range(SEEDS):
-        made = make(seed, family)
-        answer, spent = answered(made)
-        seconds.append(spent)
-        if not answer.zone:
-            continue
-        found += 1
-        right_order += answer.order == made.n
-        for interval, truth in ((answer.right, made.right), (answer.left, made.left)):
-            if interval is None:
+def outcomes() -> list[Outcome]:
+    """Every answer that there is, after as many new ones as the time allows."""
+    KEPT.parent.mkdir(exist_ok=True)
+    KEPT.touch()
+    kept = [json.loads(line) for line in KEPT.read_text().splitlines()]
+    done = {(one["family"], one["seed"]) for one in kept}
+    ends = time.monotonic() + 60 * float(os.environ.get("IDENTIFY_MINUTES", "inf"))
+    for seed in range(int(os.environ.get("IDENTIFY_SEEDS", "10"))):
+        for family in families():
+            if (family, seed) in done or time.monotonic() > ends:
                 continue
-            held.append(interval.low <= truth <= interval.high)
-            if math.isfinite(interval.high):
-                errors.append(abs(interval.value - truth))
-                halves.append(interval.half)
-        if answer.width is not None:
-            truth = made.right + made.left
-            widths.append(answer.width.low <= truth <= answer.width.high)
-    if not found:
-        return f"| {family} | 0 of {SEEDS} | - | - | - | - | - | {np.median(seconds):.1f} |"
+            outcome = outcome_of(family, seed)
+            with KEPT.open("a") as file:
+                file.write(json.dumps(outcome) + "\n")
+            kept.append(outcome)
+    return kept
+
+
+def outcome_of(family: str, seed: int) -> Outcome:
+    """What `identify` makes of a log, beside its truth."""
+    made = mapped(seed, family) if family in MAPS else make(seed, family)
+    began = time.process_time()
+    answer = uz.identify(t=made.step, u=made.u, y=made.y)
+    spent = time.process_time() - began
+    whole = answer.answer
+    place = whole.evidence.place
+    return {
+        "family": family,
+        "seed": seed,
+        "seconds": round(spent, 2),
+        "verdict": answer.verdict,
+        "place": "" if place is None else place.verdict,
+        "true_order": made.n,
+        "order": answer.order,
+        "true": [made.right, made.left],
+        "right": triple(answer.right),
+        "left": triple(answer.left),
+        "width": triple(answer.width),
+        "least_squares": least_squares(answer, made) if answer.zone else None,
+        "remarks": whole.remarks,
+    }
+
+
+def triple(interval: Interval | None) -> list[float] | None:
+    """Value and ends of an interval; none where there is none, or one without an end."""
+    if interval is None or not math.isfinite(interval.high):
+        return None
+    return [interval.value, interval.low, interval.high]
+
+
+def least_squares(answer: uz.Identified, made: Made) -> list[float]:
+    """The edges by least squares through the zone, from where the likelihood ended."""
+    fit = refit(answer.answer.fit, "behind")
+    scale = answer.answer.scale
+    return [fit.right * scale, fit.left * scale]
+
+
+def edges(rows: list[Outcome]) -> list[tuple[list[float], float, float | None]]:
+    """(interval, truth, least squares) of every edge that was found."""
+    every = []
+    for one in rows:
+        for k, name in enumerate(("right", "left")):
+            if one[name] is not None:
+                squares = one["least_squares"]
+                every.append((one[name], one["true"][k], squares and squares[k]))
+    return every
+
+
+def covered(held: list[bool]) -> str:
+    """A share with its 95 % interval."""
+    if not held:
+        return "-"
+    _, low, high = proportion(sum(held), len(held))
+    return f"{np.mean(held):.3f} [{low:.2f}, {high:.2f}]"
+
+
+def middle(values: list[float]) -> str:
+    """Median and 90 % quantile."""
+    if not values:
+        return "-"
+    return f"{np.median(values):.4f} / {np.quantile(values, 0.9):.4f}"
+
+
+def family_row(family: str, rows: list[Outcome]) -> str:
+    """One line of the table of coverage."""
+    zones = [one for one in rows if one["verdict"] in ("dead_zone", "unreached")]
+    every = edges(zones)
+    errors = [abs(interval[0] - truth) for interval, truth, _ in every]
+    squares = [abs(ls - truth) for _, truth, ls in every if ls is not None]
+    held = [interval[1] <= truth <= interval[2] for interval, truth, _ in every]
+    widths = [
+        one["width"][1] <= sum(one["true"]) <= one["width"][2] for one in zones if one["width"]
+    ]
+    halves = [0.5 * (interval[2] - interval[1]) for interval, _, _ in every]
+    right_order = sum(one["order"] == one["true_order"] for one in zones)
+    seconds = float(np.median([one["seconds"] for one in rows]))
+    half = f"{np.median(halves):.4f}" if halves else "-"
     return (
-        f"| {family} | {found} of {SEEDS}"
-        f" | {np.median(errors):.4f} / {np.quantile(errors, 0.9):.4f}"
-        f" | {np.mean(held):.2f} | {np.mean(widths):.2f} | {np.median(halves):.4f}"
-        f" | {right_order} | {np.median(seconds):.1f} |"
+        f"| {family} | {len(zones)} of {len(rows)} | {middle(errors)} | {middle(squares)}"
+        f" | {covered(held)} | {covered(widths)} | {half} | {right_order} | {seconds:.1f} |"
     )
 
 
-def verdicts(kind: str) -> str:
-    """One line of the table of other maps."""
+def verdict_row(family: str, rows: list[Outcome]) -> str:
+    """One line of the table of verdicts."""
     words: dict[str, int] = {}
-    for seed in range(SEEDS):
-        answer, _ = answered(mapped(seed, kind))
-        words[answer.verdict] = words.get(answer.verdict, 0) + 1
+    for one in rows:
+        words[one["verdict"]] = words.get(one["verdict"], 0) + 1
     told = ", ".join(f"{word} {count}" for word, count in sorted(words.items()))
-    return f"| {kind} | {told} |"
+    return f"| {family} | {told} |"
 
 
 def table() -> str:
+    """The section of RESULTS.md."""
+    every = outcomes()
+    rows = {name: [one for one in every if one["family"] == name] for name in families()}
+    shown = {name: some for name, some in rows.items() if some}
+    zones = {name: some for name, some in shown.items() if name not in (*MAPS, "none")}
+    together = [one for some in zones.values() for one in some]
     lines = [
         "## Identification from logs",
         "",
-        f"{SEEDS} random plants a family, {SAMPLES} samples, order chosen by the tool; widths in"
-        " rms of z. Set IDENTIFY_SEEDS for more.",
+        f"Random plants of order 1 to 3, {SAMPLES} samples, order chosen by the tool; widths in rms"
+        " of z, shares with 95 % intervals. Errors: median / 90 %, beside those of least squares"
+        " through the zone. IDENTIFY_SEEDS sets the number of logs; the study is done in parts.",
         "",
-        "| family | zone found | error of an edge, median / 90 % | edges held | widths held"
+        "| family | zone found | error of an edge | by least squares | edges held | widths held"
         " | half-width | order right | CPU [s] |",
-        "|---|---|---|---|---|---|---|---|",
-        *[row(family) for family in FAMILIES],
+        "|---|---|---|---|---|---|---|---|---|",
+        *[family_row(name, some) for name, some in zones.items()],
+        *([family_row("all", together)] if together else []),
         "",
         "| truth | verdicts |",
         "|---|---|",
-        *[verdicts(kind) for kind in MAPS],
+        *[verdict_row(name, some) for name, some in shown.items()],
         "",
     ]
     return "\n".join(lines)

@@ -167,7 +167,7 @@ def kind(annotation: typing.Any) -> str:
     if typing.get_origin(annotation) is tuple:
         return f"list of {len(parts)} {parts[0]}s"
     if typing.get_origin(annotation) is list:
-        return f"list of {parts[0]}"
+        return f"list of ({parts[0]})" if " or " in parts[0] else f"list of {parts[0]}"
     if typing.get_origin(annotation) is dict:
         return f"table of {parts[1]}"
     return " or ".join(part for part in parts if part != "none")

@@ -1,10 +1,57 @@
-"""Shared by all tests: hypothesis without deadlines, since machines are slow at times."""
+"""Shared by all tests: hypothesis without deadlines, kept kernels, any order that a seed says."""
 
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import shutil
+from pathlib import Path
+
+import pytest
 from hypothesis import HealthCheck, settings
 
+import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 
 settings.register_profile(
     "shared", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
 )
 settings.load_profile("shared")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--order", type=int, metavar="SEED", help="files, and tests within them, in random order"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled kernels from one run of the tests to the next, while the engine is the same."""
+    digest = hashlib.sha256()
+    for path in sorted((Path(undeadzone.__file__).parent / "engine").glob("*.py")):
+        digest.update(path.read_bytes())
+    folder = config.rootpath / ".pytest_cache" / "kernels"
+    own = folder / digest.hexdigest()[:16]
+    for other in folder.glob("*"):
+        if other != own:
+            shutil.rmtree(other, ignore_errors=True)
+    own.parent.mkdir(parents=True, exist_ok=True)
+    os.environ["UNDEADZONE_CACHE"] = str(own)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Shuffle files, and the tests of each, which keeps what the tests of a file share."""
+    seed = config.getoption("order")
+    if seed is None:
+        return
+    draw = random.Random(seed)
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    order = list(files.values())
+    draw.shuffle(order)
+    items.clear()
+    for tests in order:
+        draw.shuffle(tests)
+        items.extend(tests)

@@ -11,7 +11,7 @@ import pytest
 from scenes import scene, slopes
 from undeadzone.errors import InputError
 from undeadzone.numerics.dense_output import DenseStep, _moved, runge_kutta, taylor
-from undeadzone.numerics.event_location import _crossing, _secant
+from undeadzone.numerics.event_location import Levels, _crossing, _secant
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 
@@ -88,18 +88,25 @@ def test_inputs_over_the_rest_of_a_step_are_the_same_polynomial() -> None:
     ("side", "z", "expected"),
     [
         (0, 0.5, (0, None, None, None)),
-        (0, 1.5, (1, 1, 1, 1)),
-        (0, -2.5, (1, -1, 0, 0)),
-        (1, 0.5, (1, 0, 1, 0)),
-        (-1, 0.5, (1, 0, 0, 1)),
-        (1, -2.5, (1, 0, 1, 0)),
+        (0, 1.5, (1, 1, 1.0, 1)),
+        (0, -2.5, (1, -1, -2.0, 0)),
+        (1, 0.5, (1, 0, 1.0, 0)),
+        (-1, 0.5, (1, 0, -2.0, 1)),
+        (1, -2.5, (1, 0, 1.0, 0)),
+        (1, 4.5, (1, 2, 4.0, 1)),
+        (0, 4.5, (1, 1, 1.0, 1)),
+        (2, 4.5, (0, None, None, None)),
+        (2, 3.0, (1, 1, 4.0, 0)),
+        (-1, -9.0, (1, -2, -5.0, 0)),
+        (-2, 3.0, (1, -1, -5.0, 1)),
     ],
 )
 def test_the_change_of_side_is_the_first_one_on_the_way(
-    side: int, z: float, expected: tuple[int | None, ...]
+    side: int, z: float, expected: tuple[float | None, ...]
 ) -> None:
-    """Right above 1, left below -2: changed, side entered, upper level, rising."""
-    crossing = _crossing(ca.SX(z), (ca.SX(1.0), ca.SX(-2.0)), ca.SX(side))
+    """Right above 1, left below -2, limits at 4 and -5: changed, side entered, level, rising."""
+    levels = Levels((ca.SX(1.0), ca.SX(4.0)), (ca.SX(-2.0), ca.SX(-5.0)))
+    crossing = _crossing(ca.SX(z), levels, ca.SX(side))
     for value, truth in zip(crossing, expected, strict=True):
         assert truth is None or numbers(value) == [truth]
 

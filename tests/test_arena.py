@@ -18,6 +18,8 @@ import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from scenes import scene, slopes
 from undeadzone.arena import leaderboard
@@ -25,7 +27,7 @@ from undeadzone.arena import tune as tuning
 from undeadzone.arena import tuned_file as tuned
 from undeadzone.arena.contest import run_contest
 from undeadzone.arena.entry import entered, numbers
-from undeadzone.arena.leaderboard import CAP, REFUSED, intervals, regrets
+from undeadzone.arena.leaderboard import CAP, bounded, intervals, regrets
 from undeadzone.arena.methods import METHODS, catalogue, middle
 from undeadzone.arena.metric import Result, Worth
 from undeadzone.arena.prior_knowledge import declaration, situation
@@ -58,7 +60,7 @@ DECLARED = {
     "tolerance": 0.05,
     "drift": 0.005,
 }
-TOLD_THE_TRUTH = {"full_state", "oracle"}
+TOLD_THE_TRUTH = {"full_state", "informed", "oracle"}
 
 
 def small(**changes: Any) -> Scenario:
@@ -386,36 +388,81 @@ def test_regret_by_hand() -> None:
     for scenario, scale in (("a", 1.0), ("b", 10.0)):
         for seed in (0, 1):
             results += [
-                result("full_state", scenario, seed, 0.1 * scale),
-                result("luenberger", scenario, seed, 1.1 * scale),
+                result("informed", scenario, seed, 0.1 * scale, zone=scale),
+                result("full_state", scenario, seed, 0.1 * scale, zone=scale),
+                result("luenberger", scenario, seed, 1.1 * scale, zone=scale),
             ]
+            tracking = (0.2 + 0.1 * seed) * scale
             results.append(
-                result("good", scenario, seed, (0.2 + 0.1 * seed) * scale, coverage=1.0 - seed)
+                result("good", scenario, seed, tracking, coverage=1.0 - seed, zone=scale)
             )
-            results.append(result("lost", scenario, seed, 1e3, diverged=scenario == "b"))
-            results.append(
-                result("picky", scenario, seed, 0.1 * scale if scenario == "a" else None)
-            )
+            lost = scenario == "b"
+            results.append(result("lost", scenario, seed, 1e3, diverged=lost, zone=scale))
+            picky = 0.1 * scale if scenario == "a" else None
+            results.append(result("picky", scenario, seed, picky, zone=scale))
     found = regrets(results)
     assert np.allclose(found["good"], [[0.1, 0.2], [0.1, 0.2]])
-    assert np.array_equal(found["lost"], [[CAP, CAP], [CAP, CAP]])
+    large = CAP - (CAP / 2) ** 2 / (1e3 - 0.1)
+    assert np.allclose(found["lost"], [[large, large], [CAP, CAP]], rtol=1e-15)
     assert np.isnan(found["picky"]).tolist() == [[False, False], [True, True]]
-    rows = {
-        row.method: row for row in leaderboard.leaderboard(results, {"full_state", "luenberger"})
-    }
-    assert list(rows) == ["full_state", "good", "picky", "luenberger", "lost"]
+    rows = {row.method: row for row in leaderboard.leaderboard(results, leaderboard.FRAME)}
+    assert list(rows) == ["informed", "full_state", "good", "picky", "luenberger", "lost"]
     assert rows["good"].median_regret == pytest.approx(0.15)
     assert rows["good"].coverage == 0.5
     assert (rows["good"].behind, rows["good"].behind_interval) == (0.0, (0.0, 0.0))
-    assert rows["lost"].behind == pytest.approx(CAP - 0.15)
-    assert rows["picky"].median_regret == pytest.approx(REFUSED / 2)
+    assert rows["lost"].behind == pytest.approx((large + CAP) / 2 - 0.15)
+    assert rows["picky"].median_regret == pytest.approx(0.5)
     assert (
         rows["picky"].worst_regret,
         rows["picky"].worst_scenario,
         rows["picky"].not_applicable,
-    ) == (REFUSED, "b", 0.5)
+    ) == (pytest.approx(1.0), "b", 0.5)
     assert (rows["lost"].diverged, rows["lost"].worst_regret) == (0.5, CAP)
     assert (rows["full_state"].reference, rows["good"].reference) == (True, False)
+
+
+@given(
+    J=st.lists(st.floats(1e-9, 1e9), min_size=2, max_size=2, unique=True),
+    lines=st.lists(st.floats(1e-9, 1e9), min_size=3, max_size=3),
+    lost=st.lists(st.booleans(), min_size=3, max_size=3),
+    zone=st.floats(1e-6, 1e6),
+)
+def test_the_smaller_error_ranks_ahead_whatever_the_lines_do(
+    J: list[float], lines: list[float], lost: list[bool], zone: float
+) -> None:
+    """Also where the naive observer beats full state, or a line diverges."""
+    best, other = sorted(J)
+    assume(other - best > 1e-3 * zone and other < 1e6 * zone and max(lines) < 1e6 * zone)
+    results = [result("best", "a", 0, best, zone=zone), result("other", "a", 0, other, zone=zone)]
+    for name, value, gone in zip(leaderboard.FRAME, lines, lost, strict=True):
+        results.append(result(name, "a", 0, value, diverged=gone, zone=zone))
+    results.append(result("gone", "a", 0, 1e300, diverged=True, zone=zone))
+    found = regrets(results)
+    assert -CAP < found["best"] < found["other"] < found["gone"] == CAP
+    ranked = [row.method for row in leaderboard.leaderboard(results, leaderboard.FRAME)]
+    own = [name for name in ranked if name not in leaderboard.FRAME]
+    assert own == ["best", "other", "gone"]
+
+
+def test_regrets_are_themselves_while_they_are_small() -> None:
+    values = np.array([-7.0, -5.0, 0.0, 0.3, 5.0, 5.001, 50.0, np.inf])
+    found = bounded(values)
+    assert np.array_equal(found[1:5], values[1:5])
+    assert (np.diff(found) > 0).all()
+    assert found[-1] == CAP
+
+
+def test_no_line_is_better_than_knowing_everything() -> None:
+    """`informed` runs the true plant without its disturbance, whatever the model believes."""
+    gusty = {"kind": "sine", "amplitude": 3.0, "frequency": 0.4}
+    ground = situation(small(disturbance=gusty))
+    J = {}
+    for name in ("informed", "full_state", "luenberger", "printed", "fuzzy_feedback_blind"):
+        worth = trial(name, METHODS[name], "small", ground, [3])[0].worth
+        assert worth is not None
+        J[name] = worth.tracking
+    assert min(J, key=lambda name: J[name]) == "informed"
+    assert J["informed"] < 0.05 * J["full_state"]
 
 
 def test_intervals_hold_the_median_as_often_as_they_say() -> None:
@@ -456,15 +503,16 @@ def test_every_method_gets_the_same_budget_and_the_search_finds_the_least() -> N
         assert found == tuning.best(METHODS[name], cost, 60, 0)
 
 
-def test_the_lines_that_make_regret_have_regret_0_and_1() -> None:
+def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone_off() -> None:
     ground = {"small": situation(small())}
     frame = [
         each
         for name in leaderboard.FRAME
         for each in trial(name, METHODS[name], "small", ground["small"], [7])
     ]
-    assert tuning.mean_regret(METHODS["full_state"], ground, frame, [7], {}) == 0
-    assert tuning.mean_regret(METHODS["luenberger"], ground, frame, [7], {}) == 1
+    assert tuning.mean_regret(METHODS["informed"], ground, frame, [7], {}) == 0
+    assert 0 < tuning.mean_regret(METHODS["full_state"], ground, frame, [7], {}) < 0.3
+    assert 0.7 < tuning.mean_regret(METHODS["luenberger"], ground, frame, [7], {}) < 1.3
     jump = {"small": situation(small(sensor={"kind": "jump", "noise": 0.02}))}
     frame = [
         each
@@ -521,15 +569,17 @@ def test_json_has_every_run_and_every_method(mine: Path) -> None:
     done = json.loads(run(mine, "--methods", "ekf,certified", "--seeds", "2", "--json").stdout)
     assert {(r["method"], r["scenario"], r["seed"]) for r in done["results"]} == {
         (method, "mine", seed)
-        for method in ("full_state", "luenberger", "ekf", "certified")
+        for method in (*leaderboard.FRAME, "ekf", "certified")
         for seed in (0, 1)
     }
     assert {"median_regret", "worst_regret", "median_interval", "worst_interval", "cost"} <= set(
         done["leaderboard"][0]
     )
     of = {(r["method"], r["seed"]): r for r in done["results"]}
-    full, naive, own = (of[method, 1]["tracking"] for method in ("full_state", "luenberger", "ekf"))
-    assert of["ekf", 1]["regret"] == pytest.approx((own - full) / (naive - full), rel=1e-12)
+    least, own = (of[method, 1]["tracking"] for method in ("informed", "ekf"))
+    zone = of["ekf", 1]["zone"]
+    assert of["ekf", 1]["regret"] == pytest.approx((own - least) / zone, rel=1e-12)
+    assert zone == pytest.approx(small().sensor.right / 2 + small().sensor.left / 2)
     assert done["files"] == []
 
 
@@ -600,7 +650,8 @@ def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
             tmp_path / "tuned.toml",
         ).stdout
     )
-    assert {row["method"] for row in table["leaderboard"]} == {"full_state", "luenberger", "oracle"}
+    lines = {"informed", "full_state", "luenberger", "oracle"}
+    assert {row["method"] for row in table["leaderboard"]} == lines
 
 
 def test_the_page_shows_the_numbers_of_the_contest() -> None:

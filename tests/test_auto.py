@@ -75,7 +75,7 @@ def test_every_claim_is_passed_on() -> None:
         "correlation_time": 0.3,
         "bias": 0.4,
     }
-    claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1}
+    claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
     assert set(claims) == set(Auto.__struct_fields__)
     chosen = Auto(**claims).chosen(MODEL, zone())
     assert {name: getattr(chosen, name) for name in claims} == claims

@@ -109,7 +109,10 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
     common: dict[str, Any] = {"right": RANGE, "x_std": 2.0, "drift": 0.1}
     pair = [
         options.build(model, where)
-        for options in (Kalman(**common), Censored(**EXACT | common, silence=False))
+        for options in (
+            Kalman(**common, disturbance=0.0),
+            Censored(**EXACT | common, silence=False),
+        )
     ]
     steps, states = (
         [on_numbers(observer, model) for observer in pair],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -215,7 +216,7 @@ def test_a_full_stdout_is_one_line(scenario: Path, arguments: list[str]) -> None
     with open("/dev/full", "w", encoding="utf-8") as full:
         done = subprocess.run(
             [*COMMAND, *arguments, str(scenario)],
-            input="0.5,1.0\n",
+            input="y,u\n0.5,1.0\n",
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
@@ -274,6 +275,7 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
+        process.stdin.write("y,u\n")
         for k in range(3):
             process.stdin.write(f"{0.1 * k},1.0\n")
             process.stdin.flush()
@@ -282,13 +284,43 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
         assert process.wait(20) == 0
 
 
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_watch_prints_what_it_has(scenario: Path, stop: int, code: int) -> None:
+    with subprocess.Popen(
+        [*COMMAND, "watch", str(scenario)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heard_signals,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("y,u\n0.5,1.0\n0.4,1.0\n")
+        process.stdin.flush()
+        for _ in range(3):
+            process.stdout.readline()
+        process.send_signal(stop)
+        _, said = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert "2 samples, 0 missing" in said
+    assert "consistent" in said
+    assert said.splitlines()[-1].startswith("undeadzone: ")
+
+
+def heard_signals() -> None:
+    """A background job ignores SIGINT unless it is told otherwise."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.mark.parametrize(
     ("stdin", "words"),
     [
         ("", "no samples"),
-        ("1.0,x\n", "'x'"),
-        ("1.0\n", "found 1"),
-        ("1,2,3,4\n", "found 4"),
+        ("y,u\n", "no samples"),
+        ("1.0,2.0\n", "without a header"),
+        ("t,y,u,y\n1,2,3,4\n", "the log has 2"),
+        ("y,v\n1.0,2.0\n", "holds u"),
         ("1" * 200_000, "not CSV text"),
     ],
 )

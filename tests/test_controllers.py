@@ -15,6 +15,8 @@ from undeadzone.controllers import PD, Controller, Robust, StateFeedback
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.observers import Estimate
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -109,11 +111,8 @@ def test_robust_term_is_bounded_smooth_and_zero_on_the_target() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        (
-            {},
-            InputError,
-            "controller: state_feedback needs exactly one of K, poles, alpha; found none",
-        ),
+        ({"speed": 0.0}, InputError, "controller.speed: must be greater than 0, found 0"),
+        ({"speed": 1.0, "alpha": 1.0}, InputError, "exactly one of .*; found alpha and speed"),
         ({"K": [1.0, 2.0], "alpha": 1.0}, InputError, "found K and alpha"),
         (
             {"K": [1.0, 2.0, 3.0]},
@@ -194,3 +193,16 @@ def test_pd_gains_from_34_are_alpha_BP_with_A_less_LC() -> None:
 def test_wrong_pd(options: dict[str, Any], model: System, words: str) -> None:
     with pytest.raises(InputError, match=words):
         PD(**options).build(model)
+
+
+@pytest.mark.parametrize("Ts", [None, 0.01])
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_without_a_choice_the_loop_is_faster_than_the_plant(unit: float, Ts: float | None) -> None:
+    """Poles of A - B K lie left of half the speed, five mean poles, in any unit of time."""
+    plant = system(Plant(A=[[0.0, unit], [-unit, -0.2 * unit]], B=[[0.0], [unit]], C=[[1.0, 0.0]]))
+    model = plant if Ts is None else sampled(plant, Ts / unit)
+    K = StateFeedback().build(model).K
+    poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)
+    rates = poles.real if Ts is None else np.log(np.abs(poles)) / Ts * unit
+    assert rates.max() < -2.5 * unit * (1 - 1e-6)
+    assert rates.min() > -10 * unit

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import re
 import shlex
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import get_args
 
@@ -52,14 +54,8 @@ def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) 
 
 def compared(command: str, expected: list[str], folder: Path) -> None:
     """Run a command in a folder and compare what it shows: words exactly, numbers to 2 %."""
-    code = "from undeadzone.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *shlex.split(command)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    alone = command.startswith("run examples/") and command.endswith("--no-figures")
+    done = ran_once(command) if alone else ran(command, folder)
     shown = done.stdout.rstrip("\n").split("\n")
     words = [NUMBER.sub("#", line) for line in shown]
     assert words == [NUMBER.sub("#", line) for line in expected], done.stderr
@@ -67,6 +63,25 @@ def compared(command: str, expected: list[str], folder: Path) -> None:
         # an integration error is known to its order of magnitude
         tolerance = 0.02 if abs(b) > 1e-7 else 10.0
         assert abs(a - b) <= tolerance * abs(b) + 1e-12
+
+
+@functools.cache
+def ran_once(command: str) -> subprocess.CompletedProcess[str]:
+    """A command that writes nothing, which several pages may show."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "examples").symlink_to(ROOT / "examples")
+        return ran(command, Path(folder))
+
+
+def ran(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """A command run in a folder."""
+    return subprocess.run(
+        [sys.executable, "-c", "from undeadzone.cli import main; main()", *shlex.split(command)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
 
 
 def numbers(lines: list[str]) -> list[float]:

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.scenes import scene
 
-from scenes import scene
 from undeadzone.controllers import ControllerOptions
 from undeadzone.engine import cache, interpret, lanes
 from undeadzone.engine.emit import straight_line
@@ -60,8 +60,11 @@ CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "computed_torque": ((), {}),  # of robot arms: test_robots_control.py
     "fuzzy_feedback": (BOTH, {"reach": 3.0, "rules": 3}),
     "gravity_pd": ((), {}),  # of robot arms: test_robots_control.py
+    "linear": (BOTH, {"numerator": [2.0, 5.0], "denominator": [0.05, 1.0]}),
+    "lqg": (BOTH, {"Q": 2.0, "integral": 5.0}),
     "lqr": (SAMPLED, {"Q": 2.0}),
     "pd": (BOTH, {"k_p": 2.0, "k_d": 0.1}),
+    "pid": (BOTH, {"k_p": 2.0, "k_i": 3.0, "k_d": 0.1, "limits": [-3.0, 3.0]}),
     "rbf_feedback": (BOTH, {"reach": 3.0, "centres": 3}),
     "sliding_mode": (BOTH, {"gain": 1.0}),
     "state_feedback": (BOTH, {"alpha": 5.0, "robust": {"gain": 0.5}}),
@@ -100,13 +103,6 @@ def combinations() -> list[tuple[str, str, str]]:
             if time in CONTROLLERS[controller][0]:
                 listed.append((observer, controller, time))
     return listed
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
 
 
 def small(time: str = "continuous", **changes: Any) -> Scenario:

@@ -12,7 +12,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,13 +97,6 @@ SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
         WIDTHS | {"observer.gamma": {"uniform": [5.0, 15.0]}},
     ),
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
 
 
 def vary(scenario: Scenario, entries: dict[str, Any], runs: int = RUNS, **changes: Any) -> Scenario:

@@ -254,6 +254,24 @@ def test_a_saved_ensemble_comes_back_to_the_last_bit(
     assert sorted(found.name for found in tmp_path.iterdir()) == [f"again{suffix}", f"runs{suffix}"]
 
 
+def test_a_damaged_parquet_is_refused_or_means_the_same(tmp_path: Path) -> None:
+    path = ensemble().save(tmp_path / "runs.parquet")
+    whole, first, refused = path.read_bytes(), Ensemble.load(path), 0
+    for place in range(5, len(whole), len(whole) // 300):
+        changed = bytearray(whole)
+        changed[place] ^= 0x10
+        path.write_bytes(changed)
+        try:
+            other = Ensemble.load(path)
+        except FileError:
+            refused += 1
+            continue
+        assert other.info == first.info
+        for name in (*first.varied, *first.metrics):
+            assert np.array_equal(other.column(name), first.column(name), equal_nan=True)
+    assert refused > 150
+
+
 def test_parquet_is_a_table_for_other_tools(tmp_path: Path) -> None:
     import pandas as pd
 

@@ -23,7 +23,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 PLANT = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=16.0), x0=[1.0, 0.0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
-KALMAN = uz.Kalman(right=[0.0, 2.0])
+KALMAN = uz.Kalman(right=[0.0, 2.0], disturbance=0.0)
 LOGS_ALONE = """
 title = "A load cell"
 [plant]
@@ -159,7 +159,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
     """
     A, B, C = model.linear
     online = uz.Online(
-        msgspec.structs.replace(KALMAN, disturbance=variance**0.5), PLANT, SENSOR, 0.01
+        msgspec.structs.replace(KALMAN, disturbance=variance**0.5, x_std=10.0), PLANT, SENSOR, 0.01
     )
     e = online.update_many(run.y[:N], run.u[:N])[0].innovation[:, 0]
     size = 4 + N  # x(0), d_r, d_l, w
@@ -189,7 +189,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
 
 @pytest.mark.parametrize("disturbance", [0.01, 0.5])
 def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbance: float) -> None:
-    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, glitches=0.0)
+    options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
     model, zone, observer = built_for(options, PLANT, SENSOR, 0.01, 10)
     N = 250
     smoothed = smooth(model, graph_of(observer), zone.threshold, run.y[:N], run.u[:N])
@@ -233,7 +233,7 @@ def test_smoothing_of_two_outputs() -> None:
         x0=[1.0, 0.0, -1.0],
     )
     two = scenario(
-        uz.Kalman(right=[0.0, 2.0]),
+        KALMAN,
         plant=plant,
         sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
         reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),
@@ -257,7 +257,7 @@ def test_the_test_is_the_recursion_in_blocks() -> None:
     whole, pieces = Consistency(0.01, 0.4), Consistency(0.01, 0.4)
     along = whole.add(e, np.ones(400))
     parts = [pieces.add(part, np.ones(part.size)) for part in np.split(e, [1, 50, 399])]
-    np.testing.assert_array_equal(np.concatenate(parts), along)
+    np.testing.assert_allclose(np.concatenate(parts), along, rtol=0, atol=1e-14)
     a, b, m, n, B = np.exp(-0.01 / 0.8), np.exp(-0.01 / 3.2), 0.0, 0.0, 1.0
     for value in e:
         m, n = a * m + value, a**2 * n + (value != 0)
@@ -301,9 +301,21 @@ def test_without_a_test_or_readings_nothing_is_claimed(run: uz.Run) -> None:
     certified = uz.estimate(scenario(uz.Certified(gamma=2.0, width_max=3.0)), y=run.y, u=run.u)
     assert certified.consistent is None
     assert "innovation_std" in certified.info.reasons[0]
-    silent = uz.estimate(scenario(), y=0 * run.y, u=run.u)
-    assert silent.consistent is None
-    assert "0 readings" in silent.info.reasons[0]
+    still = uz.estimate(scenario(), y=0 * run.y[:60], u=0 * run.u[:60])
+    assert still.consistent is None
+    assert "0 readings" in still.info.reasons[0]
+
+
+def test_silence_far_outside_the_zone_is_a_contradiction(run: uz.Run) -> None:
+    """A jump sensor followed as a dead zone, and a sensor that gives 0 whatever z does."""
+    jump = np.where((run.z > 1.3) | (run.z < -0.6), run.z + 0.01 * np.sin(99 * run.t)[:, None], 0.0)
+    for y, u in ((jump, run.u), (0.0 * run.y, 3.0 * run.u)):
+        result = uz.estimate(scenario(), t=run.t, y=y, u=u)
+        assert result.consistent is False
+        assert "although z^ lies far outside" in "; ".join(result.info.reasons)
+        assert result.info.silent_outside > 0.05 * result.info.silent[0]
+    true = uz.estimate(scenario(), t=run.t, y=run.y, u=run.u)
+    assert true.info.silent_outside == 0
 
 
 def test_wrong_arguments(run: uz.Run, folder: Path) -> None:

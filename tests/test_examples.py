@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from undeadzone.synthesis.check import affirmed
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RUNS: dict[str, uz.Run] = {}
@@ -34,6 +35,7 @@ def test_every_example_is_tested() -> None:
         "paper_2sin",
         "asymmetric_noise",
         "jump_velocity",
+        "load_cell_limited",
         "third_order",
         "two_outputs",
         "integrators",
@@ -65,6 +67,13 @@ def test_asymmetric_noise() -> None:
     np.testing.assert_allclose(run("asymmetric_noise").widths, [[1.3, 0.6]], atol=0.03)
 
 
+def test_load_cell_limited() -> None:
+    limited = run("load_cell_limited")
+    assert 0.1 < np.mean(np.abs(limited.side) == 1) < 0.15
+    np.testing.assert_allclose(limited.widths, [[1.2, 0.7]], atol=0.05)
+    assert limited.rms_tracking < 0.06
+
+
 def test_jump_velocity() -> None:
     np.testing.assert_allclose(run("jump_velocity").widths, [[0.5, 0.3]], atol=0.03)
 
@@ -86,6 +95,19 @@ def test_integrators_give_the_width_alone() -> None:
     assert not verdict["left"]
     assert result.widths.sum() == pytest.approx(2.0, abs=1e-4)
     assert abs(result.widths[0, 0] - 1.2) > 0.1
+
+
+def test_a_geared_motor_is_told_that_its_play_is_symmetric() -> None:
+    """Both commands end well; without the claim neither would."""
+    result = run("motor_position")
+    assert result.fully_identifiable
+    assert result.rms_estimation < 5e-3
+    np.testing.assert_allclose(result.widths, 0.12, atol=0.01)
+    scenario = uz.read(FOLDER / "motor_position.toml")
+    assert affirmed(uz.check(scenario))
+    vague = msgspec.structs.replace(scenario.observer, centre=None)
+    alone = msgspec.structs.replace(scenario, observer=vague)
+    assert not affirmed(uz.check(alone))
 
 
 def test_pendulum() -> None:

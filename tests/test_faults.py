@@ -81,13 +81,13 @@ def limited(size: int) -> Callable[[], None]:
     return limit
 
 
-@pytest.mark.parametrize("command", ["run", "check", "design", "ensemble"])
+@pytest.mark.parametrize("command", ["run", "check", "design --maximise rate", "ensemble"])
 def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
     tmp_path: Path, command: str
 ) -> None:
     mine, out = scenario(tmp_path, VARIED), tmp_path / "out"
     done = subprocess.run(
-        [*COMMAND, command, str(mine), "--no-figures", "--out", str(out)],
+        [*COMMAND, *command.split(), str(mine), "--no-figures", "--out", str(out)],
         preexec_fn=limited(300),
         capture_output=True,
         text=True,

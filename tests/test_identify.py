@@ -27,9 +27,9 @@ from undeadzone.identification.likelihood import (
     pairs,
     singles,
 )
-from undeadzone.identification.long_run import cosines, sandwich
+from undeadzone.identification.long_run import long_run_covariance, sandwich
 from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.identification.plant_fit import Data, Layout, Simulator
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 
@@ -229,19 +229,22 @@ def test_intervals_of_a_mean_hold_under_first_order_noise() -> None:
     assert naive / 300 < 0.7
 
 
-def test_cosines_are_orthonormal() -> None:
-    rows = cosines(50, 8)
+def test_long_run_covariance_is_that_of_the_cosines() -> None:
+    scores = np.random.default_rng(0).standard_normal((50, 2)).cumsum(axis=0)
+    time = (np.arange(50) + 0.5) / 50
+    rows = np.sqrt(2 / 50) * np.cos(np.pi * np.outer(np.arange(1, 9), time))
     assert rows @ rows.T == pytest.approx(np.eye(8), abs=1e-12)
-
-
-# --- the Kalman likelihood
+    parts = rows @ scores
+    J, number = long_run_covariance(scores, 8)
+    assert number == 8
+    assert pytest.approx(50 * parts.T @ parts / 8) == J
 
 
 def test_filter_without_disturbance_is_singles() -> None:
     """With q = 0 and a known start the filter's densities are those of (L1)."""
     _, u, y, _ = record(size=400)
     data = data_of(u, y)
-    objective = KalmanObjective(data, 2, 0, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), 0, Limits())
     p = np.array([*A, 0.4, 0.3, -20.0, math.log(0.1), 0.8, 0.5])
     by_filter = objective.densities(p[None, :])[0]
     simulator = Simulator(data, 2)
@@ -256,7 +259,7 @@ def test_filter_without_disturbance_is_singles() -> None:
 def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
     _, u, y, _ = record(size=300, disturbance=0.3)
     data = data_of(u, y)
-    objective = KalmanObjective(data, 2, model, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
     densities = objective.densities(p[None, :])[0]
     g = innovations(KalmanFit(objective, p, 0.0))

@@ -36,8 +36,8 @@ def text_of(rows, separator=",", header="t [s],u [V],y [mm]", decimal="."):
         text_of(ROWS, ";", decimal=","),
         text_of(ROWS, "\t"),
         text_of(ROWS, ";", "time (s);u[0] [V];y (mm)"),
-        "# a remark\n\n" + text_of(ROWS, header="") + "\n",
-        text_of(ROWS, " ", header=""),
+        "# a remark\n\n" + text_of(ROWS) + "\n",
+        text_of(ROWS, " ", header="t,u,y"),
         text_of(ROWS, header="t,u,y\n[s],[V],[mm]"),
         text_of(ROWS[:, [2, 0, 1]], header="Y [mm],Time [s],U [V]"),
         text_of(ROWS).replace("\n", "\r\n"),
@@ -51,38 +51,51 @@ def test_dialects_of_csv(tmp_path: Path, text: str) -> None:
     log = read_log(path)
     assert np.array_equal(np.column_stack([log.t, log.u, log.y]), ROWS)
     if "[mm]" in text or "(mm)" in text:
-        assert log.output_unit == "mm"
+        assert log.output_units == ("mm",)
 
 
 def test_other_encodings(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes(text_of(ROWS, header="t [s],u [V],y [°]").encode("cp1252"))
-    assert read_log(path).output_unit == "°"
+    assert read_log(path).output_units == ("°",)
     path.write_bytes(text_of(ROWS).encode("utf-16"))
     assert read_log(path).y[-1] == 2
     path.write_bytes(bytes(range(256)))
-    with pytest.raises(FileError, match="not a text file"):
+    with pytest.raises(FileError, match="not CSV text"):
         read_log(path)
 
 
 def test_columns_by_name_and_number(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text_of(ROWS, header="t,torque,acceleration"))
-    with pytest.raises(FileError, match=r"no name says which column holds the readings.*--output"):
+    with pytest.raises(FileError, match=r"no name says which column holds y.*--columns"):
         read_log(path)
-    with pytest.raises(FileError, match="near: torque"):
-        read_log(path, inputs="torqe", output="acceleration")
+    with pytest.raises(FileError, match="did you mean 'torque'"):
+        read_log(path, "u=torqe,y=acceleration")
     with pytest.raises(FileError, match="used twice"):
-        read_log(path, inputs="torque", output="torque")
-    log = read_log(path, inputs="torque", output="3")
+        read_log(path, "u=torque,y=torque")
+    log = read_log(path, "u=torque,y=3")
     assert log.inputs == ("torque",)
-    assert np.array_equal(log.y, ROWS[:, 2])
+    assert np.array_equal(log.y[:, 0], ROWS[:, 2])
+    path.write_text(text_of(ROWS, header=""))
+    with pytest.raises(FileError, match="without a header nobody can tell"):
+        read_log(path)
+    assert np.array_equal(read_log(path, "t=1,u=2,y=3").u[:, 0], ROWS[:, 1])
+
+
+def test_several_inputs_and_outputs_by_their_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,y[1],u[0],u[1],y[0]\n0,1,2,3,4\n1,5,6,7,8\n")
+    log = read_log(path)
+    assert np.array_equal(log.y, [[4, 1], [8, 5]])
+    assert np.array_equal(log.u, [[2, 3], [6, 7]])
+    assert log.outputs == ("y[0]", "y[1]")
 
 
 def test_missing_readings_are_kept_and_missing_inputs_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,u,y\n0,1,2\n1,2,\n2,3,NaN\n3,4,5\n")
-    assert np.isnan(read_log(path).y).tolist() == [False, True, True, False]
+    assert np.isnan(read_log(path).y[:, 0]).tolist() == [False, True, True, False]
     path.write_text("t,u,y\n0,1,2\n1,,3\n2,3,4\n")
     with pytest.raises(FileError, match="line 3: input 'u' is missing"):
         read_log(path)
@@ -93,13 +106,13 @@ def test_missing_readings_are_kept_and_missing_inputs_refused(tmp_path: Path) ->
     [
         ("", "no samples"),
         ("t,u,y\n", "no samples"),
-        ("t,u,y\n0,1,2\n1,2\n", "line 3: expected 3 columns, found 2"),
-        ("t,u,y\n0,1,2\n1,x2,3\n", "line 3, column 2: expected a number"),
+        ("t,u,y\n0,1,2\n1,2\n", "line 3: expected 3 values, found 2"),
+        ("t,u,y\n0,1,2\n1,x2,3\n", "line 3: expected a number or nothing, found 'x2'"),
         ("t,u,y\n0,1,2\n0,2,3\n", "line 3: time does not increase"),
         ("t [parsec],u,y\n0,1,2\n1,2,3\n", "unit of time"),
-        ("1,2\n3,4\n", "3 columns are expected"),
-        ("t,u,y,y\n0,1,2,3\n1,2,3,4\n", "2 columns may be the readings"),
-        ("t,u,y\n0,1,1e60\n1,2,3\n", "beyond 1e"),
+        ("1,2\n3,4\n", "without a header"),
+        ("t,u,y,y\n0,1,2,3\n1,2,3,4\n", "expected 1 of y, the log has 2"),
+        ("t,u,y\n0,1,1e60\n1,2,3\n", "line 2: expected a number or nothing, found '1e60'"),
         ("t,u,y\n0,1,2\nnan,2,3\n", "line 3: the time is missing"),
     ],
 )

@@ -40,7 +40,7 @@ from undeadzone.support.arrays import Floats
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sampled(PAPER_PLANT, TS)
-OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0]}
+OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0], "disturbance": 0.0}
 NOTHING = float("nan")
 UPPER = ca.Sparsity.upper(4)
 
@@ -92,7 +92,10 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
     def f(X: Any) -> Any:
         return ca.vertcat(*(F[[i]] @ X + X.T @ H[i] @ X for i in range(2)), F[[2]] @ X)
 
-    moments = evaluate(lambda m, P: gaussian.predict(Gaussian(m, P), f, Q), mean, root @ root.T)
+    def predict(m: Any, P: Any) -> Gaussian:
+        return gaussian.predict(Gaussian(m, P), lambda X: f(X) - X, Q)
+
+    moments = evaluate(predict, mean, root @ root.T)
     nodes, weights = np.polynomial.hermite_e.hermegauss(4)
     points = mean + np.array(list(product(nodes, repeat=3))) @ root.T
     weight = np.prod(list(product(weights / weights.sum(), repeat=3)), axis=1)
@@ -263,7 +266,7 @@ def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> N
     rng = np.random.default_rng(seed)
     model = sampled(random_plant(rng, n), TS)
     A, B, C = model.linear
-    options = Kalman(right=[0.5, 2.0], noise=0.1, x_std=2.0, glitches=0.0)
+    options = Kalman(right=[0.5, 2.0], noise=0.1, x_std=2.0, disturbance=0.0, glitches=0.0)
     observer = options.build(model, zone())
     step, state = on_numbers(observer, model), observer.init(observer.params)
     ys, us = rng.choice([-1, 1], 40) * rng.uniform(1, 9, 40), rng.normal(size=40)
@@ -404,7 +407,7 @@ def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, rea
 def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
     model = sampled(system(Plant(integrators=2, x0=[2.0, 0.0])), TS)
     where = zone(right=1.3, left=0.6)
-    observer = Kalman(right=[0.5, 2.0], x_std=3.0).build(model, where)
+    observer = Kalman(right=[0.5, 2.0], x_std=3.0, disturbance=0.0).build(model, where)
     step, state, x = (
         on_numbers(observer, model),
         observer.init(observer.params),
@@ -465,7 +468,12 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
             plant=pendulum,
             sensor={"right": 0.3, "left": 0.2, "noise": 0.01},
             reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
-            observer={"method": "kalman", "right": [0.05, 0.6], "x_std": [1.5, 3.0]},
+            observer={
+                "method": "kalman",
+                "right": [0.05, 0.6],
+                "x_std": [1.5, 3.0],
+                "disturbance": 0.0,
+            },
             controller={"method": "state_feedback", "poles": [-5.0, -5.0]},
             simulation={"time": "sampled", "step": 0.01, "duration": 8.0},
         )

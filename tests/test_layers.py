@@ -16,7 +16,7 @@ FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
 FLOORS = (
     ("errors",),
     ("support",),
-    ("engine", "linear", "logs", "numerics", "statistics"),
+    ("engine", "limits", "linear", "logs", "numerics", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),

@@ -12,7 +12,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs.column import split_unit
 from undeadzone.logs.dialect import dialect_of
 from undeadzone.logs.grid import Grid
-from undeadzone.logs.names import Layout, layout_of_order, layout_of_titles, parse_columns
+from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles, parse_columns
 from undeadzone.logs.samples import LogReader, Samples
 from undeadzone.logs.text import Text
 
@@ -58,8 +58,8 @@ def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
     [
         ("time,angle,voltage", None, "'angle', 'voltage'"),
         ("t,yy,u", None, "did you mean 'yy'"),
-        ("t,y,y,u", None, "the log 2"),
-        ("t,y[0],y[1],u", None, "the log 2"),
+        ("t,y,y,u", None, "the log has 2"),
+        ("t,y[0],y[1],u", None, "the log has 2"),
         ("t,angle,u", "y=angel", "did you mean 'angle'"),
         ("t,angle,u", "y=u", "used twice"),
         ("t [days],y,u", None, "'days'"),
@@ -78,12 +78,11 @@ def test_columns_by_name_and_number() -> None:
             layout_of_titles(titles("a,b,c"), 1, 1, parse_columns(wrong), "log")
 
 
-def test_order_without_a_header() -> None:
-    assert layout_of_order(3, 1, 1, {}, "log").columns == [0, 1, 2]
-    assert layout_of_order(2, 1, 1, {}, "log").time is None
-    assert layout_of_order(4, 1, 1, parse_columns("y=4,u=2"), "log").columns == [3, 1]
-    with pytest.raises(FileError, match="found 4"):
-        layout_of_order(4, 1, 1, {}, "log")
+def test_without_a_header_the_user_says_the_columns() -> None:
+    assert layout_of_numbers(4, 1, 1, parse_columns("y=4,u=2"), "log").columns == [3, 1]
+    assert layout_of_numbers(4, None, None, parse_columns("y=4,u=2"), "log").columns == [3, 1]
+    with pytest.raises(FileError, match="without a header nobody can tell"):
+        layout_of_numbers(3, 1, 1, {}, "log")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ from undeadzone.analysis.identifiability import linearised_run, square_root
 from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
 from undeadzone.analysis.identifiability.nonlinear import variance, verdicts_along
 from undeadzone.analysis.identifiability.observability import Observability, observability
-from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.analysis.reading_levels import reading_levels
+from undeadzone.analysis.side_schedule import recorded
 from undeadzone.plants.build import initial_state, system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink

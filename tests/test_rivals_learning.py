@@ -24,6 +24,7 @@ from undeadzone.controllers.parts.learned_feedback import error_weights, relativ
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
+from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.approximators import Basis, gaussians, jumps, monomials
 from undeadzone.observers import (
@@ -37,7 +38,7 @@ from undeadzone.observers import (
     RobustGradient,
     TaylorResidual,
 )
-from undeadzone.observers.parts.gain import fast_gain, injection
+from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.scenario.problem import resolve_scenario

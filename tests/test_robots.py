@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from scenes import scene
-from test_engines import compiled, distance, generated, own_cache, parts  # noqa: F401 (a fixture for all tests here)
+from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
 from test_report import Auditor
 from undeadzone.engine import interpret

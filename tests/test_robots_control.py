@@ -5,7 +5,6 @@ And the feedforward along a path of the joints.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -408,10 +407,7 @@ def test_candidates_share_a_kernel_only_if_they_share_their_plan() -> None:
     [TORQUE, GRAVITY, GRAVITY | {"at": "estimate"}, OPTIMAL],
     ids=["torque", "gravity", "at estimate", "lqr"],
 )
-def test_compiled_lanes_run_the_same(
-    controller: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+def test_compiled_lanes_run_the_same(controller: dict[str, Any]) -> None:
     scenario = moving(controller, duration=0.3)
     one, other = simulate(scenario), simulate(scenario, engine="lanes")
     assert np.ptp(one.u, axis=0).min() > 1.0

@@ -339,7 +339,7 @@ def test_a_table_of_an_older_version_is_read(tmp_path: Path, run: Run) -> None:
 
 # --- A stream with damaged lines
 
-STREAM = b'0.00,1,2\n0.01,"1,2\nwords\n\xff\xfe,3\n0.04\n' + b"".join(
+STREAM = b't,y,u\n0.00,1,2\n0.01,"1,2\nwords\n\xff\xfe,3\n0.04\n' + b"".join(
     b"%.2f,1,2\n" % (k / 100) for k in range(5, 40)
 )
 
@@ -348,7 +348,7 @@ def test_damaged_lines_are_missing_or_end_a_stream(tmp_path: Path) -> None:
     mine = scenario(tmp_path)
     ended = undeadzone("watch", mine, "--strict", stdin=STREAM)
     assert ended.returncode == 2
-    assert ended.stderr.startswith(b"undeadzone: stdin, line 3: ")
+    assert ended.stderr.startswith(b"undeadzone: stdin, line 4: ")
     done = undeadzone("watch", mine, stdin=STREAM)
     times = [float(line.split(b",")[0]) for line in done.stdout.splitlines()[1:]]
     assert times == pytest.approx([k / 100 for k in range(40)])

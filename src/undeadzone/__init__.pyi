@@ -1,11 +1,14 @@
 from .analysis.certificate.design_file import Design as Design
 from .analysis.certificate.passivity import Certificate as Certificate
 from .analysis.certificate.passivity import certify as certify
+from .controllers import LQG as LQG
 from .controllers import LQR as LQR
 from .controllers import PD as PD
+from .controllers import PID as PID
 from .controllers import ComputedTorque as ComputedTorque
 from .controllers import FuzzyFeedback as FuzzyFeedback
 from .controllers import GravityPD as GravityPD
+from .controllers import LinearController as LinearController
 from .controllers import RBFFeedback as RBFFeedback
 from .controllers import Robust as Robust
 from .controllers import SlidingMode as SlidingMode
@@ -26,6 +29,7 @@ from .errors import UndeadzoneError as UndeadzoneError
 from .exports.export import Exported as Exported
 from .exports.export import export as export
 from .identification.identify import identify as identify
+from .identification.outputs import IdentifiedOutputs as IdentifiedOutputs
 from .identification.result import Identified as Identified
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices

@@ -10,7 +10,8 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.sensor import Zone, inverse, present
+from undeadzone.limits import Limits, beyond
+from undeadzone.sensor import Zone, inverse, present, side
 from undeadzone.support.arrays import Floats
 
 
@@ -18,8 +19,9 @@ class Reading(NamedTuple):
     """What the sensor gives.
 
     Attributes:
-        y: reading (p), NaN where it is missing.
-        side: measured side (p): +1 right, -1 left, 0 silent.
+        y: reading (p), NaN where it is missing, infinite where it cannot be: beyond its range.
+        side: measured side (p): +1 right, -1 left, 0 silent or missing; +2, -2 at the upper, lower
+            limit of the range, where y only bounds what the sensor reads.
         x: true state (n), which only a simulation has, for the reference line `full_state`;
             None elsewhere.
     """
@@ -27,6 +29,45 @@ class Reading(NamedTuple):
     y: Any
     side: Any
     x: Any = None
+
+
+def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
+    """A reading as it comes from outside (p): one that is no number is missing.
+
+    Args:
+        y: reading (p) [y], a CasADi expression.
+        threshold: |y| that counts as silent (p) [y].
+        limits: of the range; None: there are none.
+    """
+    seen = ca.if_else(present(y), y, np.nan)
+    if limits is None:
+        return Reading(seen, side(seen, threshold))
+    seen = ca.if_else(beyond(y, limits), np.nan, seen)
+    side_read = side(seen, threshold, limits)
+    return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
+
+
+def exact(reading: Reading, limits: Limits | None) -> Reading:
+    """The reading without those at a limit, which are missing to a method that takes no bounds."""
+    if limits is None:
+        return reading
+    at_limit = ca.fabs(reading.side) > 1
+    y = ca.if_else(at_limit, np.nan, reading.y)
+    return reading._replace(y=y, side=ca.if_else(at_limit, 0.0, reading.side))
+
+
+def no_further(expected: Any, y: Any, side: Any) -> Any:
+    """What was expected of a reading; at a limit no further beyond it than the reading is.
+
+    What lies beyond a limit does not contradict the reading there.
+
+    Args:
+        expected: reading that was expected [y].
+        y: reading [y].
+        side: measured side.
+    """
+    below = ca.if_else(side > 1, ca.fmin(expected, y), expected)
+    return ca.if_else(side < -1, ca.fmax(expected, y), below)
 
 
 NONE: Any = ca.SX(0, 1)
@@ -105,6 +146,8 @@ class Traits(NamedTuple):
         uncertain: names of the model's parameters that it estimates, as theta.
         start_std: standard deviation of x(0) about the claimed start (n); None: no start is
             claimed.
+        centre_std: standard deviation of each claimed d_r - d_l (p), infinite where none is
+            claimed; None: nowhere.
     """
 
     L: Floats | None = None
@@ -115,6 +158,7 @@ class Traits(NamedTuple):
     adapts: bool = True
     uncertain: tuple[str, ...] = ()
     start_std: Floats | None = None
+    centre_std: Floats | None = None
 
 
 class Observer(NamedTuple):

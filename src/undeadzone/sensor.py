@@ -13,9 +13,11 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
+from undeadzone.limits import Limits, at_limit, checked_range, limits_of, require_readings
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
-RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent
+RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
+FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
 
 
 def _ops(*values: Any) -> Any:
@@ -59,12 +61,14 @@ def present(y: Any) -> Any:
     return 1.0 * (y < 1e300) * (y > -1e300)
 
 
-def side(y: Any, threshold: Any = 0.0) -> Any:
+def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
     """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
 
-    0 is silent, also for NaN.
+    0 is silent, also for NaN. +2 and -2 are at the limits of the range, if there are any: there z
+    is at least, or at most, what the reading says.
     """
-    return 1.0 * (y > threshold) - 1.0 * (y < -threshold)
+    measured = 1.0 * (y > threshold) - 1.0 * (y < -threshold)
+    return measured if limits is None else measured + at_limit(y, limits)
 
 
 def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
@@ -198,12 +202,16 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         noise_before: rms of the noise added to z ahead of the deadzone (p) [z].
         threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
             quantum.
-        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s].
+        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s]; default
+            a hundredth of the plant's mean pole.
         quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
             only.
         drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms
             (p) [1/sqrt(s)].
         dropout: probability that a reading is missing (p), below 1.
+        range: [lo, hi], lo < 0 < hi: where readings end, after noise and rounding; one pair, or one
+            per output (p x 2) [y]; -inf and inf are no limits; default: none. A reading at its
+            limit says only that z is at least, or at most, what it reads.
     """
 
     right: Array
@@ -213,10 +221,11 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     noise: Array = 0.0
     noise_before: Array = 0.0
     threshold: Array | None = None
-    false_alarm_rate: float = 0.01
+    false_alarm_rate: float | None = None
     quantum: Array = 0.0
     drift: Array = 0.0
     dropout: Array = 0.0
+    range: list[float | list[float]] | None = None
 
 
 class Zone(msgspec.Struct, frozen=True):
@@ -232,6 +241,7 @@ class Zone(msgspec.Struct, frozen=True):
         drift: rms of the random walks of log d_r and log d_l (p) [1/sqrt(s)].
         dropout: probability that a reading is missing (p).
         quantum: the reading is rounded to its multiples (p) [y]; 0: it is not.
+        low, high: least and largest reading (p) [y]; -inf, inf: no limit.
     """
 
     kind: str
@@ -244,6 +254,13 @@ class Zone(msgspec.Struct, frozen=True):
     drift: Floats
     dropout: Floats
     quantum: Floats
+    low: Floats
+    high: Floats
+
+    @property
+    def limits(self) -> Limits | None:
+        """The limits of the readings; None where no output has any."""
+        return limits_of(self.low, self.high)
 
     @property
     def rms(self) -> Floats:
@@ -256,13 +273,14 @@ class Zone(msgspec.Struct, frozen=True):
         return np.hypot(noise, rounding)
 
 
-def resolve(sensor: Sensor, p: int, step: float) -> Zone:
+def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     """The checked sensor of a plant.
 
     Args:
         sensor: the sensor in a user's words.
         p: number of the plant's outputs.
         step: time between readings [s], for the default threshold.
+        pace: how fast the plant moves [1/s], for the default rate of false alarms.
 
     Raises:
         InputError: or a subclass, that names the key.
@@ -280,9 +298,14 @@ def resolve(sensor: Sensor, p: int, step: float) -> Zone:
     quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
-    rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
+    rate = FALSE_ALARMS * pace
+    if sensor.false_alarm_rate is not None:
+        rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
     if sensor.threshold is None:
         threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
     else:
         threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
-    return Zone(sensor.kind, right, left, slope, noise, before, threshold, drift, dropout, quantum)
+    low, high = checked_range("sensor.range", sensor.range, p)
+    require_readings(low, high, threshold)
+    numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
+    return Zone(sensor.kind, right, left, *numbers)

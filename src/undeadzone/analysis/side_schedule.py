@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.reading_levels import Read, limit_levels, reading, reading_levels
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, edges, zone
+from undeadzone.sensor import Zone
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats
 
@@ -27,13 +28,15 @@ class Schedule(NamedTuple):
     """Constant sides one after another: K spans of p outputs.
 
     Attributes:
-        sides: +1 (right), 0 (silent), -1 (left) in each span (K x p).
+        sides: +1 (right), 0 (silent, or at a limit of the range), -1 (left) in each span (K x p).
         spans: how long each lasts (K), in seconds, or in samples if sampled.
         Ts: sample time [s]; None in continuous time.
         periodic: whether the whole repeats.
         grain: what a span is accurate to, in its unit (0: exact).
         low, mean, high: of the true output z (p each).
         levels: the side reads right above levels[:, 0] and left below -levels[:, 1] (p x 2).
+        exact: share of the readings beyond an edge that are at no limit of the range (p); None: all
+            of them.
     """
 
     sides: Floats
@@ -45,6 +48,7 @@ class Schedule(NamedTuple):
     mean: Floats
     high: Floats
     levels: Floats
+    exact: Floats | None = None
 
     @property
     def duration(self) -> float:
@@ -85,21 +89,24 @@ def planned(
     rows = output_map(model, reference, tracked)
     levels = reading_levels(sensor)
     if model.Ts is not None:
-        return _planned_samples(rows, reference, levels, model.Ts, horizon)
+        return _planned_samples(rows, reference, sensor, model.Ts, horizon)
     periodic = reference.period is not None
     end = horizon if reference.period is None else reference.period
     inner = (reference.corners > 0) & (reference.corners < end)
     ends = np.unique(np.concatenate([[0.0], reference.corners[inner], [end]]))
-    times = _changes(reference, rows, levels, ends)
+    limits = limit_levels(sensor)
+    every = [levels] if limits is None else [levels, limits]
+    times = _changes(reference, rows, every, ends)
     z = reference.state((times[:-1] + times[1:]) / 2) @ rows.T
     low, high = extremes(reference, rows, ends)
     mean = (reference.state((np.arange(MEAN) + 0.5) / MEAN * end) @ rows.T).mean(axis=0)
-    sides = zone(z, *levels.T)
-    return Schedule(sides, np.diff(times), None, periodic, 0.0, low, mean, high, levels)
+    read, spans = reading(z, sensor), np.diff(times)
+    exact = read.share(spans)
+    return Schedule(read.side, spans, None, periodic, 0.0, low, mean, high, levels, exact)
 
 
 def _planned_samples(
-    rows: Floats, reference: Exosystem, levels: Floats, Ts: float, horizon: float
+    rows: Floats, reference: Exosystem, sensor: Zone, Ts: float, horizon: float
 ) -> Schedule:
     """`planned` at samples of Ts [s]; rows (p x k): z = rows w."""
     samples, periodic = _samples(reference.period, Ts, horizon)
@@ -108,15 +115,23 @@ def _planned_samples(
     if reference.period is not None:
         repeats = np.arange(samples * Ts / reference.period)
         corners = np.add.outer(repeats * reference.period, corners).ravel()
-    return _from_samples(zone(z, *levels.T), z, levels, Ts, Ts, periodic, corners)
+    return _from_samples(reading(z, sensor), z, reading_levels(sensor), Ts, Ts, periodic, corners)
 
 
-def _changes(reference: Exosystem, rows: Floats, levels: Floats, ends: Floats) -> Floats:
-    """The times [s] at which a side changes or the reference has a corner, none twice."""
+def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floats) -> Floats:
+    """The times [s] at which a side changes or the reference has a corner, none twice.
+
+    Args:
+        reference: of the tracked outputs.
+        rows: z = rows w (p x k).
+        every: levels of z (p x 2), [right, left].
+        ends: corners of the reference [s].
+    """
     times: list[Floats] = [ends]
-    for row, (right, left) in zip(rows, levels, strict=True):
-        times.append(roots(reference, row, right, ends))
-        times.append(roots(reference, row, -left, ends))
+    for levels in every:
+        for row, (right, left) in zip(rows, levels, strict=True):
+            times.append(roots(reference, row, right, ends))
+            times.append(roots(reference, row, -left, ends))
     unique = np.unique(np.concatenate(times))
     apart = np.concatenate([np.diff(unique) > ROUNDING * ends[-1], [True]])
     return np.asarray(unique[apart])
@@ -128,7 +143,7 @@ def recorded(
     """The schedule of a record of outputs.
 
     In continuous time a side is taken to change half way between two samples. A reading that did
-    not arrive tells no side: it counts as silence.
+    not arrive tells no side: it counts as silence, as one at a limit of the range does.
 
     Args:
         z: outputs (N x p), true or estimated.
@@ -137,11 +152,10 @@ def recorded(
         Ts: sample time [s]; None in continuous time.
         arrived: whether each reading did (N x p); all of them if not given.
     """
-    levels = reading_levels(sensor)
-    side = zone(z, *levels.T)
+    read = reading(z, sensor)
     if arrived is not None:
-        side = np.where(arrived, side, 0.0)
-    return _from_samples(side, z, levels, step, Ts, False, np.empty(0))
+        read = Read(np.where(arrived, read.side, 0.0), read.limited & arrived)
+    return _from_samples(read, z, reading_levels(sensor), step, Ts, False, np.empty(0))
 
 
 def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, n: int) -> Schedule:
@@ -164,12 +178,6 @@ def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, 
         lost = passes * on_side * (1 - dropout) <= n
         sides[(sides == sign) & lost] = 0.0
     return schedule._replace(sides=sides)
-
-
-def reading_levels(sensor: Zone) -> Floats:
-    """Levels (p x 2) of z: a noise-free sensor reads right above the first, left below -second."""
-    right, left = edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold)
-    return np.stack((right, left), axis=1)
 
 
 def merged(schedule: Schedule) -> Schedule:
@@ -290,7 +298,7 @@ def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool
 
 
 def _from_samples(
-    side: Floats,
+    read: Read,
     z: Floats,
     levels: Floats,
     step: float,
@@ -298,10 +306,11 @@ def _from_samples(
     periodic: bool,
     corners: Floats,
 ) -> Schedule:
-    """The schedule of sides (N x p) at samples, `step` [s] apart.
+    """The schedule of what is read (N x p) at samples, `step` [s] apart.
 
     Sampled, a span starts at the first sample from each corner on, too.
     """
+    side = read.side
     starts = np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)])
     after = np.ceil(corners / step - ROUNDING * len(side)).astype(int)
     starts[after[(after > 0) & (after < len(side))]] = True
@@ -315,4 +324,5 @@ def _from_samples(
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
         low, mean, high = z.min(axis=0), z.mean(axis=0), z.max(axis=0)
-        return Schedule(side[first], spans, Ts, periodic, grain, low, mean, high, levels)
+        exact = read.share(np.ones(len(side)))
+        return Schedule(side[first], spans, Ts, periodic, grain, low, mean, high, levels, exact)

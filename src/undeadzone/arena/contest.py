@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,26 +12,39 @@ import msgspec
 
 import undeadzone
 from undeadzone.arena.entry import entered
-from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, RESAMPLES, Row, leaderboard, regrets
+from undeadzone.arena.leaderboard import (
+    CAP,
+    NAIVE,
+    RESAMPLES,
+    ZERO,
+    Row,
+    contestants,
+    leaderboard,
+    regrets,
+)
 from undeadzone.arena.methods import NOTHING, Numbers, catalogue
 from undeadzone.arena.metric import TAIL, Result
 from undeadzone.arena.prior_knowledge import situation
-from undeadzone.arena.trials import score, signals
+from undeadzone.arena.trials import problem_of, score, signals
+from undeadzone.arena.words import in_words
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.statistics.intervals import LEVEL
+from undeadzone.support import shown
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
 
 RULES: Mapping[str, Any] = {
     "tail": TAIL,
     "cap": CAP,
-    "refused": REFUSED,
+    "refused": NAIVE,
     "resamples": RESAMPLES,
     "confidence": LEVEL,
-    "zero": FRAME[0],
-    "one": FRAME[1],
+    "zero": ZERO,
+    "unit": "half of d_r + d_l",
 }
 
 
@@ -54,7 +68,7 @@ class Contest(NamedTuple):
     @property
     def contestants(self) -> list[Row]:
         """The rows that are no lines to compare with, and could be entered somewhere."""
-        return [row for row in self.rows if not row.reference and row.not_applicable < 1]
+        return contestants(self.rows)
 
     def scenario(self, method: str, title: str) -> Scenario:
         """A scenario with a method in the place of its observer, its knobs as they were here.
@@ -116,6 +130,18 @@ class Contest(NamedTuple):
             )
         return flat
 
+    def __str__(self) -> str:
+        """The leaderboard that `undeadzone arena` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same, for a notebook."""
+        return shown.html(self.blocks())
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone arena` prints."""
+        return in_words(self.rows, len(self.scenarios), len(self.seeds))
+
     def save(self, path: Path) -> Path:
         """Write the summary as JSON. Raises FileError."""
         return write_text(json.dumps(self.summary(), indent=1, allow_nan=False), path)
@@ -128,6 +154,8 @@ def run_contest(
     numbers: Numbers,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Contest:
     """Let methods run against each other on scenarios.
 
@@ -138,12 +166,20 @@ def run_contest(
         numbers: of the knobs, by method.
         processes: at once; None: one per processor.
         progress: called with the number of runs just done.
+        keep: file that keeps results, to be deleted once the contest is; None: none.
+        resume: take up what a stopped contest left in `keep`.
 
     Raises:
         InputError: or a subclass.
     """
-    results = score(
-        methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
+    compete = functools.partial(
+        score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
     )
+    if keep is None:
+        results = compete()
+    else:
+        kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
+        with kept.kept():
+            results = compete(kept=kept)
     references = {name for name, method in catalogue().items() if method.reference}
     return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))

@@ -60,6 +60,9 @@ def entered(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenar
     parts = {"observer": _options(method.observer, "observer", prior, options)}
     if method.controller:
         parts["controller"] = _options(method.controller, "controller", prior, options)
+    if method.informed:
+        # A known disturbance of the input is cancelled there: what is left is a run without it.
+        parts |= {"model": None, "disturbance": None}
     return msgspec.structs.replace(scenario, **parts)
 
 

@@ -1,4 +1,4 @@
-"""From results to ranks: regret against two lines, median and worst, with bootstrap intervals."""
+"""From results to ranks: regret in zones, median and worst, with bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from undeadzone.arena.metric import Result, Worth
 from undeadzone.statistics.intervals import LEVEL, Interval
 from undeadzone.support.arrays import Floats
 
-FRAME: Final = ("full_state", "luenberger")  # regret 0 and 1
-CAP: Final = 10.0  # regret of a run that diverged, and the largest of any
-REFUSED: Final = 1.0  # where a method is not applicable: what is left is the naive observer
+ZERO: Final = "informed"  # the line of regret 0
+NAIVE: Final = "luenberger"  # what is left where a method is not applicable
+FRAME: Final = (ZERO, "full_state", NAIVE)  # lines that are always there
+CAP: Final = 10.0  # regret of a run that diverged, above that of any other
 RESAMPLES: Final = 2000
 MEANS: Final = ("tracking", "estimation", "coverage")  # of which a row gives the mean over runs
 MEDIANS: Final = ("width", "centre", "effort", "slew")  # of which a row gives the median
@@ -72,27 +73,41 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     cost: float | None
 
 
+def contestants(rows: Sequence[Row]) -> list[Row]:
+    """The rows that are no lines to compare with, and could be entered somewhere."""
+    return [row for row in rows if not row.reference and row.not_applicable < 1]
+
+
 def regrets(results: Sequence[Result]) -> dict[str, Floats]:
     """Regret (scenarios x seeds) by method; NaN where refused.
 
-    It is (J - J_full) / (J_naive - J_full), J the rms of z - r, of the same scenario and seed.
+    It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
+    two runs that do not diverge the one with the smaller J has the smaller regret, whatever the
+    lines do.
     """
     scenarios = list(dict.fromkeys(result.scenario for result in results))
     seeds = list(dict.fromkeys(result.seed for result in results))
     shape = len(scenarios), len(seeds)
     names = dict.fromkeys(result.method for result in results)
     J = {name: np.full(shape, np.nan) for name in names}
+    zone = np.ones(shape)
     for result in results:
         if result.worth is not None:
             place = scenarios.index(result.scenario), seeds.index(result.seed)
             J[result.method][place] = np.inf if result.worth.diverged else result.worth.tracking
-    full, naive = (J[name] for name in FRAME)
-    regret = {}
-    with np.errstate(invalid="ignore"):
-        for name, own in J.items():
-            capped = np.fmin((own - full) / (naive - full), CAP)
-            regret[name] = np.where(np.isnan(own), np.nan, capped)
-    return regret
+            zone[place] = result.worth.zone
+    least = np.where(np.isfinite(J[ZERO]), J[ZERO], 0.0)
+    return {name: bounded((own - least) / zone) for name, own in J.items()}
+
+
+def bounded(regret: Floats) -> Floats:
+    """A regret as it is up to half of `CAP` on either side, beyond rising ever more slowly to it.
+
+    The order stays, and CAP itself is left to runs that diverged.
+    """
+    half = CAP / 2
+    size = np.maximum(np.abs(regret), half)
+    return np.where(np.abs(regret) <= half, regret, np.sign(regret) * (CAP - half**2 / size))
 
 
 def leaderboard(
@@ -100,20 +115,20 @@ def leaderboard(
 ) -> list[Row]:
     """The methods by median regret, of equals by the worst.
 
-    Where one is not applicable its regret counts REFUSED.
+    Where one is not applicable the regret of the naive observer counts.
 
     Args:
         results: of the runs.
         references: names of the methods that are lines to compare with.
         seed: of the resampling.
     """
+    found = regrets(results)
     counted = {
-        name: np.where(np.isnan(regret), REFUSED, regret)
-        for name, regret in regrets(results).items()
+        name: np.where(np.isnan(regret), found[NAIVE], regret) for name, regret in found.items()
     }
     scenarios = list(dict.fromkeys(result.scenario for result in results))
     best = counted[_best(counted, references)]
-    naive = _times(results, FRAME[1])
+    naive = _times(results, NAIVE)
     rows = []
     for name, regret in counted.items():
         own = [result for result in results if result.method == name]
@@ -141,7 +156,7 @@ def leaderboard(
 
 def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
     """The contestant of least median regret, of equals that of the least worst one."""
-    best, least = FRAME[0], (np.inf, np.inf)
+    best, least = ZERO, (np.inf, np.inf)
     for name, regret in counted.items():
         each = regret.mean(axis=1)
         place = (float(np.median(each)), float(each.max()))

@@ -70,6 +70,7 @@ class Method(NamedTuple):
         controller: options of its own controller; None: the scenario's.
         continuous: whether it exists in continuous time alone.
         reference: whether it is a line to compare with, no contestant.
+        informed: whether it knows the disturbance and the true plant, too.
     """
 
     observer: Any
@@ -79,6 +80,7 @@ class Method(NamedTuple):
     controller: Any = None
     continuous: bool = False
     reference: bool = False
+    informed: bool = False
 
 
 def _by_speed(prior: PriorKnowledge, knobs: Knobs) -> Options:
@@ -118,11 +120,6 @@ RATE, GAIN = Knob(2.0, 100.0, "1/s"), Knob(0.3, 300.0, "1/s")
 NOISE, SHAKE, DRIFT = Knob(1e-3, 0.3, "z"), Knob(0.03, 10.0, "white u"), Knob(1e-4, 0.1, "z")
 CLAIMS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
 BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(0.01, 1.0, "z")}
-COLOURED = {
-    "observer.disturbance": Knob(0.1, 10.0, "u"),
-    "observer.drift": DRIFT,
-    "observer.tolerance": Knob(0.01, 0.2),
-}
 LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}
 SLIDING = {
     "observer.speed": RATE,
@@ -143,6 +140,7 @@ FEEDBACK = {
 
 METHODS: Final[Mapping[str, Method]] = MappingProxyType(
     {
+        "informed": Method(FullState, reference=True, informed=True),
         "full_state": Method(FullState, reference=True),
         "oracle": Method(
             Oracle, {"speed": Knob(0.1, 100.0, "1/s")}, derived=_by_speed, reference=True
@@ -166,7 +164,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
             Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, derived=_passive
         ),
         "kalman": Method(Kalman, CLAIMS),
-        "censored": Method(Censored, COLOURED),
+        "censored": Method(Censored),
         "extended": Method(
             Extended, {"observer.disturbance": Knob(0.1, 10.0, "u"), "observer.drift": DRIFT}
         ),

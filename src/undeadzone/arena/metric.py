@@ -35,6 +35,8 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
         slew: rms of the change of u per step [u].
         cost: of a step, measured [s].
         diverged: whether a signal left +-1e12 or was no number.
+        zone: half of the true d_r + d_l at the end, mean over the outputs [z]: what ignoring the
+            zone costs, and so the unit of a regret.
     """
 
     tracking: float
@@ -47,6 +49,7 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
     slew: float
     cost: float
     diverged: bool
+    zone: float = 1.0
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,6 +97,7 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
             slew=rms(np.diff(out.u, axis=0)),
             cost=cost,
             diverged=diverged,
+            zone=float(truth.sum(axis=0).mean()) / 2 or rms(r) or 1.0,
         )
 
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.arena.contest import Contest
-from undeadzone.arena.leaderboard import CAP, FRAME, regrets
+from undeadzone.arena.leaderboard import CAP, NAIVE, regrets
 from undeadzone.errors import UndeadzoneError
 from undeadzone.support.arrays import Floats
 
@@ -78,7 +78,7 @@ def _worth_seeing(contest: Contest) -> list[str]:
     if not kept:
         kept = [contestants[0].method]
     paper = [row.method for row in contest.rows if row.method == PAPER]
-    return list(dict.fromkeys([kept[0], kept[-1], *paper, FRAME[1]]))
+    return list(dict.fromkeys([kept[0], kept[-1], *paper, NAIVE]))
 
 
 def _trace(contest: Contest, method: str, title: str) -> Trace:

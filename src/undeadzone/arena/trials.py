@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,12 +24,14 @@ from undeadzone.engine import interpret
 from undeadzone.errors import ClusterError, UndeadzoneError
 from undeadzone.observers import NumericObserver
 from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import closed, named
-from undeadzone.support import tree
+from undeadzone.support import toml, tree
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
 
 FEW: Final = 8  # trials for which a process is worth starting
@@ -139,8 +141,9 @@ def score(
     numbers: Numbers | None = None,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
+    kept: Answers | None = None,
 ) -> list[Result]:
-    """The results of methods on scenarios, with the two lines that make a regret (FRAME).
+    """The results of methods on scenarios, with the lines that are always there (FRAME).
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this
@@ -150,6 +153,7 @@ def score(
         numbers: of the knobs, by method; None: those that come with the package.
         processes: at once; None: one per processor.
         progress: called with the number of runs just done.
+        kept: results of an earlier run on disk, of methods of the catalogue; None: none.
 
     Raises:
         InputError: or a subclass.
@@ -163,15 +167,35 @@ def score(
         for name in names:
             knobs = dict(values.get(name, {}))
             jobs.append(Job(name, own.get(name), title, scenario, tuple(seeds), knobs))
-    by_job: list[list[Result]] = [[] for _ in jobs]
-    for k, results in _done(jobs, 1 if own else processes):
-        by_job[k] = results
-        if progress is not None:
-            progress(len(results))
+
+    def compute(missing: list[int]) -> Iterator[tuple[int, list[Any]]]:
+        """Results as they come, in the form in which they are kept."""
+        for k, results in _done([jobs[k] for k in missing], 1 if own else processes):
+            yield missing[k], msgspec.to_builtins(results)
+            if progress is not None:
+                progress(len(results))
+
+    if kept is None:
+        by_number = dict(compute(list(range(len(jobs)))))
+        plain = [by_number[k] for k in range(len(jobs))]
+    else:
+        plain = kept.of([[job.title, job.name] for job in jobs], compute)
     every: list[Result] = []
-    for results in by_job:
-        every += results
+    for results in plain:
+        every += msgspec.convert(results, list[Result])
     return every
+
+
+def problem_of(
+    scenarios: Mapping[str, Scenario], seeds: Sequence[int], numbers: Numbers
+) -> dict[str, Any]:
+    """Everything that the results of methods of the catalogue depend on."""
+    return {
+        "scenarios": {title: toml.dumps(scenario) for title, scenario in scenarios.items()},
+        "files": {title: digests(scenario) for title, scenario in scenarios.items()},
+        "seeds": list(seeds),
+        "numbers": {name: dict(knobs) for name, knobs in numbers.items()},
+    }
 
 
 def _names(methods: Sequence[str] | Mapping[str, Method] | None) -> list[str]:

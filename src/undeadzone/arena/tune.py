@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from undeadzone.arena.leaderboard import CAP, FRAME, regrets
 from undeadzone.arena.methods import Method, catalogue, middle
 from undeadzone.arena.metric import Result
 from undeadzone.arena.prior_knowledge import Setting, situation
-from undeadzone.arena.trials import trial
+from undeadzone.arena.trials import problem_of, trial
 from undeadzone.arena.tuned_file import Found, Tuned
 from undeadzone.numerics.optimise import evolve
 from undeadzone.scenario.schema import Scenario
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
 
 BUDGET: Final = 60  # candidates of a method
@@ -33,6 +36,8 @@ def tune(
     search: int = 0,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Tuned:
     """The numbers of each method's knobs that make its mean regret small.
 
@@ -44,35 +49,45 @@ def tune(
         search: seed of the evolution.
         processes: at once; None: one per processor.
         progress: called with the number of methods just done.
+        keep: file that keeps what is found of methods, to be deleted once it is saved; None: none.
+        resume: take up what a stopped run left in `keep`.
 
     Raises:
         InputError: or a subclass.
     """
     known = catalogue()
     frame = _frame(grounds, seeds)
-    methods: dict[str, Found] = {}
-    count = os.cpu_count() if processes is None else processes
-    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
-        waiting = {}
-        for name in names:
-            if known[name].knobs:
-                arguments = name, dict(grounds), frame, budget, tuple(seeds), search
-                waiting[pool.submit(_search, *arguments)] = name
-        for future in as_completed(waiting):
-            methods[waiting[future]] = future.result()
-            if progress is not None:
-                progress(1)
+    adjustable = [name for name in dict.fromkeys(names) if known[name].knobs]
+
+    def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
+        """What is found of methods, as it comes."""
+        count = os.cpu_count() if processes is None else processes
+        with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+            waiting = {}
+            for k in missing:
+                arguments = adjustable[k], dict(grounds), frame, budget, tuple(seeds), search
+                waiting[pool.submit(_search, *arguments)] = k
+            for future in as_completed(waiting):
+                yield waiting[future], msgspec.to_builtins(future.result())
+                if progress is not None:
+                    progress(1)
+
+    if keep is None:
+        by_number = dict(compute(list(range(len(adjustable)))))
+        plain = [by_number[k] for k in range(len(adjustable))]
+    else:
+        problem = problem_of(grounds, seeds, {}) | {"budget": budget, "search": search}
+        kept = Answers(keep, problem, "methods", resume)
+        with kept.kept():
+            plain = kept.of(adjustable, compute)
+    methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, Found])
     return Tuned(
-        budget=budget,
-        seeds=list(seeds),
-        search=search,
-        scenarios=list(grounds),
-        methods={name: methods[name] for name in names if name in methods},
+        budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods
     )
 
 
 def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
-    """The results of the two lines that make a regret."""
+    """The results of the lines that are always there."""
     settings = {title: situation(scenario) for title, scenario in grounds.items()}
     known = catalogue()
     results: list[Result] = []
@@ -160,7 +175,7 @@ def mean_regret(
     Args:
         method: what is tried.
         grounds: scenarios by name, and what may be known of them.
-        frame: results of the two lines that make a regret.
+        frame: results of the lines that are always there.
         seeds: of the runs.
         numbers: of the method's knobs, by address.
     """

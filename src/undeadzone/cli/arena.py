@@ -7,27 +7,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import confined, print_json, print_table, progress, say, writable
+from undeadzone.cli.common import (
+    confined,
+    print_blocks,
+    print_json,
+    print_table,
+    progress,
+    say,
+    writable,
+)
 
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
-    from undeadzone.arena.leaderboard import Row
     from undeadzone.arena.tuned_file import Tuned
     from undeadzone.scenario.schema import Scenario
 
 FOLDER = Path("arena-results")
-HEAD = (
-    "",
-    "method",
-    "median regret",
-    "behind the best",
-    "worst regret",
-    "worst where",
-    "diverged",
-    "n/a",
-    "rms z - r",
-    "coverage",
-)
 
 
 @click.command(
@@ -92,6 +87,11 @@ HEAD = (
     metavar="N",
     help="At once (default: one per processor).",
 )
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
+)
 @confined
 def arena(
     scenarios: tuple[Path, ...],
@@ -104,13 +104,16 @@ def arena(
     budget: int,
     tuned: Path | None,
     processes: int | None,
+    resume: bool,
     confine: Path | None,
 ) -> int:
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
-    full state feedback, 1 a Luenberger observer that ignores the dead zone; the median over the
-    scenarios, and the worst, with 95 % intervals. See docs/arena.md.
+    knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
+    over the scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is
+    done is kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See
+    docs/arena.md.
     """
     from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
@@ -118,12 +121,25 @@ def arena(
     names = None if methods is None else _names(methods)
     own = from_files(scenarios, confine)
     folder = out or FOLDER
-    if tuning or html or out:
+    writes = tuning or html or out is not None
+    if writes:
         writable(folder)
+    elif resume:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     if tuning:
-        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json)
-    contest = _held(names, own or built_in("held_out"), tuple(range(seeds)), tuned, processes)
-    written = _written(contest, folder, bool(own)) if html or out else []
+        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json, resume)
+    contest = _held(
+        names,
+        own or built_in("held_out"),
+        tuple(range(seeds)),
+        tuned,
+        processes,
+        folder / "results.json.partial" if writes else None,
+        resume,
+    )
+    written = _written(contest, folder, bool(own)) if writes else []
+    if writes:
+        (folder / "results.json.partial").unlink(missing_ok=True)
     if as_json:
         print_json(contest.summary() | {"files": [str(path) for path in written]})
     else:
@@ -143,6 +159,8 @@ def _held(
     seeds: tuple[int, ...],
     tuned: Path | None,
     processes: int | None,
+    keep: Path | None,
+    resume: bool,
 ) -> Contest:
     """The contest, held."""
     from undeadzone.arena.contest import run_contest
@@ -152,7 +170,7 @@ def _held(
     methods = len(catalogue()) if names is None else len(names) + 2
     runs = len(grounds) * len(seeds) * methods
     with progress("arena", runs, "runs") as advance:
-        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance)
+        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance, keep, resume)
 
 
 def _tune(
@@ -162,6 +180,7 @@ def _tune(
     processes: int | None,
     folder: Path,
     as_json: bool,
+    resume: bool,
 ) -> int:
     """Tune methods, write and print their numbers."""
     from undeadzone.arena.methods import catalogue, require
@@ -170,8 +189,17 @@ def _tune(
 
     chosen = list(catalogue()) if names is None else [require(name) for name in names]
     with progress("tuning", len(chosen), "methods") as advance:
-        tuned = tune(chosen, grounds, budget, processes=processes, progress=advance)
+        tuned = tune(
+            chosen,
+            grounds,
+            budget,
+            processes=processes,
+            progress=advance,
+            keep=folder / "tuned.toml.partial",
+            resume=resume,
+        )
     path = save(tuned, folder / "tuned.toml")
+    (folder / "tuned.toml.partial").unlink(missing_ok=True)
     if as_json:
         import msgspec
 
@@ -204,58 +232,9 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    places = {row.method: f"{place}" for place, row in enumerate(contest.contestants, 1)}
-    refused = [row.method for row in contest.rows if row.not_applicable == 1]
-    table: list[tuple[str, ...]] = [HEAD]
-    for row in contest.rows:
-        if row.method not in refused:
-            table.append(_cells(places.get(row.method, "-"), row))
-    print_table(table)
-    if refused:
-        say()
-        say(f"not applicable (--json says why): {', '.join(refused)}")
-    scenarios = _counted(len(contest.scenarios), "scenario")
-    runs = _counted(len(contest.seeds), "run")
-    say()
-    say(f"{scenarios}, {runs} each; - : line to compare with; 95 % intervals in ()")
+    print_blocks(contest.blocks())
     if written:
         say(f"written: {', '.join(map(str, written))}")
-
-
-def _counted(number: int, what: str) -> str:
-    """1 run, 2 runs."""
-    return f"{number} {what}{'s' * (number > 1)}"
-
-
-def _cells(place: str, row: Row) -> tuple[str, ...]:
-    """A row of the leaderboard as text."""
-    return (
-        place,
-        row.method,
-        _regret(row.median_regret, row.median_interval),
-        _regret(row.behind, row.behind_interval),
-        _regret(row.worst_regret, row.worst_interval),
-        row.worst_scenario,
-        _share(row.diverged),
-        _share(row.not_applicable),
-        _number(row.tracking, ".3g"),
-        _number(row.coverage, ".2f"),
-    )
-
-
-def _regret(value: float, interval: tuple[float, float]) -> str:
-    """A regret and its interval."""
-    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
-
-
-def _share(value: float) -> str:
-    """A share in percent; nothing where there is none."""
-    return f"{100 * value:.0f} %" if value else ""
-
-
-def _number(value: float | None, form: str) -> str:
-    """A number; nothing where there is none."""
-    return "" if value is None else format(value, form)
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def check(
     scenario: Path, out: Path | None, as_json: bool, no_figures: bool, confine: Path | None
 ) -> int:
-    """Assess the scenario's gains without a simulation.
+    """Assess the scenario's gains, and how strongly its readings move z^.
 
     Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G
     fails, and the nearest certified gains; a nonlinear model is certified on the scenario's
@@ -54,7 +54,7 @@ def check(
     folder = folder_for(out, no_figures, f"{scenario.stem}-check")
     written = []
     with progress("judging", None) as advance:
-        assessment = assess(resolve_scenario(checked))
+        assessment = assess(resolve_scenario(checked), listen=True)
         near = None if assessment.gains is None else assessment.gains.nearest
         summary = summary_of(assessment)
         summary["nearest"] = None if near is None else _in_numbers(near)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from undeadzone.support.shown import Block, aligned, columns
+from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
@@ -114,22 +116,19 @@ def print_pairs(pairs: dict[str, Any], err: bool = False) -> None:
         pairs: the values by name.
         err: whether they go to stderr.
     """
-    width = max(len(printable(name)) for name in pairs)
-    for name, value in pairs.items():
-        head = printable(name)
-        for entry in value if isinstance(value, list) else [value]:
-            text = f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-            say(f"{head:<{width}}  {text}", err)
-            head = ""
+    for line in aligned(pairs):
+        say(line, err)
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
     """Aligned columns, the first row their heads."""
-    shown = [[printable(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
-    for row in shown:
-        cells = [f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)]
-        say("  ".join(cells).rstrip())
+    for line in columns(rows):
+        say(line)
+
+
+def print_blocks(blocks: Sequence[Block]) -> None:
+    """Blocks of a result, an empty line between them."""
+    click.echo(text_of(blocks))
 
 
 @contextmanager

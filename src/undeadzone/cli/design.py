@@ -21,13 +21,6 @@ if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.scenario.schema import Scenario
 
-UNITS = {
-    "rate": "1/s",
-    "disturbance": "rms error per white disturbance",
-    "mismatch": "per relative model error",
-    "noise": "per rms noise",
-}
-
 
 def powers(
     context: click.Context, parameter: click.Parameter, value: str | None
@@ -183,33 +176,13 @@ def _numbers(design: Design) -> dict[str, Any]:
 
 
 def _words(design: Design, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """A design in words: its gains, their proof, their trade, and what `check` says of them."""
-    from undeadzone.synthesis.words import in_words, plain
+    """A design in words, and what `check` says of it."""
+    import msgspec
+
+    from undeadzone.analysis.certificate.design_words import in_words as design_in_words
+    from undeadzone.synthesis.words import in_words
 
     checked = in_words(summary, scenario)
     checked.pop("observer")
-    shown: dict[str, Any] = {
-        "scenario": checked.pop("scenario"),
-        "chosen": f"{design.chosen}, seed {design.seed}",
-        "L": plain(design.best.L),
-        "gamma": plain(design.best.gamma),
-        "certified": checked.pop("certified"),
-        "rate": checked.pop("rate"),
-        "proof P": [plain(row) for row in design.P],
-        "proof W": plain(design.W),
-        "trade": _trade(design),
-    }
-    if design.remarks:
-        shown["remark"] = design.remarks
-    return shown | checked
-
-
-def _trade(design: Design) -> list[str]:
-    """What the gains are worth, against the present ones if there are any."""
-    lines = []
-    for name, unit in UNITS.items():
-        words = f"{name} {getattr(design.best, name):.4g} {unit}"
-        if design.present is not None:
-            words += f"; yours {getattr(design.present, name):.4g}"
-        lines.append(words)
-    return lines
+    own = design_in_words(msgspec.to_builtins(design))
+    return own | {name: checked.pop(name) for name in own if name in checked} | checked

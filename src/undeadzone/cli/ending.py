@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -34,7 +35,10 @@ def ended(command: Callable[[], Any]) -> int:
         if _open_streams():
             return _refused("stdout is closed, and the results would be lost; use > /dev/null")
         _catch_terminate()
-        code = command()
+        with warnings.catch_warnings():
+            if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
+                warnings.simplefilter("ignore")
+            code = command()
         sys.stdout.flush()
         return code if isinstance(code, int) else DONE
     except click.exceptions.Exit as error:

@@ -14,14 +14,18 @@ from undeadzone.cli.common import confined, print_json, print_pairs, print_table
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
-    "--to", default="c", metavar="WHAT", help="c (default), arduino, fmu2, fmu3 or python."
+    "--to",
+    default="c",
+    metavar="WHAT",
+    help="c (default), arduino, fmu2, fmu3, python or page.",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=None,
     metavar="DIR",
-    help="Folder for the files (default: firmware; with --check alone, none).",
+    help="Folder for the files (default: firmware; with --check alone, none); of a page, the file "
+    "(default: live.html).",
 )
 @click.option(
     "--precision",
@@ -68,11 +72,14 @@ def export(
     manifest. Single precision is run beside double along the scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
     A folder that is no earlier export is never replaced.
+    `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
     """
     from undeadzone.exports.export import export as run
     from undeadzone.scenario.reader import read
 
     problem = read(scenario, confine)
+    if to == "page":
+        out = Path("live.html") if out is None else out
     with tempfile.TemporaryDirectory() as scratch:
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
@@ -81,7 +88,8 @@ def export(
     if as_json:
         print_json(result.report | {"written": files})
     else:
-        print_pairs(_in_words(result.report, files))
+        words = _page_in_words if to == "page" else _in_words
+        print_pairs(words(result.report, files))
         if check and result.report["accuracy"] is not None:
             print_table(_table(result.report["accuracy"]))
     return 0 if result.passed else 1
@@ -106,13 +114,28 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     return pairs
 
 
+def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """What is printed of the report on a page."""
+    sizes = report["sizes"]
+    counts = [f"{count} {word}" for word, count in report["operations"].items()]
+    return {
+        "page": f"{report['title']}: {report['steps']:,} steps at each move of a slider",
+        "hash": report["hash"],
+        "sizes": f"page {sizes['page']:,}, of which code {sizes['wasm']:,} bytes",
+        "operations": ", ".join(counts),
+        "sliders": ", ".join(report["sliders"]),
+        "written": files,
+    }
+
+
 def _table(accuracy: dict[str, Any]) -> list[list[str]]:
     """The accuracy as rows of text."""
     rows = [["float against double", "largest error", "largest value"]]
     for name, numbers in accuracy["float_against_double"].items():
         rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])
     rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
-    eigenvalue = accuracy["smallest_correlation_eigenvalue"]
-    if eigenvalue is not None:
-        rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", "in double"])
+    for real, key in (("double", ""), ("float", "_in_float")):
+        eigenvalue = accuracy[f"smallest_correlation_eigenvalue{key}"]
+        if eigenvalue is not None:
+            rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", f"in {real}"])
     return rows

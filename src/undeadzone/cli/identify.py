@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
+from undeadzone.cli.log_table import columns_option
 
 if TYPE_CHECKING:
+    from undeadzone.identification.outputs import IdentifiedOutputs
     from undeadzone.identification.result import Identified
+
+    Answers = Identified | IdentifiedOutputs
 
 
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
@@ -24,11 +28,13 @@ if TYPE_CHECKING:
 @click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
 @click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
 @click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
+@click.option("--kind", type=click.Choice(["auto", "deadzone", "jump"]), default="auto")
+@click.option("--delay", default="auto", help="Samples by which the recording delays the input.")
+@click.option("--zero", default=0.0, help="What the sensor reads inside its zone.")
+@click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
-@click.option("--time", default=None, help="Column of times: a name, or a number from 1.")
-@click.option("--input", "inputs", default=None, help="Columns of inputs, comma between.")
-@click.option("--output", default=None, help="Column of readings.")
+@columns_option
 @common
 def identify(
     logs: tuple[Path, ...],
@@ -46,37 +52,55 @@ def identify(
     NAME-identify). With --no-figures and no --out it writes the scenario alone. Exit code 1: no
     dead zone of the sensor, or nothing can be said.
     """
-    from undeadzone.errors import InputError
     from undeadzone.identification.identify import identify as identified
-    from undeadzone.support.files import write_text
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
     writable(out or Path())
     with progress("identifying", None) as advance:
         answer = identified([str(path) for path in logs], progress=advance, **options)
-        written = []
+        is_found = answer.verdict in ("dead_zone", options["kind"])
+        written: list[Path] = []
         reason = None
-        if answer.verdict == "dead_zone":
-            where = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
-            try:
-                written.append(write_text(answer.scenario(), where))
-            except InputError as error:
-                reason = str(error)
+        if is_found:
+            path = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
+            written, reason = _scenario(answer, path)
         if folder is not None:
-            written.append(answer.save(folder / "identify.json"))
-            if not no_figures:
-                from undeadzone.report.identify_page import write_identified
-
-                written += write_identified(answer, folder, first.name)
+            written += _pages(answer, folder, first.name, not no_figures)
     if as_json:
         print_json(answer.numbers() | {"files": [str(path) for path in written]})
     else:
         print_pairs(_lines(answer, [str(path) for path in written], reason))
-    return 0 if answer.verdict == "dead_zone" else 1
+    return 0 if is_found else 1
 
 
-def _lines(answer: Identified, written: list[str], reason: str | None) -> dict[str, Any]:
+def _scenario(answer: Answers, path: Path) -> tuple[list[Path], str | None]:
+    """The scenario that was written, or why there is none."""
+    from undeadzone.errors import InputError
+    from undeadzone.support.files import write_text
+
+    try:
+        return [write_text(answer.scenario(), path)], None
+    except InputError as error:
+        return [], str(error)
+
+
+def _pages(answer: Answers, folder: Path, source: str, figures: bool) -> list[Path]:
+    """The numbers, and a page with figures for each output, written to a folder."""
+    written = [answer.save(folder / "identify.json")]
+    if not figures:
+        return written
+    from undeadzone.identification.result import Identified
+    from undeadzone.report.identify_page import write_identified
+
+    if isinstance(answer, Identified):
+        return written + write_identified(answer, folder, source)
+    for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
+        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}")
+    return written
+
+
+def _lines(answer: Answers, written: list[str], reason: str | None) -> dict[str, Any]:
     """The lines of the answer, and what was written."""
     lines = answer.summary()
     if reason is not None:

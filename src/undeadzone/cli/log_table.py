@@ -39,6 +39,8 @@ def log_pairs(info: LogInfo) -> dict[str, Any]:
     shown["d_left"] = _width(info, info.d_left, info.d_left_std) + widths
     shown["readings"] = _sides(info)
     shown["consistent"] = _verdict(info)
+    if info.remarks:
+        shown["remark"] = "; ".join(info.remarks)
     return shown
 
 
@@ -72,8 +74,11 @@ def _width(info: LogInfo, values: list[float], stds: list[float] | None) -> str:
 def _sides(info: LogInfo) -> str:
     """How many readings are on each side of each output."""
     texts = []
-    for right, left, silent in zip(info.right, info.left, info.silent, strict=True):
+    limited = info.limited or [0] * len(info.right)
+    for right, left, silent, at in zip(info.right, info.left, info.silent, limited, strict=True):
         text = f"{right} right, {left} left, {silent} silent"
+        if info.limited:
+            text += f", {at} at a limit"
         never = [name for name, count in (("right", right), ("left", left)) if count == 0]
         if never:
             text += f": the {' and the '.join(never)} edge is never passed"
@@ -87,5 +92,4 @@ def _verdict(info: LogInfo) -> str:
         return f"cannot be tested: {'; '.join(info.reasons)}"
     if not info.consistent:
         return "NO: " + "; ".join(info.reasons)
-    beyond = f"{info.glitches} of {info.used} readings beyond 4.5 standard deviations"
-    return f"yes (B = {info.B:.2f}; {beyond})"
+    return f"yes (B = {info.B:.2f}; {info.glitches} of {info.used} readings taken for wrong)"

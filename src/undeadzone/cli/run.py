@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -105,6 +104,7 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.compare import compare
+    from undeadzone.simulation.listening import heard
     from undeadzone.simulation.simulate import simulate
 
     if path.suffix in OF_ENSEMBLE:
@@ -121,15 +121,17 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
         raise InputError("animation: this plant is no arm; leave the option out")
     with progress("simulating", _steps(scenario)) as advance:
         if scenario.compare is None:
-            return simulate(scenario, progress=advance), None
-        return compare(scenario, progress=advance)
+            result, rival = simulate(scenario, progress=advance), None
+        else:
+            result, rival = compare(scenario, progress=advance)
+        return heard(scenario, result, advance), rival
 
 
 def _steps(scenario: Scenario) -> int:
-    """How many steps are simulated: of each observer, and of its twin of half the step."""
+    """How many steps are simulated: of each observer, of its twin of half the step, of `heard`."""
     observers = 1 if scenario.compare is None else 2
     each = 3 if scenario.simulation.time == "continuous" else 1
-    total = observers * each * scenario.simulation.duration
+    total = (observers * each + 1) * scenario.simulation.duration
     return round(total / max(scenario.simulation.step, 1e-12))
 
 
@@ -172,73 +174,14 @@ def _written(
 
 def _print(result: Run, written: list[Path], deviation: float | None, rival: Run | None) -> None:
     """Print what a run came to."""
-    shown = _errors(result) | _proof(result.summary()) | _identifiable(result)
+    shown = result.in_words()
     if rival is not None:
         shown["compared"] = _compared(rival)
-    if result.diverged_at is not None:
-        shown["DIVERGED"] = f"at {result.diverged_at:g} s"
-    elif result.inexact:
-        share = result.info.integration_share
-        assert share is not None
-        shown["NOT EXACT"] = (
-            f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
-            "no results; use a smaller simulation.step"
-        )
     if deviation == 0:
         shown["replayed"] = "as in the ensemble, to the last bit"
     elif deviation is not None:
         shown["replayed"] = f"off by {deviation:.1g} of the ensemble: another processor or version"
     print_pairs(shown | named_files(written))
-
-
-def _errors(result: Run) -> dict[str, Any]:
-    """The errors of a run, its estimates and how often it was silent."""
-    info, unit = result.info, result.info.units.output
-    shown: dict[str, Any] = {
-        "scenario": info.title,
-        "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
-        "rms z - r": f"{result.rms_tracking:.4g} {unit} (last 2 s)",
-        "rms z - z^": f"{result.rms_estimation:.4g} {unit} (last 2 s)",
-    }
-    if result.rms_tip is not None:
-        shown["rms tip"] = f"{result.rms_tip:.4g} m from its path (last 2 s)"
-    shown["d_right"] = _widths(result, 0)
-    shown["d_left"] = _widths(result, 1)
-    for name, parameter in result.parameters.items():
-        estimate, std, true = parameter["estimate"], parameter["std"], parameter["true"]
-        shown[name] = f"{estimate:.4g} ± {std:.2g} (true {true:g})"
-    shown["silent"] = f"{100 * result.silent_fraction:.1f} % of the time"
-    return shown
-
-
-def _proof(summary: dict[str, Any]) -> dict[str, Any]:
-    """What is proved of a run, and how exactly it was integrated."""
-    shown: dict[str, Any] = {}
-    certified, rise = summary["certified"], summary["largest_rise_of_V"]
-    if certified is False:
-        shown["certificate"] = "none found for these gains; undeadzone check says why"
-    elif certified:
-        words = "holds for an exact model without noise or disturbance"
-        if rise is not None:
-            words += f"; along this run V rose by at most {rise:.1g} of its peak"
-        shown["certificate"] = words
-    error = summary["integration_error"]
-    if error is not None:
-        shown["integration"] = f"error {error:.2g} (against half the step)"
-    return shown
-
-
-def _identifiable(result: Run) -> dict[str, Any]:
-    """What the readings of a run tell of each output's widths."""
-    from undeadzone.synthesis.words import yes_no
-
-    shown: dict[str, Any] = {}
-    several = len(result.info.identifiable) > 1
-    kind = "" if result.info.joints else "output "
-    for output, verdict in zip(result.outputs, result.info.identifiable, strict=True):
-        where = f" of {kind}{output}" if several else ""
-        shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
-    return shown
 
 
 def _compared(rival: Run) -> str:
@@ -247,24 +190,3 @@ def _compared(rival: Run) -> str:
         return f"{rival.name} diverges at {rival.diverged_at:g} s"
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
     return f"{rival.name}: rms z - r {rival.rms_tracking:.4g} {rival.info.units.output}{tip}"
-
-
-def _widths(result: Run, edge: int) -> str:
-    """The final estimates of one edge of each output, and the truth.
-
-    Their standard deviations are given where they are known.
-
-    Args:
-        result: the run.
-        edge: 0 right, 1 left.
-    """
-    estimates, true = _listed(result.widths[:, edge]), _listed(result.info.widths[edge::2])
-    if result.d_std is None:
-        return f"{estimates} (true {true})"
-    std = ", ".join(f"{value:.2g}" for value in result.d_std[-1, edge::2])
-    return f"{estimates} ± {std} (true {true})"
-
-
-def _listed(widths: Iterable[float]) -> str:
-    """Widths with commas between them."""
-    return ", ".join(f"{width:.6g}" for width in widths)

@@ -20,8 +20,6 @@ from undeadzone.cli.common import (
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
     from undeadzone.scenario.tune_table import Tune
-    from undeadzone.statistics.intervals import Interval
-    from undeadzone.tuning.result import Tuned
 
 
 @click.command(
@@ -71,11 +69,17 @@ if TYPE_CHECKING:
     metavar="N",
     help="Of the runs and the search (default: [tune] seed).",
 )
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
+)
 @confined
 @common
 def tune(
     scenario: Path,
     over: tuple[str, ...],
+    resume: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -96,18 +100,25 @@ def tune(
 
     Prints the numbers found and what they are worth on held-out runs, others than those tuned on.
     Writes tuned.toml, the scenario with these numbers, and figures to DIR (default: NAME-tune);
-    with --no-figures and no --out it writes nothing. Exit code 1: no better on the held-out runs,
+    with --no-figures and no --out it writes nothing. What candidates cost is kept in DIR meanwhile:
+    after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
     """
     from undeadzone.scenario.reader import read
     from undeadzone.tuning.tune import tune as search
+    from undeadzone.tuning.words import in_words
 
     tuned = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
     wanted = _wanted(tuned, over, changes)
+    keep = None if folder is None else folder / "tuned.toml.partial"
+    if resume and keep is None:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     with progress("tuning", wanted.budget, "candidates") as advance:
-        result = search(tuned, wanted, progress=advance)
+        result = search(tuned, wanted, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
+    if keep is not None:
+        keep.unlink(missing_ok=True)
     if folder is not None and not no_figures:
         from undeadzone.report.tune_figures import write_figures
 
@@ -115,7 +126,7 @@ def tune(
     if as_json:
         print_json(result.summary() | {"files": [str(path) for path in written]})
     else:
-        print_pairs(_words(result) | named_files(written))
+        print_pairs(in_words(result.summary()) | named_files(written))
     return 0 if result.improved and result.certified else 1
 
 
@@ -148,49 +159,3 @@ def _bounds(text: str) -> tuple[str, Any]:
             "--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as "
             f"observer.gamma=0.1:100:log, found {text!r}"
         ) from None
-
-
-def _words(result: Tuned) -> dict[str, Any]:
-    """What tuning found."""
-    what = result.what
-    shown: dict[str, Any] = {
-        "scenario": result.scenario.title,
-        "made small": (
-            f"{what.statistic} of {what.metric}, {what.runs} runs, {len(result.trials)} candidates "
-            f"of {what.budget}"
-        ),
-    }
-    for parameter, value in zip(result.parameters, result.values, strict=True):
-        shown[parameter.name] = f"{value:.6g} (from {parameter.start:.6g})"
-        if parameter.name in result.at_edge:
-            shown[parameter.name] += ", at the end of its range: a wider one may do better"
-    shown |= _gained(result)
-    if result.margin is not None:
-        shown["certified"] = f"{'yes' if result.certified else 'NO'}, margin {result.margin:.4g}"
-    return shown
-
-
-def _gained(result: Tuned) -> dict[str, str]:
-    """What tuning gained, on the runs tuned on and on those held out."""
-    before, after, runs = result.held_out[0]
-    drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
-    verdict = "better" if result.improved else "NO improvement that chance could not explain"
-    shown = {
-        "runs tuned on": f"{result.cost[0]:.4g} -> {result.cost[1]:.4g}",
-        "held-out runs": f"{_interval(before.value)} -> {_interval(after.value)}, {drawn}",
-        "change": f"{_interval(result.change)}: {verdict}",
-    }
-    if before.diverged.value or after.diverged.value:
-        first, second = 100 * before.diverged.value, 100 * after.diverged.value
-        shown["diverged"] = f"{first:.3g} % -> {second:.3g} % of the held-out runs"
-    return shown
-
-
-def _interval(interval: Interval) -> str:
-    """A value and its interval, an end of which may be unknown."""
-    return f"{interval.value:.4g} ({_end(interval.low)} to {_end(interval.high)})"
-
-
-def _end(value: float) -> str:
-    """An end of an interval."""
-    return "?" if abs(value) == float("inf") else f"{value:.4g}"

@@ -10,10 +10,12 @@ import click
 
 from undeadzone.cli.common import confined, print_pairs
 from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
-from undeadzone.errors import FileError
+from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
+    from undeadzone.simulation.follow_text import TextLog
+    from undeadzone.simulation.follower import Follower
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
@@ -34,13 +36,13 @@ def watch(
 
     A sample is a CSV line. A header says which column is which: t, y, u (or y[0], y[1], ...), with
     units in brackets; other columns are ignored, and run.csv of `undeadzone run` is such a log.
-    Without a header: a time perhaps, the readings, the inputs that act until the next sample.
+    Without a header name the columns: --columns t=1,y=2,u=3. u acts until the next sample.
     Times must fit simulation.step; gaps in them, empty and NaN readings and lines that cannot be
     read are missing samples: predicted, not corrected, and counted. The observer and [model] (or
     [plant]) of the scenario are used; it needs no [reference], no [controller], no widths.
 
-    Ends with a table on stderr: widths, what was missing, and whether the innovations are what the
-    observer claims. Exit code 1: they are not.
+    Ends with a table on stderr, after Ctrl-C too: widths, what was missing, and whether the
+    readings are what the observer claims. Exit code 1: they are not.
     """
     from undeadzone.logs.names import parse_columns
     from undeadzone.scenario.reader import read_for_logs
@@ -52,6 +54,19 @@ def watch(
     log = TextLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed; give lines of readings and inputs")
+    try:
+        _follow(log, follower, as_json)
+    except (KeyboardInterrupt, Terminated):  # a live log ends this way
+        if follower.samples:
+            print_pairs(log_pairs(log.info(follower)), err=True)
+        raise
+    info = log.info(follower)
+    print_pairs(log_pairs(info), err=True)
+    return exit_code(info)
+
+
+def _follow(log: TextLog, follower: Follower, as_json: bool) -> None:
+    """Answer every sample on stdin until it ends."""
     stdin: Any = sys.stdin.buffer
     last = False
     header = not as_json
@@ -66,9 +81,6 @@ def watch(
             _write(_header(estimate, sides))
             header = False
         _write(_json(samples.t, estimate, sides) if as_json else _csv(samples.t, estimate, sides))
-    info = log.info(follower)
-    print_pairs(log_pairs(info), err=True)
-    return exit_code(info)
 
 
 def _write(text: bytes) -> None:

@@ -64,7 +64,8 @@ class SlidingMode(
         """
         n, m, Ts = model.n, model.m, model.Ts
         usual = 10 * fastest_pole(model)
-        poles = -usual * np.linspace(0.8, 1.2, n - m) if self.poles is None else self.poles
+        spread = np.linspace(0.8, 1.2, max(n - m, 0))
+        poles = -usual * spread if self.poles is None else self.poles
         rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
         gain, boundary = self._layer(m, rate)
         if Ts is not None and (gain * Ts > boundary).any():

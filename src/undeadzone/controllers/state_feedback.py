@@ -11,10 +11,15 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.fast_gain import fast_feedback
 from undeadzone.linear.poles import state_gain
 from undeadzone.linear.riccati import feedback, lyapunov, weight
 from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import mean_pole, pace, state_units
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
+
+CHOICES = ("K", "poles", "alpha", "speed")
+SPEED = 5.0  # of the closed loop, in mean poles of the plant, where nothing is chosen
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,15 +44,18 @@ class StateFeedback(
     tag_field="method",
     tag="state_feedback",
 ):
-    """u = u_ff - K (x^ - x_ref) with exactly one of: K; poles of A - B K; alpha and Q of (34).
+    """u = u_ff - K (x^ - x_ref) with at most one of: K; poles; alpha and Q of (34); speed.
 
     With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of
-    A - L C. Sampled models get the sampled counterpart of the same choice.
+    A - L C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and
+    Moore 1971). Sampled models get the sampled counterpart of the same choice.
 
     Attributes:
         K: gains (m x n).
         poles: poles of A - B K (n) [1/s].
         alpha: of (34).
+        speed: speed of A - B K [1/s]; default, where none of the others is given, five mean poles
+            of the plant.
         Q: of (34), a number, one per state, or a matrix.
         robust: an optional tanh term; default none.
         reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, move
@@ -58,6 +66,7 @@ class StateFeedback(
     K: Array | None = None
     poles: Array | None = None
     alpha: float | None = None
+    speed: float | None = None
     Q: Array = 1.0
     robust: Robust | None = None
     reject: bool = True
@@ -89,21 +98,31 @@ class StateFeedback(
 
     def _weight(self, model: System) -> Floats:
         """Q (n x n), once it is sure that one choice is made. Raises InputError, ShapeError."""
-        chosen = [name for name in ("K", "poles", "alpha") if getattr(self, name) is not None]
-        if len(chosen) != 1:
+        chosen = [name for name in CHOICES if getattr(self, name) is not None]
+        if len(chosen) > 1:
             raise InputError(
-                "controller: state_feedback needs exactly one of K, poles, alpha; "
-                f"found {' and '.join(chosen) or 'none'}"
+                "controller: state_feedback takes exactly one of K, poles, alpha, speed; "
+                f"found {' and '.join(chosen)}"
             )
         return weight("controller.Q", self.Q, model.n)
 
     def _gain(self, model: System, Q: Floats) -> Floats:
-        """K (m x n) of the one choice that is made. Raises InputError, ShapeError."""
+        """K (m x n) of the one choice that is made.
+
+        Raises:
+            InputError, ShapeError: for numbers that cannot be.
+            StructureError: where a speed cannot be reached.
+        """
         if self.K is not None:
             K = np.atleast_2d(array("controller.K", self.K))
             return matrix("controller.K", K, model.m, model.n, "inputs x states")
         if self.poles is not None:
             return state_gain(model.linear, self.poles, model.Ts)
+        if self.alpha is None:
+            default = SPEED * mean_pole(model)
+            speed = default if self.speed is None else self.speed
+            speed = scalar("controller.speed", speed, above=0.0)
+            return fast_feedback(model.linear, speed, model.Ts)
         alpha = scalar("controller.alpha", self.alpha, above=0.0)
         return feedback(model.linear, alpha, Q, model.Ts)
 
@@ -122,12 +141,18 @@ class StateFeedback(
 def rest(model: System) -> Floats:
     """[x; u] per unit of a constant w ((n + m) x n), at rest.
 
-    There x' = A x + B u + w is 0, and so are the first m outputs.
+    There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
+    in which neither the unit of time nor that of u matters.
     """
-    A, B, C = model.linear if model.flow is None else model.flow
-    C = C[: model.m]
-    steady = np.block([[A, B], [C, np.zeros((len(C), model.m))]])
-    return -np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
+    flow = model.linear if model.flow is None else model.flow
+    A, B, C = flow
+    of_x, rate, C = state_units(flow), pace(flow), C[: model.m]
+    of_w = (rate * of_x)[:, None]
+    push = np.abs(B / of_w).max(axis=0)
+    of_u = 1 / np.where(push > 0, push, 1.0)
+    steady = np.block([[A * of_x / of_w, B * of_u / of_w], [C * of_x, np.zeros((len(C), model.m))]])
+    even = np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
+    return np.asarray(-np.concatenate([of_x, of_u])[:, None] * even / of_w.T)
 
 
 class Params(NamedTuple):

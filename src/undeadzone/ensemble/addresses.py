@@ -17,7 +17,7 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random, Signal, Sine, Step, Trapezoid
 from undeadzone.simulation.loop import Loop
 from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import LARGEST, Floats
 
 FIXED: Final = ("h", "controller.tau", "controller.rate")  # set by the clock, never varied
 PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
@@ -31,7 +31,12 @@ LEAST: Final = {
     "disturbance.rms": 0.0,
     "observer.gamma": 0.0,
     "sensor.slope": POSITIVE,
+    "sensor.range": POSITIVE,  # the lower limit, below 0, by a factor alone
 }
+LIMITS: Final = {
+    "sensor.limits.low": 0,
+    "sensor.limits.high": 1,
+}  # places in a pair of sensor.range
 SCALES: Final = {
     "scale.reference": "reference.scale",
     "scale.disturbance": "disturbance.scale",
@@ -75,13 +80,13 @@ def quantities(problem: Problem, loop: Loop) -> dict[str, Quantity]:
     by_address: dict[str, Quantity] = {}
     for (name, slot), value in zip(slots.items(), values, strict=True):
         key = stem(name)
-        if key in FIXED or key in absent:
+        if key in FIXED or key in absent or (key in LIMITS and abs(value) == LARGEST):
             continue
         address = _address(problem, name)
         gain = 1.0
         if key in PER_SECOND and problem.model.Ts is not None:
             gain = problem.model.Ts
-        all_slots = (slot, *_observer_copies(problem, address, slots))
+        all_slots = (slot, *_observer_copies(problem, name, slots))
         by_address[address] = Quantity(value / gain, all_slots, gain, _least(problem, address))
     for i, x in enumerate(problem.x0):
         by_address[f"plant.x0[{i}]"] = Quantity(x, (size + i,))
@@ -110,6 +115,9 @@ def _address(problem: Problem, name: str) -> str:
         return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
     if key in SCALES:
         return SCALES[key] + index
+    if key in LIMITS:
+        output = index[1:-1] + "," if problem.plant.p > 1 else ""
+        return f"sensor.range[{output}{LIMITS[key]}]"
     return name
 
 
@@ -134,18 +142,22 @@ def _absent(problem: Problem) -> list[str]:
     return absent
 
 
-def _observer_copies(problem: Problem, address: str, slots: dict[str, int]) -> list[int]:
-    """Where the observer holds its own copy of a number of the sensor.
+def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list[int]:
+    """Where the observer holds its own copy of a packed number of the sensor.
 
-    It copies the threshold, and the oracle copies the widths too.
+    It copies the threshold and the range, and the oracle copies the widths too.
     """
-    copies = {"sensor.threshold": "observer.threshold"}
+    copies = {
+        "sensor.threshold": "observer.threshold",
+        "sensor.limits.low": "observer.ends.low",
+        "sensor.limits.high": "observer.ends.high",
+    }
     if isinstance(problem.scenario.observer, Oracle):
         copies |= {"sensor.right": "observer.right0", "sensor.left": "observer.left0"}
-    key = stem(address)
+    key = stem(name)
     if key not in copies:
         return []
-    copy = copies[key] + index_of(address)
+    copy = copies[key] + index_of(name)
     return [slots[copy]] if copy in slots else []
 
 

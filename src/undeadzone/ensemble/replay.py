@@ -154,7 +154,11 @@ def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
 def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
     """The sensor with the numbers of one run."""
     changes = {"noise": params.scale.after, "noise_before": params.scale.before}
-    for name, value in params.sensor._asdict().items():
+    numbers = params.sensor._asdict()
+    limits = numbers.pop("limits")
+    if limits is not None:
+        changes |= limits._asdict()
+    for name, value in numbers.items():
         if value.size:
             changes[name] = value
     return msgspec.structs.replace(sensor, **changes)

@@ -17,10 +17,13 @@ from undeadzone.ensemble.bands import Bands, true_width
 from undeadzone.ensemble.influence import JUDGED as JUDGED
 from undeadzone.ensemble.influence import Sensitivity, sensitivities
 from undeadzone.ensemble.info import Info, unit_of_column
+from undeadzone.ensemble.words import in_words
 from undeadzone.errors import InputError
 from undeadzone.simulation.run import LAST
 from undeadzone.statistics.intervals import LEVEL, describe, proportion
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
@@ -79,7 +82,7 @@ class Ensemble:
             One number for each run, those that diverged included.
 
         Raises:
-            InputError
+            InputError: there is no such column.
         """
         if name == WIDTHS:
             return self._largest_width_error()
@@ -118,7 +121,7 @@ class Ensemble:
             Its numbers in these runs; the settling time of a run that did not settle is infinite.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         values = self.column(name)[self.independent]
         if name == "settling_time":
@@ -158,7 +161,7 @@ class Ensemble:
             Those that diverged, then those in which the metric is largest in size.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         size = np.where(self.diverged, np.inf, np.abs(self.column(metric)))
         bar = 0.0  # the least size among the worst
@@ -178,7 +181,7 @@ class Ensemble:
             The run; None if all diverged, or the median is infinite.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         sample = self.sample(metric)
         if not sample.size:
@@ -198,7 +201,7 @@ class Ensemble:
             Sensitivities by entry, the most influential first; none for too few runs.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         if not self.varied:
             return {}
@@ -215,7 +218,7 @@ class Ensemble:
             `run`, `diverged`, the values `varied` and the `metrics`, by name.
 
         Raises:
-            InputError
+            InputError: there is no such column, or no such run.
         """
         if not 0 <= run < self.info.runs:
             raise InputError(f"run {run}: expected 0 to {self.info.runs - 1}")
@@ -250,6 +253,18 @@ class Ensemble:
             "worst": [self.row(run) for run in self.worst()],
         }
         return finite(summary)
+
+    def __str__(self) -> str:
+        """The tables that `undeadzone ensemble` prints."""
+        return shown.text(self.blocks(self.summary()))
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks(self.summary()))
+
+    def blocks(self, summary: dict[str, Any]) -> list[Block]:
+        """The tables that `undeadzone ensemble` prints, of a summary."""
+        return in_words(self.info, summary, int(self.diverged.sum()))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

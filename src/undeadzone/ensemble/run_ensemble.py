@@ -95,7 +95,7 @@ def replay_run(result: Ensemble, run: int) -> Run:
         The run, as `simulate` returns it.
 
     Raises:
-        InputError or a subclass
+        InputError: or a subclass, for what is wrong with the scenario.
     """
     return replay(prepare(parse(result.info.scenario)), run)
 
@@ -111,7 +111,7 @@ def deviation(result: Ensemble, run: int) -> float:
         The largest relative difference of its values and metrics; 0: none differs by a bit.
 
     Raises:
-        InputError or a subclass
+        InputError: or a subclass, for what is wrong with the scenario.
     """
     kept = result.row(run)
     batch = prepare(parse(result.info.scenario))

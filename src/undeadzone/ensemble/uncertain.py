@@ -65,6 +65,12 @@ def _numbers_of_entry(
     for part in parts:
         names += _named(address, part, known, problem)
     suffix = ""
+    for name in names:
+        if known[name].nominal < 0 < known[name].least and not distribution.relative:
+            raise InputError(
+                f"{entry_name(address)}: {name} is negative and varies by a factor alone; set "
+                "relative = true and give factors"
+            )
     if distribution.relative:
         names = _with_factors(address, parts, names, known)
         suffix = " (relative)"

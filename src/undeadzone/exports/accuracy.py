@@ -19,7 +19,7 @@ from undeadzone.support.arrays import Floats
 
 CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
-EXACT, CLOSE = 1e-13, 1e-10  # bars of that: without elementary functions, and with
+EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
@@ -66,6 +66,7 @@ class Accuracy(NamedTuple):
         rows: the largest errors of float, by field.
         sides: at how many steps the measured side differs.
         eigenvalue: smallest eigenvalue of a correlation matrix in double; None: no covariance.
+        eigenvalue_in_float: the same in float.
         refusals: what is not good enough, with its number.
         stack: of a step on this computer [bytes]; None: the compiler does not tell.
     """
@@ -78,6 +79,7 @@ class Accuracy(NamedTuple):
     eigenvalue: float | None
     refusals: list[str]
     stack: int | None = None
+    eigenvalue_in_float: float | None = None
 
 
 class Compiled:
@@ -186,27 +188,34 @@ def _beside(
     errors = np.zeros(double.outputs)
     sizes = np.zeros(double.outputs)
     judge = _Judge(code.step.outputs)
-    eigenvalue: float | None = None
+    eigenvalues: list[Floats] = []
     for start in range(0, len(rows), CHUNK):
         piece = rows[start : start + CHUNK]
         exact, rounded = double(piece), single(piece)
         judge.look(exact, rounded)
         errors = np.maximum(errors, _gap(exact, rounded).max(axis=0))
         sizes = np.maximum(sizes, np.nan_to_num(np.abs(exact)).max(axis=0))
-        smallest = smallest_eigenvalue(code.step.state, double.state[: double.memory])
-        if smallest is not None:
-            eigenvalue = min(smallest, smallest if eigenvalue is None else eigenvalue)
+        pair = [smallest_eigenvalue(code.step.state, one.state) for one in (double, single)]
+        eigenvalues.append(np.array(pair, float))
     table = []
     for field, places in judge.places.items():
         table.append(Row(field, float(errors[places].max()), float(sizes[places].max())))
+    least = np.min(eigenvalues, axis=0)  # in double and in float; NaN where there is no covariance
     refusals = plain.refusals + judge.refusals()
-    if eigenvalue is not None and eigenvalue < SMALLEST:
-        refusals.append(
-            f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
-            f"in double, below {SMALLEST:g}; use --precision double"
-        )
+    for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
+        if eigenvalue < bar:
+            refusals.append(
+                f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
+                f"in {real}, below {bar:g}; use --precision double"
+            )
+    in_double, in_float = (None if np.isnan(one) else float(one) for one in least)
     return plain._replace(
-        steps=len(rows), rows=table, sides=judge.sides, eigenvalue=eigenvalue, refusals=refusals
+        steps=len(rows),
+        rows=table,
+        sides=judge.sides,
+        eigenvalue=in_double,
+        refusals=refusals,
+        eigenvalue_in_float=in_float,
     )
 
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import casadi as ca
 
 from undeadzone.engine.graph import Graph, Node, listed
-from undeadzone.exports.increments import in_increments
 from undeadzone.exports.instructions import require_known, uses_of
 from undeadzone.exports.parts import Step
 from undeadzone.exports.rewrite import rewritten
@@ -59,7 +58,7 @@ def code(step: Step, single: bool) -> Code:
 
     Args:
         step: the step.
-        single: whether numbers are float: sums are then written in increments.
+        single: whether numbers are float.
 
     Raises:
         InputError: an instruction that the export cannot print.
@@ -67,8 +66,6 @@ def code(step: Step, single: bool) -> Code:
     graph = listed(step.function)
     require_known("export", graph)
     graph = rewritten(graph)
-    if single:
-        graph = in_increments(graph)
     phases = None
     if step.acting:
         phases = split(graph, {f"w{k}" for k in step.acting})

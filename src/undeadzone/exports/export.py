@@ -13,6 +13,7 @@ from undeadzone.exports.code import Code, code
 from undeadzone.exports.expressions import LARGEST, LEAST
 from undeadzone.exports.fields import identifier
 from undeadzone.exports.instructions import operations, uses_of
+from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
@@ -60,9 +61,10 @@ def export(
     Args:
         scenario: a scenario with simulation.time = "sampled".
         to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
-            co-simulation; "python" for a module that needs no undeadzone.
-        out: folder for the files; replaced if it is an earlier export.
-        precision: "single" for float, or "double"; default: double for "fmu2", "fmu3" and "python".
+            co-simulation; "python" for a module that needs no undeadzone;
+            "page" for one HTML file in which the scenario's loop runs.
+        out: folder for the files, or the HTML file; replaced if it is an earlier export.
+        precision: "single" for float, or "double"; default: double but for "c" and "arduino".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
@@ -79,6 +81,9 @@ def export(
     _require("to", to, tuple(targets.PRECISION))
     precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
+    if to == "page":
+        _require_plain(precision, part, tunable, name, check)
+        return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
     folder.require_replaceable(Path(out))
     targets.require_possible(to, prefix)
@@ -106,6 +111,24 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
     """Raise InputError for a word that is not known."""
     if value not in known:
         raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
+
+
+def _require_plain(
+    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
+) -> None:
+    """Raise InputError for an option that means nothing to a page."""
+    options = {
+        "precision": precision != "double",
+        "part": part != "observer",
+        "tunable": tunable,
+        "name": name,
+        "check": check,
+    }
+    for key, value in options.items():
+        if value:
+            raise InputError(
+                f"{key}: a page has the whole loop, in double, and no such choice; leave it out"
+            )
 
 
 def _prefix(name: str | None, title: str) -> str:
@@ -188,5 +211,6 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         "float_against_double": table,
         "sides_differ": result.sides,
         "smallest_correlation_eigenvalue": result.eigenvalue,
+        "smallest_correlation_eigenvalue_in_float": result.eigenvalue_in_float,
     }
     return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}

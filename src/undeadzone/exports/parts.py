@@ -11,10 +11,11 @@ from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
 from undeadzone.exports.tunable import folded, require_used
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Estimate, Observer, Reading, graph_of
+from undeadzone.interfaces import Controller, Estimate, Observer, graph_of, received
+from undeadzone.limits import Limits
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
-from undeadzone.sensor import present, side
+from undeadzone.sensor import present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -55,9 +56,10 @@ class _Numbers(NamedTuple):
 
 
 class _Sensor(NamedTuple):
-    """Numbers of the sensor that the step uses: the silence threshold (p)."""
+    """Numbers of the sensor that the step uses: the silence threshold (p) and the range."""
 
     threshold: Any
+    limits: Limits | None
 
 
 class _ObserverMemory(NamedTuple):
@@ -99,7 +101,7 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
     controller = problem.controller if part != "observer" else None
     numbers = _Numbers(
         observer.params,
-        _Sensor(problem.sensor.threshold),
+        _Sensor(problem.sensor.threshold, problem.sensor.limits),
         None if controller is None else controller.params,
     )
     column, params, defaults = folded(numbers, tunable)
@@ -143,12 +145,6 @@ class _Traced(NamedTuple):
     acting: list[int]
 
 
-def _reading(y: ca.SX, threshold: Any) -> Reading:
-    """A reading that is NaN where it is missing."""
-    seen = ca.if_else(present(y), y, np.nan)
-    return Reading(seen, side(seen, threshold))
-
-
 def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
     """The observer alone; an input that is not finite is the last one."""
     model, units = problem.model, problem.scenario.units
@@ -157,9 +153,9 @@ def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: c
     s_column, s = tree.symbols(memory, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
-    reading = _reading(y, params.sensor.threshold)
+    reading = received(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    fields = [*_estimated(estimate, units), Field("side", model.p, "measured side: +1, -1, 0")]
+    fields = [*_estimated(estimate, units), _side_field(problem)]
     return _Traced(
         s_column,
         ca.vertcat(y, u),
@@ -193,7 +189,7 @@ def _loop(
         np.zeros(controller.planned),
     )
     t_column, target = tree.symbols(like, "target")
-    reading = _reading(y, params.sensor.threshold)
+    reading = received(y, *params.sensor)
     unused = ca.SX.sym("unused", model.m)
     _, estimate = observer.step(params.observer, s.observer, unused, reading)
     moved, u = controller.step(params.controller, s.controller, estimate, target)
@@ -202,7 +198,7 @@ def _loop(
     fields = [
         Field("u", model.m, f"input until the next sample [{units.input}]"),
         *_estimated(estimate, units),
-        Field("side", model.p, "measured side: +1, -1, 0"),
+        _side_field(problem),
     ]
     return _Traced(
         s_column,
@@ -215,6 +211,11 @@ def _loop(
         fields,
         [],
     )
+
+
+def _side_field(problem: Problem) -> Field:
+    limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
+    return Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
 
 
 def _y_field(size: int) -> Field:

@@ -19,6 +19,7 @@ PRECISION: Final = {
     "fmu2": "double",
     "fmu3": "double",
     "python": "double",
+    "page": "double",
 }
 VERSIONS: Final = {"fmu2": 2, "fmu3": 3}  # of FMI
 

@@ -62,11 +62,18 @@ def recorded(problem: Problem, step: Step) -> Floats:
 
     Returns:
         A row of readings, then of the other inputs, for each sample.
+
+    Raises:
+        InputError: it diverges at once.
     """
     rows = _recorded(problem, step)
-    diverged = (np.abs(rows) > DIVERGED).any(axis=1) | np.isnan(rows[:, step.readings :]).any(
-        axis=1
-    )
+    missing = np.isnan(rows[:, step.readings :]).any(axis=1)
+    diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
+    if diverged[0]:
+        raise InputError(
+            f"simulation: the run leaves +-{DIVERGED:g} at its first sample, so there is nothing "
+            "to measure the code on; export a scenario whose run stays bounded"
+        )
     return rows[: int(diverged.argmax())] if diverged.any() else rows
 
 

@@ -34,6 +34,8 @@ class Evidence(NamedTuple):
         excitation: samples and visits a side.
         widths: widths with intervals.
         unreached: edges that no reading passes.
+        jumps: edges of a jump sensor, scaled; None for a dead zone.
+        delay: samples by which the input acts late.
     """
 
     grid: Grid
@@ -47,6 +49,8 @@ class Evidence(NamedTuple):
     excitation: Excitation
     widths: Widths
     unreached: tuple[str, ...]
+    jumps: tuple[Interval, Interval] | None
+    delay: int
 
 
 class Disturbance(NamedTuple):

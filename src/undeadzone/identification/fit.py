@@ -69,8 +69,7 @@ def clipped(objective: Objective) -> Callable[[Floats], Floats]:
     limits = objective.limits
 
     def project(theta: Floats) -> Floats:
-        theta[right] = np.clip(theta[right], *limits.right)
-        theta[right + 1] = np.clip(theta[right + 1], *limits.left)
+        theta[right : right + 2] = limits.clip(*theta[right : right + 2])
         return theta
 
     return project
@@ -188,6 +187,8 @@ def starts(objective: Objective) -> list[Floats]:
 def start_by_side(objective: Objective) -> Floats | None:
     """An ARX model on runs of one side, with a constant a side whose difference is the width."""
     layout = objective.layout
+    if layout.integrators:
+        return None  # differences hold no levels
     a, b, levels = arx(objective.simulator, objective.readings.side, objective.readings.ok)
     if levels is None:
         return None
@@ -208,7 +209,7 @@ def start_by_side(objective: Objective) -> Floats | None:
 def arx(
     simulator: Simulator, side: Integers | None, use: Flags | None
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Least squares of y_t on past y and u.
+    """Least squares of y_t on past y and u; of differences of y where the plant integrates.
 
     Args:
         simulator: the order and the lagged inputs.
@@ -220,9 +221,12 @@ def arx(
         a (n), b (m n), and the constants of right and left; None where too few runs speak.
     """
     data, layout = simulator.data, simulator.layout
-    n = layout.n
+    n, free = layout.n, layout.a.stop
     good = data.ok if use is None else data.ok & use
-    past = np.column_stack([np.roll(data.y, i) for i in range(1, n + 1)])
+    y = data.y
+    for _ in range(layout.integrators):
+        y = y - np.roll(y, 1)
+    past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
     whole = good.copy()
     for i in range(1, n + 1):
         whole &= np.roll(good, i)
@@ -236,12 +240,12 @@ def arx(
         whole = right | left
         need = FEW * (n + simulator.lagged.shape[1])
         if right.sum() < need or left.sum() < need:
-            return np.zeros(n), np.zeros(simulator.lagged.shape[1]), None
+            return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
         columns += [right[:, None], left[:, None]]
     matrix = np.hstack(columns)[whole]
-    solution = np.linalg.lstsq(matrix, data.y[whole], rcond=1e-10)[0]
+    solution = np.linalg.lstsq(matrix, y[whole], rcond=1e-10)[0]
     levels = solution[-2:] if side is not None else None
-    return solution[:n], solution[n : n + simulator.lagged.shape[1]], levels
+    return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
 
 
 def _promising(tops: list[Top], objective: Objective) -> int:

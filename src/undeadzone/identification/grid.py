@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.identification.log import Flags, Log, where
+from undeadzone.logs.grid import Regular, filled
 from undeadzone.support.arrays import Floats, Integers
 
 JITTER = 0.01  # of a step, by which regular times may differ
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
 
 
-MOST = 20_000  # samples that are used; more would take minutes and say little more
+MOST = 100_000  # samples that are used; more would take minutes and say little more
+STRETCHES = 5  # into which these are cut, of a longer log
 
 
 class Grid(NamedTuple):
@@ -96,25 +98,29 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.counted,
         first.inputs,
         first.input_unit,
-        first.output_unit,
+        first.output_units[0],
     )
 
 
 def shortened(grid: Grid) -> Grid:
-    """The first `MOST` samples of a longer log, with a remark; others as they are."""
+    """Stretches of a very long log, evenly spread over it, with a remark; others as they are."""
     size = grid.t.size
     if size <= MOST:
         return grid
     remark = (
-        f"the log has {size} samples; the first {MOST} are used: cut the log, or take every k-th"
-        " sample of it, to use others"
+        f"the log has {size} samples; {STRETCHES} stretches of {MOST // STRETCHES}, evenly spread"
+        " over it, are used: cut the log to use others"
     )
+    long = MOST // STRETCHES
+    firsts = np.linspace(0, size - long, STRETCHES).astype(int)
+    kept = np.concatenate([np.arange(first, first + long) for first in firsts])
+    begins = np.union1d(np.flatnonzero(np.isin(kept, grid.start)), long * np.arange(STRETCHES))
     return grid._replace(
-        t=grid.t[:MOST],
-        u=grid.u[:MOST],
-        y=grid.y[:MOST],
-        ok=grid.ok[:MOST],
-        start=grid.start[grid.start < MOST - 1],
+        t=grid.t[kept],
+        u=grid.u[kept],
+        y=grid.y[kept],
+        ok=grid.ok[kept],
+        start=begins,
         remarks=[*grid.remarks, remark],
     )
 
@@ -173,27 +179,26 @@ def _printed(t: Floats) -> float:
 
 def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     """A log of multiples of a step; short gaps are filled, a long one begins a record."""
-    count: Any = np.maximum(np.rint(np.diff(log.t) / step), 1).astype(int)
-    breaks = count > LONG
-    count[breaks] = 1
-    place = np.concatenate([[0], np.cumsum(count)])
-    size = int(place[-1]) + 1
-    held = np.searchsorted(place, np.arange(size), side="right") - 1
-    t = log.t[held] + (np.arange(size) - place[held]) * step
-    y = np.full(size, np.nan)
-    y[place] = log.y
-    start = np.concatenate([[0], place[1:][breaks]])
-    missing = size - log.t.size
+    steps = np.maximum(np.rint(np.diff(log.t, prepend=log.t[0] - step) / step), 1.0)
+    breaks = steps > LONG
+    steps[breaks] = 1.0
+    start = np.flatnonzero(breaks)
+    place = np.cumsum(steps).astype(int) - 1
+    whole = filled(Regular(log.t, log.y, log.u), steps, step)
+    held = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
+    missing = whole.t.size - log.t.size
     if missing:
         remarks.append(
             f"{missing} readings missing in gaps of {log.source}; the input is held there"
         )
-    if breaks.any():
+    if start.size:
         remarks.append(
-            f"{int(breaks.sum())} gaps of {log.source} are longer than {LONG} steps; a new record"
+            f"{start.size} gaps of {log.source} are longer than {LONG} steps; a new record"
             " begins after each"
         )
-    return _Piece(t, log.u[held], y, np.isfinite(y), start, step)
+    starts = np.concatenate([[0], place[start]])
+    y = whole.y[:, 0]
+    return _Piece(whole.t, whole.u[held], y, np.isfinite(y), starts, step)
 
 
 def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
@@ -208,7 +213,7 @@ def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
     after = np.minimum(held + 1, log.t.size - 1)
     nearer = np.abs(log.t[after] - t) < np.abs(log.t[held] - t)
     near = np.where(nearer, after, held)
-    y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near], np.nan)
+    y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near, 0], np.nan)
     remarks.append(
         f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
         " a tenth of a step of the grid and are kept"

@@ -82,7 +82,7 @@ def find_widths(
     for name in DIRECTIONS:
         widest[name] = max(own[name] for own in halves.values())
     fits = True
-    if "L3" in stages:
+    if "L3" in stages and "L2" in stages:
         for place, name in enumerate(("right", "left")):
             if abs(stages["L3"][place] - stages["L2"][place]) > widest[name]:
                 fits = False
@@ -129,7 +129,8 @@ def _stages(
     stages: dict[str, tuple[float, float]] = {}
     halves: dict[str, dict[str, float]] = {}
     fits = [("L1", chosen.singles)]
-    if chosen.pairs is not chosen.singles:
+    drifts = chosen.pairs.objective.limits.tied and kalman is not None
+    if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
         fits.append(("L2", chosen.pairs))
     for name, fit in fits:
         spread = fit.objective.spread(fit.theta)

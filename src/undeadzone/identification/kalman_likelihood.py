@@ -13,7 +13,7 @@ from undeadzone.identification.fit import Fit
 from undeadzone.identification.kalman_step import kernel
 from undeadzone.identification.long_run import Spread, above, sandwich
 from undeadzone.identification.objective import Limits
-from undeadzone.identification.plant_fit import Data
+from undeadzone.identification.plant_fit import Data, Layout
 from undeadzone.support.arrays import Floats
 
 WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
@@ -29,15 +29,27 @@ class Numbers(NamedTuple):
     Attributes:
         n, m: order of the plant, inputs.
         model: of the disturbance.
+        integrators: of the plant; a holds the other poles.
     """
 
     n: int
     m: int
     model: int
+    integrators: int = 0
+
+    @property
+    def moving(self) -> int:
+        """Coefficients of the denominator without its integrators."""
+        return self.n - self.integrators
 
     @property
     def log_q(self) -> int:
         """ln q; ln r, d_r, d_l and atanh phi follow."""
+        return self.moving + self.n * self.m
+
+    @property
+    def lane_q(self) -> int:
+        """q^2 among the numbers of a lane; r^2, d_r, d_l, phi and variances at first follow."""
         return self.n * (1 + self.m)
 
     @property
@@ -51,14 +63,15 @@ class KalmanObjective:
 
     Args:
         data: the records.
-        n: order.
+        layout: order, inputs and integrators of the plant.
         model: WHITE, AT_INPUT or AT_OUTPUT.
         limits: of the widths.
     """
 
-    def __init__(self, data: Data, n: int, model: int, limits: Limits) -> None:
+    def __init__(self, data: Data, layout: Layout, model: int, limits: Limits) -> None:
         self.data = data
-        self.numbers = Numbers(n, data.u.shape[1], model)
+        self.layout = layout
+        self.numbers = Numbers(layout.n, layout.m, model, layout.integrators)
         self.limits = limits
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
@@ -67,7 +80,7 @@ class KalmanObjective:
         free = np.ones(self.numbers.size, bool)
         widths = self.numbers.log_q + 2
         free[widths] = limits.right[0] != limits.right[1]
-        free[widths + 1] = limits.left[0] != limits.left[1]
+        free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
         self.free = np.flatnonzero(free)
         self._last: tuple[Floats, Floats, Floats] | None = None
 
@@ -81,19 +94,21 @@ class KalmanObjective:
             return False
         if numbers.model and abs(p[-1]) > 4:
             return False
-        poles = np.roots(np.append(1.0, p[: numbers.n]))
+        poles = np.roots(np.append(1.0, p[: numbers.moving]))
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
     def lane(self, p: Floats) -> Floats:
         """The numbers of `kalman_step.kernel` for p."""
         numbers = self.numbers
         log_q, log_r, right, left = p[numbers.log_q : numbers.log_q + 4]
+        left = right if self.limits.tied else left
         q = math.exp(log_q)
         r = max(math.exp(log_r), QUIETEST)
         phi = math.tanh(p[-1]) if numbers.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
         tail = [q * q, r * r, right, left, phi, 5.0, at_first]
-        return np.append(p[: numbers.log_q], tail)
+        a = self.layout.denominator(p[: numbers.moving])
+        return np.concatenate([a, p[numbers.moving : numbers.log_q], tail])
 
     def densities(self, points: Floats) -> Floats:
         """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
@@ -169,7 +184,8 @@ class KalmanObjective:
 
     def _gain(self, p: Floats, phi: float) -> float:
         """Variance at z of unit noise at the inputs, first order with that correlation."""
-        return input_gain(p[: self.numbers.n], p[self.numbers.n : self.numbers.log_q], phi)
+        moving = self.numbers.moving
+        return input_gain(p[:moving], p[moving : self.numbers.log_q], self.numbers.n, phi)
 
     def spread(self, p: Floats) -> Spread:
         """(I1) of the free numbers, with a numerical Hessian."""
@@ -199,12 +215,13 @@ class KalmanObjective:
         return sandwich(scores, above(hessian, outer))
 
 
-def input_gain(a: Floats, b: Floats, phi: float) -> float:
+def input_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
     """Variance at z of unit noise at the inputs, first order with correlation phi.
 
     Args:
-        a: denominator a_1 to a_n.
+        a: denominator a_1, a_2, ...
         b: numerators from delay 1, input by input (m n).
+        n: order.
         phi: correlation over one sample.
 
     Returns:
@@ -212,7 +229,6 @@ def input_gain(a: Floats, b: Floats, phi: float) -> float:
     """
     from scipy.signal import lfilter
 
-    n = a.size
     total = 0.0
     for numerator in b.reshape(-1, n):
         impulse = np.zeros(5000)
@@ -254,7 +270,8 @@ class KalmanFit(NamedTuple):
     @property
     def left(self) -> float:
         """d_l, scaled."""
-        return float(self.p[self.objective.numbers.log_q + 3])
+        tied = self.objective.limits.tied
+        return self.right if tied else float(self.p[self.objective.numbers.log_q + 3])
 
     @property
     def r(self) -> float:
@@ -276,6 +293,8 @@ class KalmanFit(NamedTuple):
         row = np.zeros(self.objective.numbers.size)
         widths = self.objective.numbers.log_q + 2
         row[widths : widths + 2] = right, left
+        if self.objective.limits.tied:
+            row[widths] += left
         return row[self.objective.free]
 
 
@@ -288,10 +307,10 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
     Returns:
         One fit a model; empty where none could be run.
     """
-    data, n = fit.objective.data, fit.objective.layout.n
+    data, layout = fit.objective.data, fit.objective.layout
     fits = []
     for model in (WHITE, AT_INPUT, AT_OUTPUT):
-        objective = KalmanObjective(data, n, model, fit.objective.limits)
+        objective = KalmanObjective(data, layout, model, fit.objective.limits)
         longest = np.full(objective.numbers.size, np.inf)
         longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0
         longest = longest[objective.free]

@@ -83,11 +83,11 @@ class _Model:
         lane = fit.objective.lane(p)
         self.F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
         self.H = H[0]
-        self.Q = lane[numbers.log_q] * G
-        self.sensor = lane[numbers.log_q + 1 : numbers.log_q + 4]
-        self.first = np.full(self.F.shape[0], lane[numbers.log_q + 5])
+        self.Q = lane[numbers.lane_q] * G
+        self.sensor = lane[numbers.lane_q + 1 : numbers.lane_q + 4]
+        self.first = np.full(self.F.shape[0], lane[numbers.lane_q + 5])
         if numbers.model:
-            self.first[-1] = lane[numbers.log_q + 6]
+            self.first[-1] = lane[numbers.lane_q + 6]
         self.drive = self.data.u @ B.T
 
     def forth(self, part: slice) -> _Pass:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import FileError
-from undeadzone.logs.column import COUNTS, SECONDS, Column
+from undeadzone.logs.names import Layout
+from undeadzone.logs.samples import Samples
 from undeadzone.support.arrays import LARGEST, Floats
 
 Flags = npt.NDArray[np.bool_]
-
-# Length of a unit of time [s]; a time that counts samples is taken to have 1 s between them.
-LENGTHS = SECONDS | dict.fromkeys(COUNTS, 1.0)
 
 
 class Log(NamedTuple):
@@ -23,10 +22,10 @@ class Log(NamedTuple):
     Attributes:
         t: times (N) [s], increasing.
         u: inputs (N x m).
-        y: readings (N); NaN where one is missing.
-        inputs: names of the inputs (m).
-        output: name of the reading.
-        input_unit, output_unit: their units, "1" where none is named.
+        y: readings (N x p); NaN where one is missing.
+        inputs, outputs: names of the inputs (m) and of the readings (p)
+        input_unit: unit of the inputs, "1" where none is named, or several differ.
+        output_units: units of the readings (p), "1" where none is named.
         source: where the log came from, for messages.
         lines: the line of each sample in its file (N), for messages; empty where there is none.
         counted: whether the times count samples, so that no rate in seconds is known.
@@ -36,62 +35,58 @@ class Log(NamedTuple):
     u: Floats
     y: Floats
     inputs: tuple[str, ...]
-    output: str
+    outputs: tuple[str, ...]
     input_unit: str
-    output_unit: str
+    output_units: tuple[str, ...]
     source: str
     lines: Any
     counted: bool
 
+    def of_output(self, k: int) -> Log:
+        """The log with one of its outputs alone."""
+        return self._replace(
+            y=self.y[:, k : k + 1],
+            outputs=self.outputs[k : k + 1],
+            output_units=self.output_units[k : k + 1],
+        )
 
-def make_log(
-    time: Column, inputs: list[Column], output: Column, source: str, lines: Any = ()
-) -> Log:
-    """A checked log from its columns.
+
+def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
+    """A log from samples, fit for identification.
 
     Args:
-        time: times; the unit says whether they are in seconds.
-        inputs: one column per input, at least one.
-        output: the readings; NaN where one is missing.
-        source: where they came from, for messages.
-        lines: line of each sample in the file (N), if there is one.
+        samples: times, readings, inputs.
+        layout: where they came from, with units.
+        source: the log, for messages.
 
     Returns:
-        The log, its times in seconds.
+        The log; times that count samples have 1 s between two of them.
 
     Raises:
-        FileError: a unit of time that is not understood, times that do not increase, a missing
-            input, readings that are all missing.
+        FileError: times that do not increase, a missing input, readings that are all missing.
     """
-    unit = time.unit.lower()
-    if unit not in LENGTHS:
-        raise FileError(
-            f"{source}: unit of time not understood: {time.unit!r}; use s, ms, us, min, h,"
-            " or samples"
-        )
-    t = time.values * LENGTHS[unit]
-    u = np.column_stack([column.values for column in inputs])
-    y = np.where(np.isfinite(output.values), output.values, np.nan)
+    t, lines = samples.t, samples.lines
+    outputs, inputs = tuple(layout.reading_names), tuple(layout.input_names)
+    y = np.where(np.isfinite(samples.y), samples.y, np.nan)
     _check_times(t, source, lines)
-    _check_inputs(u, inputs, source, lines)
-    if np.isnan(y).all():
-        raise FileError(f"{source}: column {output.name!r} holds no reading: every one is missing")
-    if np.nanmax(np.abs(y)) > LARGEST:
-        raise FileError(f"{source}: column {output.name!r} holds numbers beyond {LARGEST:g}")
-    names = tuple(column.name for column in inputs)
-    units = {column.unit or "1" for column in inputs}
-    input_unit = units.pop() if len(units) == 1 else "1"
+    _check_inputs(samples.u, inputs, source, lines)
+    for name, column in zip(outputs, y.T, strict=True):
+        if np.isnan(column).all():
+            raise FileError(f"{source}: {name} holds no reading: every one is missing")
+        if np.nanmax(np.abs(column)) > LARGEST:
+            raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
+    units = {unit or "1" for unit in layout.input_units}
     return Log(
         t,
-        u,
+        samples.u,
         y,
-        names,
-        output.name,
-        input_unit,
-        output.unit or "1",
+        inputs,
+        outputs,
+        units.pop() if len(units) == 1 else "1",
+        tuple(unit or "1" for unit in layout.reading_units),
         source,
         lines,
-        unit.startswith("sample"),
+        layout.seconds is None,
     )
 
 
@@ -116,12 +111,12 @@ def _check_times(t: Floats, source: str, lines: Any) -> None:
         )
 
 
-def _check_inputs(u: Floats, inputs: list[Column], source: str, lines: Any) -> None:
+def _check_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> None:
     """Every input is a number of sensible size. Raises FileError."""
     bad = np.argwhere(~np.isfinite(u) | (np.abs(u) > LARGEST))
     if bad.size:
         row, column = bad[0]
         raise FileError(
-            f"{where(source, lines, int(row))}: input {inputs[column].name!r} is missing or not a"
+            f"{where(source, lines, int(row))}: input {inputs[column]!r} is missing or not a"
             " usable number; an input must be known at every sample"
         )

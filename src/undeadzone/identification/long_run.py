@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import dct
 from scipy.stats import t as student
 
 from undeadzone.support.arrays import Floats
@@ -34,12 +35,6 @@ def quantile(degrees: int, level: float = 0.95) -> float:
     return float(student.ppf(0.5 + level / 2, degrees))
 
 
-def cosines(size: int, count: int) -> Floats:
-    """Orthonormal cosines over `size` samples, the constant left out (count x size)."""
-    time = (np.arange(size) + 0.5) / size
-    return np.sqrt(2 / size) * np.cos(np.pi * np.outer(np.arange(1, count + 1), time))
-
-
 def degrees_of(size: int) -> int:
     """K = 0.4 N^(2/3), between 8 and N / 8."""
     return max(8, min(int(0.4 * size ** (2 / 3)), size // 8))
@@ -57,7 +52,7 @@ def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Float
     """
     size = scores.shape[0]
     number = degrees_of(size) if count is None else count
-    parts = cosines(size, number) @ (scores - scores.mean(axis=0))
+    parts = dct(scores, axis=0, norm="ortho")[1 : number + 1]
     return size * (parts.T @ parts) / number, number
 
 

@@ -37,11 +37,20 @@ class Limits(NamedTuple):
     Attributes:
         right, left: least and largest value, in rms of y; equal ones fix a width.
         zone: whether there is a zone at all.
+        tied: whether d_l = d_r, since z has no zero of its own.
     """
 
     right: tuple[float, float] = (-np.inf, np.inf)
     left: tuple[float, float] = (-np.inf, np.inf)
     zone: bool = True
+    tied: bool = False
+
+    def clip(self, right: float, left: float) -> tuple[float, float]:
+        """Widths brought within these limits."""
+        right = min(max(right, self.right[0]), self.right[1])
+        if self.tied:
+            return right, right
+        return right, min(max(left, self.left[0]), self.left[1])
 
 
 class Objective:
@@ -77,6 +86,7 @@ class Objective:
         fixed = np.zeros(self.layout.size, bool)
         fixed[right] = not self.limits.zone or self.limits.right[0] == self.limits.right[1]
         fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
+        fixed[right + 1] |= self.limits.tied
         fixed[right + 3] = self.kind != "pairs"
         return fixed
 
@@ -133,6 +143,8 @@ class Objective:
         for place, column in enumerate((RIGHT, LEFT, LOG_S, ATANH_RHO)):
             scores[:, right + place] += terms.slopes[:, column]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
+        if self.limits.tied:
+            scores[:, right] += scores[:, right + 1]
         fixed = np.ones(self.layout.size, bool)
         fixed[self.free] = False
         scores[:, fixed] = 0.0
@@ -176,6 +188,7 @@ class Objective:
         change = slope.copy()
         change[:, self.layout.right] -= readings.side > 0
         change[:, self.layout.right + 1] += readings.side < 0
+        change = self._tied(change)
         rows = change / noise.s
         if noise.rho != 0.0:
             chained = speaks & readings.before
@@ -186,6 +199,12 @@ class Objective:
         rows = rows[speaks]
         return rows.T @ rows, readings.ok & ~speaks
 
+    def _tied(self, change: Floats) -> Floats:
+        """Derivatives by d_r that move d_l too, where both are one (N x P)."""
+        if self.limits.tied:
+            change[:, self.layout.right] += change[:, self.layout.right + 1]
+        return change
+
     def _behind_part(self, z: Floats, slope: Floats, noise: Noise) -> tuple[Floats, Flags]:
         """Gauss-Newton for noise behind the zone (P x P), and no silent samples (N)."""
         side = np.ones(z.size)
@@ -194,6 +213,7 @@ class Objective:
             side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left)
             change[:, self.layout.right] -= side > 0
             change[:, self.layout.right + 1] += side < 0
+            change = self._tied(change)
         rows = change[(side != 0) & self.readings.ok] / noise.s
         return rows.T @ rows, np.zeros(z.size, bool)
 
@@ -212,21 +232,29 @@ class Objective:
         rows = np.empty_like(approximate)
         for place, index in enumerate(self.free):
             step = 1e-2 * scale[place]
-            ahead, back = theta.copy(), theta.copy()
-            ahead[index] += step
-            back[index] -= step
+            ahead = self._moved(theta, int(index), step)
+            back = self._moved(theta, int(index), -step)
             rows[place] = approximate[place]
             if self.admissible(ahead) and self.admissible(back):
                 difference = self.score(ahead) - self.score(back)
                 rows[place] = -difference[self.free] / (2 * step)
         return positive(rows)
 
+    def _moved(self, theta: Floats, index: int, step: float) -> Floats:
+        """theta with one number changed, and what is tied to it."""
+        moved = theta.copy()
+        moved[index] += step
+        if self.limits.tied:
+            moved[self.layout.right + 1] = moved[self.layout.right]
+        return moved
+
     def direction(self, **parts: float) -> Floats:
         """The row that weighs the free numbers: direction(right=1, left=1) is that of the width."""
         places = {"right": 0, "left": 1, "log_s": 2, "rho": 3}
         row = np.zeros(self.layout.size)
         for name, weight in parts.items():
-            row[self.layout.right + places[name]] = weight
+            tied = name == "left" and self.limits.tied
+            row[self.layout.right + (0 if tied else places[name])] += weight
         return row[self.free]
 
     def residuals(self, theta: Floats) -> Floats:

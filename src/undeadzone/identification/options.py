@@ -10,6 +10,7 @@ import msgspec
 from undeadzone.errors import InputError
 
 MOST_POLES = 8
+MOST_LATE = 1000  # samples
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -24,7 +25,12 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         held_out: share of the log, at its end, that checks the fit; default 0.3.
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
+        kind: deadzone, jump (readings are not shifted), or auto: a jump sensor is told apart.
+        delay: samples by which the input acts late: auto, or a number that belongs to the
+            recording.
+        zero: what the sensor reads inside its zone [y]; it is taken off every reading.
         threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
+        integrators: how many poles of the plant are integrators, as one of a motor's position.
         resample: step [s] onto which an irregular log is put; default: none.
     """
 
@@ -35,8 +41,12 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     held_out: float = 0.3
     noise: Literal["before", "after", "auto"] = "auto"
     place: Literal["sensor", "auto"] = "auto"
+    kind: Literal["deadzone", "jump", "auto"] = "auto"
+    delay: str = "auto"
+    zero: float = 0.0
     threshold: float | None = None
     resample: float | None = None
+    integrators: int = 0
 
     def orders(self) -> range:
         """The orders to try. Raises InputError."""
@@ -50,7 +60,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
                 f" found {self.order!r}"
             )
-        return range(ends[0], ends[-1] + 1)
+        return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
 
     def offset_rms(self) -> float | None:
         """The rms of an unknown output offset [y]; None where it is free. Raises InputError."""
@@ -82,6 +92,16 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def checked(self) -> Options:
         """These options, every one of them usable. Raises InputError."""
+        if self.integrators not in (0, 1, 2):
+            raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
+        if self.kind == "jump" and self.integrators:
+            raise InputError("kind: a jump sensor's readings show z; it has no --integrators")
+        if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
+            raise InputError(
+                f"delay: expected auto or samples up to {MOST_LATE}, found {self.delay!r}"
+            )
+        if not math.isfinite(self.zero):
+            raise InputError(f"zero: expected a number, found {self.zero:g}")
         self.orders()
         self.offset_rms()
         self.bounds("right")

@@ -55,6 +55,7 @@ def fit_orders(
     limits: Limits,
     held_out: float,
     advance: Callable[[int], None],
+    integrators: int = 0,
 ) -> list[OrderFit]:
     """Every order, fitted to all data and checked on the last part.
 
@@ -64,14 +65,15 @@ def fit_orders(
         limits: of the widths.
         held_out: share of the samples, at the end, that checks.
         advance: called with 1 after each order.
+        integrators: of the plant.
 
     Returns:
         One entry an order; those without a stable fit are left out.
     """
-    train = np.arange(data.y.size) < (1 - held_out) * data.y.size
+    train = trained_part(data, held_out)
     fits = []
     for n in orders:
-        simulator = Simulator(data, n)
+        simulator = Simulator(data, n, integrators)
         kind = "singles" if data.silent_zeros else "behind"
         singles = fit_zone(simulator, "singles" if kind == "singles" else "behind", limits)
         advance(1)
@@ -81,6 +83,14 @@ def fit_orders(
         check = validate(pairs, train)
         fits.append(OrderFit(n, singles, pairs, *check))
     return fits
+
+
+def trained_part(data: Data, held_out: float) -> Flags:
+    """The samples that are no held-out ones (N): all but the last of each record."""
+    train = np.ones(data.y.size, bool)
+    for part in data.records():
+        train[part.start + math.ceil((1 - held_out) * (part.stop - part.start)) : part.stop] = False
+    return train
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:

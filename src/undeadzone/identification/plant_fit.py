@@ -57,32 +57,40 @@ class Layout(NamedTuple):
         n: poles, and numerator terms from delay 1 of each input.
         m: inputs.
         records: records, each with n numbers for its initial state.
+        integrators: how many of the poles are known to be integrators; a holds the others.
     """
 
     n: int
     m: int
     records: int
+    integrators: int = 0
 
     @property
     def a(self) -> slice:
-        """The denominator's a_1 to a_n."""
-        return slice(0, self.n)
+        """The denominator's free coefficients a_1, a_2, ..."""
+        return slice(0, self.n - self.integrators)
 
     @property
     def b(self) -> slice:
         """The numerators, input by input."""
-        return slice(self.n, self.n * (1 + self.m))
+        return slice(self.a.stop, self.a.stop + self.n * self.m)
 
     @property
     def x0(self) -> slice:
         """The initial states, record by record."""
-        first = self.n * (1 + self.m)
-        return slice(first, first + self.n * self.records)
+        return slice(self.b.stop, self.b.stop + self.n * self.records)
 
     @property
     def right(self) -> int:
         """d_r; d_l, log s and atanh rho follow."""
-        return self.n * (1 + self.m + self.records)
+        return self.x0.stop
+
+    def denominator(self, a: Floats) -> Floats:
+        """The coefficients a_1 to a_n of the whole denominator, integrators included."""
+        whole = np.append(1.0, a)
+        for _ in range(self.integrators):
+            whole = np.convolve(whole, [1.0, -1.0])
+        return whole[1:]
 
     @property
     def size(self) -> int:
@@ -96,11 +104,12 @@ class Simulator:
     Args:
         data: the records.
         n: number of poles.
+        integrators: how many of them are integrators.
     """
 
-    def __init__(self, data: Data, n: int) -> None:
+    def __init__(self, data: Data, n: int, integrators: int = 0) -> None:
         self.data = data
-        self.layout = Layout(n, data.u.shape[1], data.start.size)
+        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators)
         self.lagged = np.zeros((data.y.size, n * data.u.shape[1]))
         for part in data.records():
             for k in range(data.u.shape[1]):
@@ -111,7 +120,7 @@ class Simulator:
     def z(self, theta: Floats) -> Floats:
         """z (N) for parameters theta."""
         layout = self.layout
-        denominator = np.append(1.0, theta[layout.a])
+        denominator = np.append(1.0, layout.denominator(theta[layout.a]))
         drive = self.lagged @ theta[layout.b]
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(drive.size)
@@ -126,36 +135,40 @@ class Simulator:
         """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n, m = layout.n, layout.m
-        denominator = np.append(1.0, theta[layout.a])
+        moving = np.append(1.0, theta[layout.a])
+        whole = np.append(1.0, layout.denominator(theta[layout.a]))
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.data.records()):
             size = part.stop - part.start
-            sources = np.column_stack([z[part], self.data.u[part], np.eye(size, 1)])
-            filtered = lfilter([1.0], denominator, sources, axis=0)
+            by_a = lfilter([1.0], moving, z[part])
+            sources = np.column_stack([self.data.u[part], np.eye(size, 1)])
+            filtered = lfilter([1.0], whole, sources, axis=0)
             own = slopes[part]
+            for i in range(layout.a.stop):
+                own[i + 1 :, i] = -by_a[: size - 1 - i]
             for i in range(n):
-                own[i + 1 :, i] = -filtered[: size - 1 - i, 0]
                 own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
                 for k in range(m):
-                    own[i + 1 :, n + n * k + i] = filtered[: size - 1 - i, 1 + k]
+                    own[i + 1 :, layout.b.start + n * k + i] = filtered[: size - 1 - i, k]
         return slopes
 
     def gain(self, theta: Floats) -> Floats:
-        """DC gain from each input to z (m)."""
+        """DC gain from each input to z (m); with integrators, to their input."""
         layout = self.layout
         numerators = theta[layout.b].reshape(layout.m, layout.n)
         return numerators.sum(axis=1) / (1 + theta[layout.a].sum())
 
     def poles(self, theta: Floats) -> Any:
-        """Poles of the sampled plant (n), complex."""
-        return np.roots(np.append(1.0, theta[self.layout.a]))
+        """Poles of the sampled plant (n), complex; integrators last."""
+        moving = np.roots(np.append(1.0, theta[self.layout.a]))
+        return np.append(moving, np.ones(self.layout.integrators))
 
     def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
         """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
         longest = max(part.stop - part.start for part in self.data.records())
-        poles = self.poles(theta)
+        poles = np.roots(np.append(1.0, theta[self.layout.a]))
         slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
         limit = np.where(slow, 1 - margin * SLOW / longest, 1 - margin * RINGING / longest)
         return bool(np.all(np.abs(poles) < limit))
@@ -166,4 +179,4 @@ def stabilised(a: Floats, radius: float = 0.98) -> Floats:
     poles = np.roots(np.append(1.0, a))
     size = np.abs(poles)
     moved = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
-    return np.real(np.poly(moved))[1:]
+    return np.atleast_1d(np.real(np.poly(moved)))[1:]

@@ -8,14 +8,19 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.identification.grid import Grid
+from undeadzone.identification.intervals import Interval
+from undeadzone.identification.jump_edges import as_dead_zone
 from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.options import Options
 from undeadzone.identification.plant_fit import Data
+from undeadzone.logs.range_ends import range_ends
 from undeadzone.support.arrays import Floats, Integers
 
+STRETCH = 250  # samples of an integrating plant that have one state at their start
 PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
+OFTEN = 5  # times the next reading's count, by which a silence comes back
 SPIKE = 10.0  # times the 99 % quantile of |y|, beyond which few readings are no readings
 RARE = 0.005  # share of the readings that may be dropped as spikes
 
@@ -29,6 +34,7 @@ class Prepared(NamedTuple):
         orders: orders that the log is long enough for.
         threshold: |y| up to which a reading is silent [y].
         remarks: what was done, for the user.
+        jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
     """
 
     data: Data
@@ -36,6 +42,7 @@ class Prepared(NamedTuple):
     orders: list[int]
     threshold: float
     remarks: list[str]
+    jumps: tuple[Interval, Interval] | None = None
 
 
 def prepare(grid: Grid, options: Options) -> Prepared:
@@ -54,12 +61,20 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     """
     remarks = list(grid.remarks)
     ok = grid.ok.copy()
+    _require_silence_at_zero(grid)
     spikes = _spikes(grid.y, ok)
     if spikes.size:
         ok[spikes] = False
         remarks.append(
             f"{spikes.size} readings beyond {SPIKE:g} times the usual size are taken as missing,"
             f" the first at {grid.t[spikes[0]]:.6g} s"
+        )
+    ends = range_ends(grid.y, ok, grid.quantum)
+    if ends.found:
+        ok[ends.at] = False
+        remarks.append(
+            f"{int(ends.at.sum())} readings stick at the ends of the range {ends.text}: there they "
+            "only bound the output, and are taken as missing"
         )
     y = np.where(ok, grid.y, 0.0)
     threshold = _threshold(grid, options)
@@ -77,7 +92,17 @@ def prepare(grid: Grid, options: Options) -> Prepared:
             "noise: before the zone means exact zeros inside it, and no reading is silent; give"
             " --threshold, or --noise after"
         )
-    data = _scaled(grid, y, ok, threshold, bool(ahead))
+    start = grid.start
+    if options.integrators:
+        start = _stretches(grid)
+        remarks.append(
+            f"disturbances add up in an integrating plant: the log is taken as {start.size} records"
+            " with a state of their own each"
+        )
+    data = _scaled(grid, start, y, ok, threshold, bool(ahead))
+    if options.kind == "jump":
+        data, limits, jumps = as_dead_zone(data, options)
+        return Prepared(data, limits, orders, threshold, remarks, jumps)
     return Prepared(data, _limits(data, options), orders, threshold, remarks)
 
 
@@ -89,6 +114,24 @@ def _spikes(y: Floats, ok: Flags) -> Integers:
         return np.empty(0, int)
     beyond = np.flatnonzero(ok & (size > SPIKE * usual))
     return beyond if beyond.size <= max(1, RARE * ok.sum()) else np.empty(0, int)
+
+
+def _require_silence_at_zero(grid: Grid) -> None:
+    """Raise InputError where a reading that is not 0 comes back as a silence would."""
+    y = grid.y[grid.ok]
+    values, counts = np.unique(y, return_counts=True)
+    if values.size < 3:
+        return
+    order = np.argsort(counts)
+    most, next_most = int(order[-1]), int(order[-2])
+    value, count = float(values[most]), int(counts[most])
+    low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
+    inside = low < value < high
+    if value != 0 and inside and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
+        raise InputError(
+            f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
+            f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
+        )
 
 
 def _threshold(grid: Grid, options: Options) -> float:
@@ -109,7 +152,7 @@ def _refuse(grid: Grid, y: Floats, ok: Flags, threshold: float) -> None:
         raise InputError("log: the input is constant: nothing can be learnt about the plant")
     if not moves.all():
         name = grid.inputs[int(np.argmin(moves))]
-        raise InputError(f"log: input {name!r} is constant; leave it out by --input")
+        raise InputError(f"log: input {name!r} is constant; leave it out by --columns")
     if not np.any(np.abs(y[ok]) > threshold):
         raise InputError(
             "log: the sensor never speaks: every reading is silent, so nothing can be known;"
@@ -131,7 +174,19 @@ def _orders(count: int, options: Options) -> list[int]:
     return orders
 
 
-def _scaled(grid: Grid, y: Floats, ok: Flags, threshold: float, ahead: bool) -> Data:
+def _stretches(grid: Grid) -> Integers:
+    """First samples of stretches of about STRETCH samples of each record."""
+    ends = np.append(grid.start[1:], grid.t.size)
+    starts = []
+    for first, end in zip(grid.start, ends, strict=True):
+        count = max(1, round((end - first) / STRETCH))
+        starts.append(first + np.arange(count) * (end - first) // count)
+    return np.concatenate(starts)
+
+
+def _scaled(
+    grid: Grid, start: Integers, y: Floats, ok: Flags, threshold: float, ahead: bool
+) -> Data:
     """The records, scaled to rms 1."""
     u_scale = grid.u.std(axis=0)
     y_scale = float(np.sqrt(np.mean(y[ok] ** 2)))
@@ -140,7 +195,7 @@ def _scaled(grid: Grid, y: Floats, ok: Flags, threshold: float, ahead: bool) -> 
         grid.u / u_scale,
         y / y_scale,
         ok,
-        grid.start,
+        start,
         side,
         ahead,
         u_scale,
@@ -160,7 +215,8 @@ def _limits(data: Data, options: Options) -> Limits:
                 )
             low, high = FAR_EDGE * data.y_scale, FAR_EDGE * data.y_scale
         limits.append((low / data.y_scale, high / data.y_scale))
-    return Limits(limits[0], limits[1])
+    tied = options.integrators > 0 and options.right is None and options.left is None
+    return Limits(limits[0], limits[1], tied=tied)
 
 
 FAR_EDGE = 100.0  # rms of y: an edge that is never reached

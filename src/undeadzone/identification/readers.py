@@ -3,53 +3,62 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from undeadzone.errors import InputError
-from undeadzone.identification.columns import choose
-from undeadzone.identification.csv_table import read_csv
-from undeadzone.identification.log import Log, make_log
-from undeadzone.logs.column import Column, numbers
-from undeadzone.logs.containers import of_frame, of_mat, of_npz
+from undeadzone.errors import FileError, InputError
+from undeadzone.identification.log import Log, checked_log
+from undeadzone.logs.column import Title, numbers
+from undeadzone.logs.names import Layout, layout_of_titles, parse_columns
+from undeadzone.logs.samples import LogReader, Samples
+from undeadzone.logs.text import blocks_of
+from undeadzone.logs.whole import BINARY, samples_of
+from undeadzone.support.files import LARGEST_TABLE
 
 
-def read_log(
-    source: Any, time: str | None = None, inputs: str | None = None, output: str | None = None
-) -> Log:
+def read_log(source: Any, columns: str | None = None) -> Log:
     """The log in a file or DataFrame.
 
     Args:
         source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
-        time, output: column names; default: the usual ones (t, time; y, output).
-        inputs: names of the inputs, several separated by commas; default: u, or u[0], u[1], ...
+        columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
 
     Returns:
         The log, its times in seconds.
 
     Raises:
-        FileError: what is wrong, with file, line and column where there are any.
+        FileError: what is wrong, with file and line where there are any.
     """
-    lines: Any = ()
+    chosen = parse_columns(columns)
     if hasattr(source, "columns") and hasattr(source, "index"):
-        columns, named, name = of_frame(source), True, "DataFrame"
-    elif isinstance(source, str | os.PathLike):
-        path = Path(source)
-        name = str(path)
-        suffix = path.suffix.lower()
-        if suffix == ".npz":
-            columns, named = of_npz(path), True
-        elif suffix == ".mat":
-            columns, named = of_mat(path), True
-        else:
-            table = read_csv(path)
-            columns, lines, named = table.columns, table.lines, table.named
-    else:
+        name = "DataFrame"
+        samples, layout = samples_of(source, None, None, chosen, name)
+    elif not isinstance(source, str | os.PathLike):
         raise InputError(f"log: expected a path or a DataFrame, found {type(source).__name__}")
-    chosen = choose(columns, named, name, time, inputs, output)
-    return make_log(chosen.time, chosen.inputs, chosen.output, name, lines)
+    else:
+        path, name = Path(source), str(source)
+        if path.suffix.lower() in BINARY:
+            samples, layout = samples_of(path, None, None, chosen, name)
+        else:
+            samples, layout = _of_text(path, chosen)
+    if layout.time is None:
+        raise FileError(
+            f"{name}: no name says which column holds the times; say which by --columns t=NAME"
+        )
+    return checked_log(samples, layout, name)
+
+
+def _of_text(path: Path, chosen: Mapping[str, str]) -> tuple[Samples, Layout]:
+    """The samples of a CSV file, every line of which can be read. Raises FileError."""
+    reader = LogReader(str(path), None, None, chosen, strict=True)
+    blocks = [reader.feed(data, last) for data, last in blocks_of(path, LARGEST_TABLE)]
+    whole = [block for block in blocks if block.t.size]
+    if reader.layout is None or not whole:
+        raise FileError(f"{path}: holds no samples")
+    return Samples(*[np.concatenate(parts) for parts in zip(*whole, strict=True)]), reader.layout
 
 
 def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
@@ -58,7 +67,7 @@ def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
     Args:
         t: times (N) [s], or one number, the sample time [s].
         u: inputs (N) or (N x m).
-        y: readings (N); NaN where one is missing.
+        y: readings (N) or (N x p); NaN where one is missing.
 
     Returns:
         The log.
@@ -66,25 +75,37 @@ def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
     Raises:
         InputError: arrays of different lengths, or what is not numeric.
     """
-    readings = numbers("y", y, "iuf")
-    moved = numbers("u", u, "iuf")
+    readings = _rows("y", numbers("y", y, "iuf"))
+    moved = _rows("u", numbers("u", u, "iuf"))
     times = numbers("t", t, "iuf")
-    if readings.ndim == 2 and 1 in readings.shape:
-        readings = readings.ravel()
-    if readings.ndim != 1:
-        raise InputError(f"y: expected one reading per sample, found shape {readings.shape}")
-    if moved.ndim == 1:
-        moved = moved[:, None]
     if times.ndim == 0:
-        times = float(times) * np.arange(readings.size)
+        times = float(times) * np.arange(len(readings))
     times = times.ravel()
-    if moved.ndim != 2 or not times.size == moved.shape[0] == readings.size:
+    if not times.size == len(moved) == len(readings):
         raise InputError(
             f"t, u, y: expected as many rows in each, found {times.shape}, {moved.shape},"
             f" {readings.shape}"
         )
-    names = ["u"] if moved.shape[1] == 1 else [f"u[{k}]" for k in range(moved.shape[1])]
-    inputs = []
-    for k, name in enumerate(names):
-        inputs.append(Column(name, "", moved[:, k]))
-    return make_log(Column("t", "s", times), inputs, Column("y", "", readings), "arrays")
+    layout = _layout(readings.shape[1], moved.shape[1])
+    samples = Samples(times, readings, moved, np.empty(0, np.int64))
+    return checked_log(samples, layout, "arrays")
+
+
+def _layout(p: int, m: int) -> Layout:
+    """The layout of arrays."""
+    titles = [Title("t", "s")]
+    for signal, count in (("y", p), ("u", m)):
+        names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
+        titles += [Title(name, "") for name in names]
+    return layout_of_titles(titles, p, m, {}, "arrays")
+
+
+def _rows(key: str, array: Any) -> Any:
+    """An array with a row a sample. Raises InputError."""
+    if array.ndim == 1:
+        return array[:, None]
+    if array.ndim == 2 and 1 in array.shape and array.shape[1] != 1:
+        return array.T
+    if array.ndim != 2:
+        raise InputError(f"{key}: expected a row for each sample, found shape {array.shape}")
+    return array

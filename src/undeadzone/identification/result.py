@@ -125,7 +125,7 @@ class Identified:
         theta = self.answer.fit.theta
         data = self.answer.fit.objective.data
         F = np.eye(layout.n, k=1)
-        F[:, 0] = -theta[layout.a]
+        F[:, 0] = -layout.denominator(theta[layout.a])
         drive = data.u @ theta[layout.b].reshape(layout.m, layout.n)
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         x = np.empty((data.y.size, layout.n))
@@ -145,11 +145,11 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        if not self.answer.zone:
+        if not self.answer.zone and self.answer.verdict != "jump":
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )
-        return scenario_text(self.answer)
+        return scenario_text([self.answer])
 
     def numbers(self) -> dict[str, Any]:
         """All numbers of the answer, as `--json` prints them."""

@@ -219,7 +219,11 @@ def _plant(answer: Answer) -> str:
     unit = f"{grid.output_unit}/{grid.input_unit}"
     unit = "" if unit == "1/1" else f" {unit}"
     gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
-    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, DC gain {gains}{unit}"
+    kind = "DC gain"
+    if answer.options.integrators:
+        kind = "gain of the rate" if answer.options.integrators == 1 else "gain of the acceleration"
+        unit += " 1/s" if answer.options.integrators == 1 else " 1/s^2"
+    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
 
 
 def _certainty(answer: Answer) -> str:

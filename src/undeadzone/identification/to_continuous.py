@@ -17,15 +17,15 @@ def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
     """The sampled plant in observer form: x+ = F x + B u, z = first state.
 
     Args:
-        a: denominator a_1 to a_n.
+        a: denominator a_1, a_2, ... without its integrators.
         b: numerators from delay 1, input by input (m n), in units of y and u.
-        layout: order and inputs.
+        layout: order, inputs and integrators.
 
     Returns:
         F (n x n), B (n x m), C (1 x n).
     """
     F = np.eye(layout.n, k=1)
-    F[:, 0] = -a
+    F[:, 0] = -layout.denominator(a)
     return Matrices(F, b.reshape(layout.m, layout.n).T.copy(), np.eye(1, layout.n))
 
 
@@ -62,15 +62,23 @@ def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
     block[n:, n:] = np.eye(layout.m)
     both = np.real(logm(block)) / step
     A, B, C = both[:n, :n], both[:n, n:], sampled.C
+    polynomial = _polynomial(A, layout.integrators)
     if layout.m == 1:
-        return _controller_companion(A, B, C)
-    return _observer_companion(A, B, C)
+        return _controller_companion(A, B, C, polynomial)
+    return _observer_companion(A, B, C, polynomial)
 
 
-def _controller_companion(A: Floats, B: Floats, C: Floats) -> Matrices:
+def _polynomial(A: Floats, integrators: int) -> Floats:
+    """The characteristic polynomial, highest power first; its integrators exact."""
+    polynomial = np.real(np.poly(A))
+    if integrators:
+        polynomial[-integrators:] = 0.0
+    return polynomial
+
+
+def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
     """A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
     n = A.shape[0]
-    polynomial = np.real(np.poly(A))
     markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
     numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
     rates = np.abs(np.roots(polynomial)).max()
@@ -83,12 +91,12 @@ def _controller_companion(A: Floats, B: Floats, C: Floats) -> Matrices:
     return Matrices(companion, gain, (numerator / scale)[None, :])
 
 
-def _observer_companion(A: Floats, B: Floats, C: Floats) -> Matrices:
+def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
     """The states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
     n = A.shape[0]
     T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
     companion = np.eye(n, k=1)
-    companion[-1] = -np.real(np.poly(A))[:0:-1]
+    companion[-1] = -polynomial[:0:-1]
     return Matrices(companion, T @ B, np.eye(1, n))
 
 
@@ -115,7 +123,7 @@ def entry_spread(
             continue
         move = 0.05 * np.sqrt(value) * vector
         try:
-            moved = continuous(a + move[: layout.n], b + move[layout.n :], layout, step)
+            moved = continuous(a + move[: a.size], b + move[a.size :], layout, step)
         except InputError:
             continue
         variance_A += ((moved.A - plant.A) / 0.05) ** 2

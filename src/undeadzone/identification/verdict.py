@@ -71,18 +71,32 @@ def static_verdict(
         return Verdict(
             NAMES.get(str(winner), str(winner)), [f"{words} explains the log better"], []
         )
-    if chosen.share < LEAST:
-        return Verdict("unclear", [_explains_nothing(chosen)], [])
-    if integrates(chosen):
-        reason = (
-            "the plant seems to integrate, or to ring longer than the record: its state at the"
-            " start and an offset or a sine cannot be told apart; record for longer"
-        )
-        return Verdict("unclear", [reason], [])
+    unclear = _unclear(chosen)
+    if unclear is not None:
+        return unclear
     if no_zone.chance > CHANCE or winner == "none":
         if winner == "none":
             return Verdict("none", ["a plant without any zone explains the log better"], [])
         return Verdict("none", [f"readings need no zone (p = {no_zone.chance:.2g})"], [])
+    return _by_residual(data, chosen, residuals)
+
+
+def _unclear(chosen: OrderFit) -> Verdict | None:
+    """That nothing can be said, and why; None where something can."""
+    if chosen.share < LEAST:
+        return Verdict("unclear", [_explains_nothing(chosen)], [])
+    if at_limit(chosen):
+        reason = (
+            "the plant seems to integrate, or to ring longer than the record: its state at the"
+            " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
+            " position of a motor, or the like; else record for longer"
+        )
+        return Verdict("unclear", [reason], [])
+    return None
+
+
+def _by_residual(data: Data, chosen: OrderFit, residuals: ResidualMap) -> Verdict:
+    """dead_zone, unless a curve over z^ explains what it leaves."""
     if is_strange(residuals.share, residuals.chance):
         share = f"{100 * residuals.share:.0f} %"
         reason = (
@@ -116,9 +130,30 @@ def winning_rival(rivals: dict[str, Density]) -> str | None:
     return best.name if compare_statistic(best, zone) > CLEARLY else None
 
 
-def integrates(chosen: OrderFit) -> bool:
-    """Whether a pole lies where x(0) and it make an offset: as slow as is allowed."""
-    return at_limit(chosen)
+def jump_verdict(
+    data: Data, chosen: OrderFit, residuals: ResidualMap, rivals: dict[str, Density]
+) -> Verdict:
+    """The verdict on a record that was taken for that of a jump sensor.
+
+    Args:
+        data: the records, readings less the jumps.
+        chosen: the chosen order.
+        residuals: what the zone leaves.
+        rivals: static maps, on the readings as they are.
+
+    Returns:
+        jump, unless another map explains the readings better, or no plant does.
+    """
+    unclear = _unclear(chosen)
+    if unclear is not None:
+        return unclear
+    jump = rivals["jump"]
+    for name, rival in rivals.items():
+        if name != "jump" and compare_statistic(rival, jump) > CLEARLY:
+            words = "a dead zone (readings shifted)" if name == "dead_zone" else WORDS[name]
+            return Verdict("other", [f"{words} explains the log better than a jump sensor"], [])
+    verdict = _by_residual(data, chosen, residuals)
+    return verdict._replace(word="jump") if verdict.word == "dead_zone" else verdict
 
 
 def rescued(verdict: Verdict, place: Place, rivals: dict[str, Density]) -> Verdict:

@@ -28,3 +28,32 @@ def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
         return np.ones_like(size)
     reached = np.maximum(size, size.max() / LARGEST**2)
     return np.where(size > 0, reached, reached[size > 0].min())
+
+
+def balancing(A: Floats) -> Floats:
+    """Units of the states of x' = A x, powers of two, in which rows and columns of A are alike.
+
+    LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
+    """
+    from scipy.linalg import matrix_balance
+
+    if not np.isfinite(A).all():
+        return np.ones(A.shape[0])
+    _, (units, _) = matrix_balance(A, permute=False, separate=True)
+    return np.asarray(units)
+
+
+def similar(A: Floats, units: Floats) -> Floats:
+    """The matrix of x' = A x for states that are measured in these units (n)."""
+    return A / units[:, None] * units
+
+
+def feedback_loops(A: Floats) -> Floats:
+    """A without the entries that are in no loop of states; it has the poles of A.
+
+    The other entries, such as x_1' = x_2 of an integrator, have units of their own.
+    """
+    n = A.shape[0]
+    linked = (A != 0) | np.eye(n, dtype=bool)
+    reach = np.linalg.matrix_power(linked.astype(float), n) > 0
+    return np.where(reach & reach.T, A, 0.0)

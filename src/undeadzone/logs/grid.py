@@ -138,23 +138,37 @@ class Grid:
     def _filled(self, t: Floats, y: Floats, u: Floats, steps: Floats) -> Regular:
         """The samples, and missing ones in the gaps before them."""
         total = int(steps.sum())
-        if total == t.size:
-            self._count += total
-            return Regular(t, y, u)
-        self.gaps += total - t.size
         self._count += total
-        at = np.cumsum(steps).astype(int) - 1
-        full = Regular(
-            np.full(total, np.nan),
-            np.full((total, y.shape[1]), np.nan),
-            np.full((total, u.shape[1]), np.nan),
-        )
-        for whole, part in zip(full, (t, y, u), strict=True):
-            whole[at] = part
-        following = at[np.searchsorted(at, np.arange(total))]
-        behind = np.arange(total) - following  # steps before the next sample, 0 at samples
-        full.t[:] = full.t[following] + behind * self._step
-        return full
+        self.gaps += total - t.size
+        return filled(Regular(t, y, u), steps, self._step)
+
+
+def filled(samples: Regular, steps: Floats, step: float) -> Regular:
+    """Samples with missing ones in the gaps between them.
+
+    Args:
+        samples: in order.
+        steps: how many steps each is after the one before (N), at least 1.
+        step: [s].
+
+    Returns:
+        Samples one step apart; readings and inputs in gaps are NaN.
+    """
+    total = int(steps.sum())
+    if total == samples.t.size:
+        return samples
+    at = np.cumsum(steps).astype(int) - 1
+    full = Regular(
+        np.full(total, np.nan),
+        np.full((total, samples.y.shape[1]), np.nan),
+        np.full((total, samples.u.shape[1]), np.nan),
+    )
+    for whole, part in zip(full, samples, strict=True):
+        whole[at] = part
+    following = at[np.searchsorted(at, np.arange(total))]
+    behind = np.arange(total) - following  # steps before the next sample, 0 at samples
+    full.t[:] = full.t[following] + behind * step
+    return full
 
 
 def _unit_hint(ratio: float) -> str:

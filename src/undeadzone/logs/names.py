@@ -26,6 +26,7 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None where times count samples.
         reading_units, input_units: units that the header names, "" where it names none.
+        reading_names, input_names: what the header calls the columns.
         said: in words, which column was taken for what.
     """
 
@@ -35,6 +36,8 @@ class Layout(NamedTuple):
     seconds: float | None
     reading_units: list[str]
     input_units: list[str]
+    reading_names: list[str]
+    input_names: list[str]
     said: str
 
     @property
@@ -73,13 +76,13 @@ def parse_columns(text: str | None) -> dict[str, str]:
 
 
 def layout_of_titles(
-    titles: Sequence[Title], p: int, m: int, chosen: Mapping[str, str], source: str
+    titles: Sequence[Title], p: int | None, m: int | None, chosen: Mapping[str, str], source: str
 ) -> Layout:
     """Where a log with a header has what.
 
     Args:
         titles: what its header says.
-        p, m: numbers of readings and inputs that the plant has.
+        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
 
@@ -93,37 +96,27 @@ def layout_of_titles(
     return _layout(titles, time, readings, inputs, source)
 
 
-def layout_of_order(width: int, p: int, m: int, chosen: Mapping[str, str], source: str) -> Layout:
-    """Where a log without a header has what: (time,) readings, inputs, in this order.
+def layout_of_numbers(
+    width: int, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
+) -> Layout:
+    """Where a log without a header has what: the user says it, by numbers.
 
     Args:
         width: how many columns there are.
-        p, m: numbers of readings and inputs that the plant has.
+        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
         chosen: columns that the user names by number; see `parse_columns`.
         source: the log, for messages.
 
     Raises:
-        FileError: there are more or fewer columns, or a number is none of theirs.
+        FileError: nothing is named: any order would be a guess; or a number is none of theirs.
     """
-    if chosen:
-        titles = [Title(str(k + 1), "") for k in range(width)]
-        return layout_of_titles(titles, p, m, chosen, source)
-    if width not in (p + m, p + m + 1):
+    if not chosen:
         raise FileError(
-            f"{source}: expected {p + m} values ({p} readings, {m} inputs) or a time and these, "
-            f"found {width}; give the columns a header, or name them by --columns y=1,u=2"
+            f"{source}: without a header nobody can tell which column is which; add one, t,y,u, or "
+            "name the columns by number: --columns t=1,y=2,u=3"
         )
-    first = width - p - m
-    names = ["t"] * first + _indexed("y", p) + _indexed("u", m)
-    titles = [Title(name, "") for name in names]
-    readings = list(range(first, first + p))
-    inputs = list(range(first + p, width))
-    return _layout(titles, 0 if first else None, readings, inputs, source)
-
-
-def _indexed(signal: str, count: int) -> list[str]:
-    """The names of a signal's columns: y, or y[0], y[1], ..."""
-    return [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
+    titles = [Title(str(k + 1), "") for k in range(width)]
+    return layout_of_titles(titles, p, m, chosen, source)
 
 
 def _layout(
@@ -147,6 +140,8 @@ def _layout(
         seconds,
         [titles[k].unit for k in readings],
         [titles[k].unit for k in inputs],
+        [titles[k].name for k in readings],
+        [titles[k].name for k in inputs],
         ", ".join(roles),
     )
 
@@ -164,11 +159,12 @@ def _seconds(title: Title, source: str) -> float | None:
     return SECONDS[unit]
 
 
-def _refuse_others(chosen: Mapping[str, str], p: int, m: int) -> None:
+def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> None:
     """Raise InputError for a signal that the plant does not have."""
     known = ["t"]
-    known += [f"y[{i}]" for i in range(p)]
-    known += [f"u[{i}]" for i in range(m)]
+    for signal, count in (("y", p), ("u", m)):
+        count = len(_of_signal(chosen, signal)) if count is None else count
+        known += [f"{signal}[{i}]" for i in range(count)]
     for key in chosen:
         if key not in known:
             raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[1:])}")
@@ -190,17 +186,20 @@ def _time(titles: Sequence[Title], chosen: Mapping[str, str], source: str) -> in
 def _signals(
     titles: Sequence[Title],
     signal: str,
-    count: int,
+    count: int | None,
     usual: Sequence[str],
     chosen: Mapping[str, str],
     source: str,
 ) -> list[int]:
     """The numbers of the columns of a signal. Raises FileError."""
+    if count is None:
+        named_alone = len(_of_signal(chosen, signal))
+        count = named_alone or _count(titles, usual)
     wanted = [f"{signal}[{i}]" for i in range(count)]
     named = [key for key in wanted if key in chosen]
     if named and len(named) < count:
         missing = next(key for key in wanted if key not in chosen)
-        raise InputError(f"--columns: {missing} is missing; the plant has {count} of {signal}")
+        raise InputError(f"--columns: {missing} is missing; expected {count} of {signal}")
     if named:
         return [_named(titles, chosen[key], key, source) for key in wanted]
     for name in usual:
@@ -209,13 +208,29 @@ def _signals(
             return columns
         if columns:
             raise FileError(
-                f"{source}: the plant has {count} of {signal}, the log {len(columns)}: "
+                f"{source}: expected {count} of {signal}, the log has {len(columns)}: "
                 f"{_listed([titles[k] for k in columns])}; say which by --columns {wanted[0]}=NAME"
             )
     raise FileError(
         f"{source}: no name says which column holds {signal}; there are {_listed(titles)}"
         f"{_near(titles, usual)}; say which by --columns {signal}=NAME"
     )
+
+
+def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:
+    """The keys of a signal among those that the user names."""
+    return [key for key in chosen if key.startswith(signal + "[")]
+
+
+def _count(titles: Sequence[Title], usual: Sequence[str]) -> int:
+    """How many columns a signal seems to have: those with an index, else one."""
+    for name in usual:
+        if _same(titles, name):
+            return 1
+        indexed = _usual(titles, name, 1)
+        if indexed:
+            return len(indexed)
+    return 1
 
 
 def _usual(titles: Sequence[Title], name: str, count: int) -> list[int]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from undeadzone.errors import FileError
 from undeadzone.logs.dialect import LARGEST, Dialect, dialect_of, is_content
-from undeadzone.logs.names import Layout, layout_of_order, layout_of_titles
+from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
 from undeadzone.logs.text import Text
 from undeadzone.support.arrays import Floats
 
@@ -40,11 +40,11 @@ class LogReader:
 
     Args:
         source: the log, for messages.
-        p, m: numbers of readings and inputs that the plant has.
-        chosen: columns that the user names; see `names.parse_columns`.
+        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
+        chosen: columns that the user names; see `names.parse_columns`. Without them a log must
+            have a header.
         strict: whether a line that cannot be read is an error; else it is counted, and its
             sample is missing.
-        header: whether a log without a header is refused, unless the user names columns.
 
     Attributes:
         layout: where the log has what; None before its first sample.
@@ -55,17 +55,16 @@ class LogReader:
     def __init__(
         self,
         source: str,
-        p: int,
-        m: int,
+        p: int | None,
+        m: int | None,
         chosen: Mapping[str, str],
         strict: bool = False,
-        header: bool = False,
     ) -> None:
         self.layout: Layout | None = None
         self.unreadable = 0
         self.why = ""
         self._source, self._p, self._m = source, p, m
-        self._chosen, self._strict, self._header = chosen, strict, header
+        self._chosen, self._strict = chosen, strict
         self._text = Text(source)
         self._dialect: Dialect | None = None
         self._first: list[tuple[int, str]] = []  # lines that wait for the dialect to be known
@@ -108,12 +107,7 @@ class LogReader:
         """Where the log has what. Raises FileError."""
         if dialect.titles is not None:
             return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
-        if self._header and not self._chosen:
-            raise FileError(
-                f"{self._source}: without a header nobody can tell which column is which; add "
-                "one, t,y,u, or name the columns by number: --columns t=1,y=2,u=3"
-            )
-        return layout_of_order(dialect.width, self._p, self._m, self._chosen, self._source)
+        return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
 
     def _require_readable(self, dialect: Dialect, lines: Sequence[tuple[int, str]]) -> None:
         """Raise FileError where the first line without a header says nothing of the columns."""
@@ -124,8 +118,8 @@ class LogReader:
                 raise FileError(f"{self._source}, line {number}: {why}")
 
     def _none(self) -> Samples:
-        """No samples."""
-        shapes = (np.empty(0), np.empty((0, self._p)), np.empty((0, self._m)))
+        """No samples yet."""
+        shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
         return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(
@@ -140,7 +134,7 @@ class LogReader:
         t = values[:, 0] if first else np.full(len(values), np.nan)
         if first and layout.seconds is not None:
             t = t * layout.seconds
-        end = first + self._p
+        end = first + len(layout.readings)
         lines = np.array([number for number, _ in numbered], np.int64)
         return Samples(t, values[:, first:end], values[:, end:], lines)
 
@@ -171,10 +165,7 @@ class LogReader:
     def _refuse(self, number: int, why: str) -> None:
         """Count a line that cannot be read. Raises FileError where `strict` is set."""
         if self._strict:
-            raise FileError(
-                f"{self._source}, line {number}: {why}; without --strict such a line counts as a "
-                "missing sample"
-            )
+            raise FileError(f"{self._source}, line {number}: {why}")
         self.unreadable += 1
         self.why = self.why or f"line {number}: {why}"
 

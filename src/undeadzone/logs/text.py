@@ -3,12 +3,37 @@
 from __future__ import annotations
 
 import codecs
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
-from undeadzone.errors import FileError
+from undeadzone.errors import FileError, InputError
+from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 
+BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST: Final = 65_536  # characters of a line; a longer one is no line of numbers
 _MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, bool]]:
+    """The bytes of a file in blocks, each with whether it is the last. Raises FileError.
+
+    Args:
+        path: of the file.
+        largest: size [bytes] beyond which it is refused.
+    """
+    try:
+        require_plain(path, largest)
+        with open(path, "rb") as file:
+            while True:
+                data = file.read(BLOCK)
+                yield data, not data
+                if not data:
+                    return
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
 
 
 class Text:

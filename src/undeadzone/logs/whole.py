@@ -20,13 +20,13 @@ BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
 
 
 def samples_of(
-    log: Any, p: int, m: int, chosen: Mapping[str, str], source: str
+    log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
 ) -> tuple[Samples, Layout]:
     """The samples of a DataFrame, an .npz or a .mat file.
 
     Args:
         log: the DataFrame, or the path.
-        p, m: numbers of readings and inputs that the plant has.
+        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
         chosen: columns that the user names; see `names.parse_columns`.
         source: the log, for messages.
 

@@ -14,7 +14,7 @@ CHANGES = 2  # of side that are located in a step
 
 
 class Mode(Protocol):
-    """A branch of the loop, with the side that is read on it (+1, 0, -1 per output)."""
+    """A branch of the loop, with the side that is read on it (per output), as `Levels` count."""
 
     @property
     def side(self) -> Any:
@@ -25,19 +25,34 @@ class Mode(Protocol):
 Branch = TypeVar("Branch", bound=Mode)
 
 
+class Levels(NamedTuple):
+    """Levels of z between the sides (p each): side k is read above k of `above` and below none.
+
+    Side -k is read below k of `below`. From the lowest of `below` to the highest of `above` they
+    never fall.
+
+    Attributes:
+        above: from side 0 upwards.
+        below: from side 0 downwards.
+    """
+
+    above: tuple[Any, ...]
+    below: tuple[Any, ...]
+
+
 class Crossing(NamedTuple):
     """What changed, per output.
 
     Attributes:
         changed: whether anything did.
-        side: the side entered, +1, 0 or -1.
-        upper: whether the level that was met is the upper one.
+        side: the side entered.
+        level: the level that was met.
         rising: whether z rose through it.
     """
 
     changed: Any
     side: Any
-    upper: Any
+    level: Any
     rising: Any
 
 
@@ -83,7 +98,7 @@ class _Course(NamedTuple):
 
 def located_step(
     arc: Callable[[ca.SX, Any, Any], DenseStep],
-    levels: tuple[ca.SX, ca.SX],
+    levels: Levels,
     first: Branch,
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
@@ -96,7 +111,7 @@ def located_step(
 
     Args:
         arc: arc(x, c, mode) is the solution on a branch from x at the fraction c of the step.
-        levels: the side is right above levels[0] of z, left below levels[1] (p each).
+        levels: of z between the sides.
         first: the branch at the beginning of the step, followed to the earliest change.
         second: second(mode, crossing) is the branch after a change of side.
         x: the state at the beginning of the step.
@@ -116,7 +131,7 @@ def located_step(
 
 def _follow(
     arc: Callable[[ca.SX, Any, Any], DenseStep],
-    levels: tuple[ca.SX, ca.SX],
+    levels: Levels,
     first: Branch,
     second: Callable[[Branch, Crossing], Branch],
     whole: DenseStep,
@@ -138,7 +153,7 @@ def _follow(
     return _Followed(end, mode, now, changed)
 
 
-def _may_change(arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
     """Whether the side may change on an arc.
 
     It may if it is another at the end, or would be if z went on for half of the arc as it sets
@@ -148,15 +163,16 @@ def _may_change(arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.
     return ca.sum1(ca.logic_or(final, onward)) > 0
 
 
-def _beyond(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> ca.SX:
+def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
     """Whether z lies where another side is read."""
-    above, below = levels
-    return ca.logic_or((z > above) != (side > 0), (z < below) != (side < 0))
+    other = ca.SX(0.0)
+    for k, (above, below) in enumerate(zip(*levels, strict=True)):
+        other = ca.logic_or(other, (z > above) != (side > k))
+        other = ca.logic_or(other, (z < below) != (side < -k))
+    return other
 
 
-def _earliest(
-    arc: DenseStep, levels: tuple[ca.SX, ca.SX], side: ca.SX, turning: bool
-) -> tuple[Crossing, ca.SX]:
+def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tuple[Crossing, ca.SX]:
     """The first change of each output on an arc, and the fraction of the arc at which it is.
 
     The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
@@ -168,7 +184,7 @@ def _earliest(
     excursion = ca.logic_and(course.turns, returns)
     farthest = ca.if_else(excursion, course.peak, course.final)
     crossing = _crossing(farthest, levels, side)
-    c = _meeting(arc, course, crossing, ca.if_else(crossing.upper, *levels))
+    c = _meeting(arc, course, crossing)
     return crossing, ca.if_else(crossing.changed, c, 1.0)
 
 
@@ -181,25 +197,37 @@ def _course(arc: DenseStep, turning: bool) -> _Course:
     return _Course(start, final, s0, turns, turn, arc.output(turn))
 
 
-def _crossing(z: ca.SX, levels: tuple[ca.SX, ca.SX], side: ca.SX) -> Crossing:
-    """The change of side of an output that comes from `side` and reaches z."""
-    above, below = levels
-    enters_right = ca.logic_and(side <= 0, z > above)
-    enters_left = ca.logic_and(side >= 0, z < below)
-    leaves_right = ca.logic_and(side > 0, z < above)
-    leaves_left = ca.logic_and(side < 0, z > below)
-    silent = side == 0
-    upper = ca.logic_or(leaves_right, ca.logic_and(silent, enters_right))
-    changed = ca.logic_or(upper, ca.logic_or(leaves_left, enters_left))
-    rising = ca.logic_or(leaves_left, ca.logic_and(silent, enters_right))
-    through = above <= below  # nothing silent lies between
-    right = ca.logic_or(ca.logic_and(silent, enters_right), ca.logic_and(leaves_left, through))
-    left = ca.logic_or(ca.logic_and(silent, enters_left), ca.logic_and(leaves_right, through))
-    return Crossing(changed, 1.0 * right - 1.0 * left, upper, rising)
+def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
+    """The change of side of an output that comes from `side` and reaches z: to the next one."""
+    outermost = len(levels.above)
+    up, down = met(levels, side, ca.SX(1.0)), met(levels, side, ca.SX(0.0))
+    rises = ca.logic_and(side < outermost, z > up)
+    falls = ca.logic_and(side > -outermost, z < down)
+    way = 1.0 * rises - 1.0 * falls
+    nothing_silent = levels.above[0] <= levels.below[0]
+    skipped = ca.logic_and(side + way == 0, nothing_silent)
+    changed = ca.logic_or(rises, falls)
+    return Crossing(changed, side + way + skipped * way, ca.if_else(rises, up, down), rises)
 
 
-def _meeting(arc: DenseStep, course: _Course, crossing: Crossing, level: ca.SX) -> ca.SX:
-    """The fraction of an arc at which z meets a level, by Newton's method from a guess."""
+def met(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
+    """The level that z meets first when it leaves a side (p).
+
+    Args:
+        levels: between the sides.
+        side: that z leaves (p).
+        rising: whether z rises (p).
+    """
+    level = ca.SX(0.0)
+    for k, (above, below) in enumerate(zip(*levels, strict=True)):
+        of_above = ca.if_else(rising, side == k, side == k + 1)
+        of_below = ca.if_else(rising, side == -k - 1, side == -k)
+        level = ca.if_else(of_above, above, ca.if_else(of_below, below, level))
+    return level
+
+
+def _meeting(arc: DenseStep, course: _Course, crossing: Crossing) -> ca.SX:
+    """The fraction of an arc at which z meets the level, by Newton's method from a guess."""
     z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
     # z moves through the level as it does at first: ahead of the turn.
     before = (course.slope > 0) == crossing.rising
@@ -207,6 +235,7 @@ def _meeting(arc: DenseStep, course: _Course, crossing: Crossing, level: ca.SX) 
     high = ca.if_else(ca.logic_and(turns, before), turn, 1.0)
     # Between a turn and an end z is nearly a parabola, else nearly a line.
     end = ca.if_else(before, z0, z1)
+    level = crossing.level
     part = ca.sqrt(ca.fmax((course.peak - level) / (course.peak - end), 0.0))
     parabola = ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part)
     line = (level - z0) / (z1 - z0)

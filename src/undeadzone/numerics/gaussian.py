@@ -67,16 +67,16 @@ def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
 
 def predict(
     belief: Gaussian,
-    f: Callable[[Any], Any],
+    change: Callable[[Any], Any],
     Q: Any,
     lasting: Any = 1.0,
     bend: Callable[[Any], tuple[Any, Any]] | None = None,
 ) -> Gaussian:
-    """The belief after x+ = f(x) + w, to second order; exact for f of degree 2 and lasting = 1.
+    """The belief after x+ = x + f(x) + w, to second order; exact for degree 2 and lasting = 1.
 
     Args:
         belief: of x (N).
-        f: the model.
+        change: f, by which the model changes x.
         Q: covariance of w (N x N).
         lasting: steps for which the error of linearisation keeps its sign. It is not white, and
             counts that much more.
@@ -84,33 +84,44 @@ def predict(
             G b(x). With few b this is much cheaper. Default: G = I, b = f.
     """
     P, X = belief.cov, ca.SX.sym("X", belief.mean.shape[0])
-    value = f(X)
+    value = change(X)
     G, b = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
     nonlinear = ca.which_depends(b, X, 2, True)
     rows = [row for row, bends in enumerate(nonlinear) if bends]
     hessians = [ca.hessian(b[row], X)[0] for row in rows]
     expressions = [value, ca.jacobian(value, X), *hessians]
-    mean, F, *curvatures = ca.substitute(expressions, [X], [belief.mean])
+    moved, E, *curvatures = ca.substitute(expressions, [X], [belief.mean])
     products = [H @ P for H in curvatures]
     shift, excess = ca.SX(b.shape[0], 1), ca.SX(b.shape[0], b.shape[0])
     for row, M in zip(rows, products, strict=True):
         shift[row] = ca.trace(M) / 2
         for column, other in zip(rows, products, strict=True):
             excess[row, column] = lasting * ca.dot(M, other.T) / 2
-    return Gaussian(mean + G @ shift, _from_upper(F @ P @ F.T + Q + G @ excess @ G.T))
+    mean = belief.mean + (moved + G @ shift)
+    return Gaussian(mean, spread(P, E, Q + G @ excess @ G.T))
 
 
-def advance(belief: Gaussian, f: Callable[[Any], Any], Q: Any, F: Any = None) -> Gaussian:
-    """The belief after x+ = f(x) + w, to first order.
+def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = None) -> Gaussian:
+    """The belief after x+ = x + f(x) + w, to first order.
 
     Args:
         belief: of x (N).
-        f: the model.
+        change: f, by which the model changes x.
         Q: covariance of w (N x N).
-        F: the Jacobian to take (N x N); default: that of f at the mean.
+        E: the Jacobian of f to take (N x N); default: that at the mean.
     """
-    mean, slope = linearise(f, belief.mean) if F is None else (f(belief.mean), F)
-    return Gaussian(mean, _from_upper(slope @ belief.cov @ slope.T + Q))
+    moved, slope = linearise(change, belief.mean) if E is None else (change(belief.mean), E)
+    return Gaussian(belief.mean + moved, spread(belief.cov, slope, Q))
+
+
+def spread(P: Any, E: Any, Q: Any) -> Any:
+    """(I + E) P (I + E)' + Q as P and its increment.
+
+    At fast sampling E is small: to add I first would round it, in single precision until the
+    covariance is not positive any more.
+    """
+    gained = E @ P
+    return _from_upper(P + (gained + gained.T + gained @ E.T + Q))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:

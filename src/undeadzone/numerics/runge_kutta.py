@@ -18,11 +18,16 @@ def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> An
     Returns:
         The state at the end.
     """
+    return x + rk4_change(rate, x, h, k1)
+
+
+def rk4_change(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
+    """What `rk4` adds to x."""
     k1 = rate(x, 0.0) if k1 is None else k1
     k2 = rate(x + h / 2 * k1, 0.5)
     k3 = rate(x + h / 2 * k2, 0.5)
     k4 = rate(x + h * k3, 1.0)
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:

@@ -76,16 +76,16 @@ def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
     return w.cov * first[0] @ second[0].T + w.other * others
 
 
-def predict(belief: Gaussian, f: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
-    """The belief after x+ = f(x) + v; exact where f is linear.
+def predict(belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
+    """The belief after x+ = x + f(x) + v; exact where f is linear.
 
     Args:
         belief: of x (N).
-        f: the model.
+        change: f, by which the model changes x.
         Q: covariance of v (N x N).
         w: the weights.
     """
-    moved = [f(point) for point in points(belief, w)]
+    moved = [point + change(point) for point in points(belief, w)]
     centre = mean(moved, w)
     off = [value - centre for value in moved]
     return Gaussian(centre, _symmetric(covariance(off, off, w) + Q))

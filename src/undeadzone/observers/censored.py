@@ -11,19 +11,20 @@ from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import default_disturbance
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.observers.parts.doubt import glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
-from undeadzone.observers.parts.prior import build_prior
+from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
     span,
     unknowns,
 )
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
@@ -70,7 +71,15 @@ class Censored(
             ShapeError: for an option of another shape.
         """
         prior = build_prior(
-            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift, wear=WEAR
+            model,
+            sensor,
+            self.right,
+            self.left,
+            self.noise,
+            self.x_std,
+            self.drift,
+            wear=WEAR,
+            centre=self.centre,
         )
         Ts = model.Ts
         assert Ts is not None
@@ -82,14 +91,16 @@ class Censored(
         rms = _per_input("disturbance", self.disturbance, usual)
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
-        tolerance = tolerances(model, self.tolerance)
-        augmentation = unknowns(model, colour, rms, bias, calibrated, tolerance)
+        units = even_units(model)
+        even = in_units(model, units)
+        tolerance = tolerances(model, self.tolerance, units)
+        augmentation = unknowns(even, colour, rms, bias, calibrated, tolerance)
         lasting = max(1.0, correlation / Ts)
         glitches = glitch_share(self.glitches)
         member = measured_filter(
-            model,
+            even,
             sensor,
-            prior,
+            counted_prior(prior, units),
             augmentation,
             lasting,
             self.silence,
@@ -98,7 +109,8 @@ class Censored(
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])
-        return judged(member, model, widens=glitches > 0)
+        traits = claimed_traits(prior, self.x_std)
+        return shown_states(judged(member, even, glitches > 0, traits), units)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

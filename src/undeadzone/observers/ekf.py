@@ -11,7 +11,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Observer
+from undeadzone.interfaces import Observer, no_further
 from undeadzone.numerics.gaussian import Gaussian, linearise, predict, update
 from undeadzone.observers.parts.augmented_state import (
     Defaults,
@@ -68,7 +68,7 @@ class EKF(
             )
         correct = correct_predicted
         if self.mode == "measured":
-            correct = partial(correct_measured, model, sensor.kind, self.pseudo)
+            correct = partial(correct_measured, model, sensor, self.pseudo)
         prior = joint_prior(self, model, sensor, DEFAULTS)
         return joint_filter(model, sensor, prior, correct, predict)
 
@@ -85,7 +85,7 @@ def correct_predicted(
 
 def correct_measured(
     model: System,
-    kind: str,
+    sensor: Zone,
     pseudo: bool,
     q: Params,
     belief: Gaussian,
@@ -106,7 +106,8 @@ def correct_measured(
 
     def reading_on_branch(X: Any) -> Any:
         z = model.output(q.model, X[:n])[i]
-        return branch(z, taken, X[n + i], X[n + p + i], 1.0, kind)
+        on_branch = branch(z, taken, X[n + i], X[n + p + i], 1.0, sensor.kind)
+        return on_branch if sensor.limits is None else no_further(on_branch, y, side)
 
     expected, h = linearise(reading_on_branch, X)
     use = ca.logic_and(seen, taken != 0)

@@ -14,6 +14,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import default_disturbance
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import Augmentation
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
@@ -21,7 +22,7 @@ from undeadzone.observers.parts.model_tolerance import named
 from undeadzone.observers.parts.prior import Prior, build_prior
 from undeadzone.observers.parts.separate_joints import separate
 from undeadzone.observers.parts.unknown_inputs import coloured, correlation_time, unknowns
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
@@ -41,6 +42,8 @@ class Extended(
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         start: mean of x(0), one or one per state; with a small x_std, what homing tells.
         x_std: standard deviation of x(0), one or one per state; default five times the largest
@@ -64,6 +67,7 @@ class Extended(
 
     right: Array
     left: Array | None = None
+    centre: Array | None = None
     noise: Array | None = None
     start: Array = 0.0
     x_std: Array | None = None
@@ -101,14 +105,17 @@ class Extended(
             rms = default_disturbance(model, prior.ranges.max(), correlation)
         else:
             rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
-        augmentation = self._augmentation(model, correlation, rms, Ts)
+        # Joints that are filtered each for itself need [q; q'] as it is.
+        units = np.ones(model.n) if self.joints == "separate" else even_units(model)
+        even = in_units(model, units)
+        augmentation = self._augmentation(even, correlation, rms, Ts)
         lasting = max(1.0, correlation / Ts)
         bounds = self.silence and not self.blind
         glitches = glitch_share(self.glitches)
         member = measured_filter(
-            model,
+            even,
             sensor,
-            prior,
+            counted_prior(prior, units),
             augmentation,
             lasting,
             bounds,
@@ -121,8 +128,10 @@ class Extended(
             adapts=not self.blind,
             uncertain=tuple(self.uncertain),
             start_std=None if self.x_std is None else prior.std[: model.n],
+            centre_std=None if prior.centre is None else prior.centre[:, 1],
         )
-        return judged(member, model, glitches > 0 and not self.blind, traits)
+        judge = judged(member, even, glitches > 0 and not self.blind, traits)
+        return shown_states(judge, units)
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
@@ -135,12 +144,13 @@ class Extended(
             self.x_std,
             self.drift,
             start=self.start,
+            centre=self.centre,
         )
         if not self.blind:
             return prior
         n, none = model.n, np.zeros(2 * model.p)
         mean, std = np.append(prior.mean[:n], none), np.append(prior.std[:n], none)
-        return prior._replace(mean=mean, std=std, drift=none)
+        return prior._replace(mean=mean, std=std, drift=none, centre=None)
 
     def _augmentation(
         self, model: System, correlation: float, rms: Floats, Ts: float

@@ -113,7 +113,7 @@ class Interval(
             slack=np.maximum(after, sensor.threshold) / sensor.slope + noise,
             start=Boxes(np.zeros(n), radius, Bounds(*ranges[:p].T), Bounds(*ranges[p:].T)),
         )
-        return interval(model, form.pairs, params, sensor.kind)
+        return interval(model, form.pairs, params, sensor)
 
     def _noise(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
         """The bounds of the noise after (p) [y] and before the sensor (p) [z]."""

@@ -9,14 +9,18 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
+from undeadzone.observers.parts.augmented_state import agitation
 from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
+from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import build_prior
-from undeadzone.plants.system import System
+from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
+
+SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)
 
 
 class Kalman(
@@ -34,11 +38,14 @@ class Kalman(
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default five times the
             largest width.
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
-            [u]; default 0.
+            [u]; default what moves z by a fifth of the largest width in a quarter period, rms, so
+            that readings count; 0 is a claim, with which z^ soon follows the model alone.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
         glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
             readings for right, as textbooks do, and shows no wider intervals where they do not fit.
@@ -46,9 +53,10 @@ class Kalman(
 
     right: Array
     left: Array | None = None
+    centre: Array | None = None
     noise: Array | None = None
     x_std: Array | None = None
-    disturbance: Array = 0.0
+    disturbance: Array | None = None
     drift: float = 0.0
     glitches: float = GLITCHES
 
@@ -69,9 +77,24 @@ class Kalman(
                 "cannot use; use 'censored'"
             )
         prior = build_prior(
-            model, sensor, self.right, self.left, self.noise, self.x_std, self.drift
+            model,
+            sensor,
+            self.right,
+            self.left,
+            self.noise,
+            self.x_std,
+            self.drift,
+            centre=self.centre,
         )
-        rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        if self.disturbance is None:
+            rms = agitation(model, SWING * prior.ranges.max())
+        else:
+            rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)
-        member = measured_filter(model, sensor, prior, white(model, rms**2), glitches=glitches)
-        return judged(member, model, widens=glitches > 0)
+        units = even_units(model)
+        even = in_units(model, units)
+        member = measured_filter(
+            even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
+        )
+        traits = claimed_traits(prior, self.x_std)
+        return shown_states(judged(member, even, glitches > 0, traits), units)

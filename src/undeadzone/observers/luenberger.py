@@ -55,7 +55,7 @@ class Luenberger(
             z = model.output(p.model, s.x)
             e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
-            after = State(model.move(p.model, s.x, u) + p.L @ e)
+            after = State(model.pushed(p.model, s.x, u, p.L @ e))
             return after, estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
 
         params = Params(model.params, L, sensor.slope)

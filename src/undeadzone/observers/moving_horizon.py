@@ -213,7 +213,7 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
     C, offset = setup.tangents.output(s.X[:n])
     rows = np.stack([reading_row(C, i, side[i]) for i in range(p)])
     y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
-    e = np.where(side != 0, y - rows @ s.X - offset, 0.0)
+    e = np.where(np.abs(side) == 1, y - rows @ s.X - offset, 0.0)
     e_std = np.sqrt(variances(rows, s.cov) + setup.prior.prior.R)
     if s.since % setup.stride == 0:
         s = with_node(setup, s, y, side, seen)
@@ -244,7 +244,7 @@ def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> 
     window = moved_on(s, newest)
     X = horizon.estimate(window, setup.weights, setup.solve)
     for i in range(p):
-        if side[i] != 0:
+        if abs(side[i]) == 1:
             cov = read_covariance(cov, reading_row(C, i, side[i]), setup.prior.prior.R[i])
     return State(window, s.X if X is None else X, cov, F, f, G, 0)
 

@@ -140,8 +140,10 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
     z = setup.columns.output(s.x)
     y = np.where(seen, reading.y / sensor.slope, 0.0)
     expected = np.asarray(read(sensor.kind, z, s.widths[:p], s.widths[p:]))
-    residuals = y[:, None] - expected
-    weights = reweighted(s.weights, (residuals / np.sqrt(R)[:, None])[seen])
+    residuals = (y[:, None] - expected) / np.sqrt(R)[:, None]
+    if sensor.limits is not None:
+        residuals = limited(residuals, reading.side)
+    weights = reweighted(s.weights, residuals[seen])
     X = np.vstack([s.x, s.widths])
     mean, S = expected @ s.weights, R + weighted_variance(expected, s.weights)
     width_variance = weighted_variance(s.widths[:p] + s.widths[p:], weights)
@@ -150,12 +152,27 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
         z @ weights,
         reading,
         sensor,
-        np.where(seen, y - mean, 0.0),
+        np.where(seen & (np.abs(reading.side) < 2), y - mean, 0.0),
         np.sqrt(weighted_variance(X, weights)),
         np.sqrt(width_variance),
         np.sqrt(S),
     )
     return resampled(s._replace(weights=weights)), estimated
+
+
+def limited(e: Floats, side: Floats) -> Floats:
+    """Residuals whose half squares are those of a reading that only bounds z at a limit.
+
+    There the likelihood is the chance that the sensor reads at least, or at most, as much.
+
+    Args:
+        e: residuals, in standard deviations (p x M).
+        side: measured sides (p), +2 or -2 at a limit.
+    """
+    from scipy.special import log_ndtr
+
+    of_bound = np.sqrt(-2 * log_ndtr(-np.sign(side)[:, None] * e))
+    return np.where((np.abs(side) == 2)[:, None], of_bound, e)
 
 
 def resampled(s: State) -> State:

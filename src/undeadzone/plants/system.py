@@ -11,7 +11,8 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.numerics.runge_kutta import rk4
+from undeadzone.linear.scaling import similar
+from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
 from undeadzone.support.arrays import LARGEST, Floats
 
@@ -47,6 +48,8 @@ class System(NamedTuple):
         limit: largest |u| of a robot (m) [N m or N], infinite where there is none.
         names: names of the parameters of a nonlinear plant, in the order of params.
         rate: `move` before the plant was sampled.
+        change: (params, x, u) -> next value less x (n) of a sampled plant, without the rounding
+            that their difference would have.
     """
 
     params: Any
@@ -61,6 +64,7 @@ class System(NamedTuple):
     limit: Floats | None = None
     names: tuple[str, ...] = ()
     rate: Callable[[Any, Any, Any], Any] | None = None
+    change: Callable[[Any, Any, Any], Any] | None = None
 
     @property
     def n(self) -> int:
@@ -76,6 +80,12 @@ class System(NamedTuple):
     def p(self) -> int:
         """Number of outputs."""
         return self.linear.C.shape[0]
+
+    def pushed(self, params: Any, x: Any, u: Any, push: Any) -> Any:
+        """`move` and what a correction adds to it (n); of a sampled plant one increment of x."""
+        if self.change is None:
+            return self.move(params, x, u) + push
+        return x + (self.change(params, x, u) + push)
 
 
 def linearise(
@@ -114,20 +124,63 @@ def linearise(
 
 
 def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
-    """The plant seen every Ts [s] with u held.
+    """The plant seen every Ts [s] with u held, as x plus its change in a sample.
 
     An exact zero-order hold if the plant is linear, else RK4 with `substeps` steps.
     """
     linear = zoh(plant.linear, Ts)
-    if not plant.nonlinear:
-        return plant._replace(params=linear, linear=linear, Ts=Ts, flow=plant.linear)
+
+    def change_of_hold(params: Matrices, x: Any, u: Any) -> Any:
+        return (params.A - np.eye(plant.n)) @ x + params.B @ u
+
+    def change_of_steps(params: Any, x: Any, u: Any) -> Any:
+        total = 0.0
+        for _ in range(substeps):
+            now = x + total
+            total += rk4_change(lambda state, _: plant.move(params, state, u), now, Ts / substeps)
+        return total
+
+    change = change_of_steps if plant.nonlinear else change_of_hold
 
     def move(params: Any, x: Any, u: Any) -> Any:
-        for _ in range(substeps):
-            x = rk4(lambda state, _: plant.move(params, state, u), x, Ts / substeps)
-        return x
+        return x + change(params, x, u)
 
-    return plant._replace(move=move, linear=linear, Ts=Ts, flow=plant.linear, rate=plant.move)
+    return plant._replace(
+        params=plant.params if plant.nonlinear else linear,
+        move=move,
+        linear=linear,
+        Ts=Ts,
+        flow=plant.linear,
+        rate=plant.move if plant.nonlinear else None,
+        change=change,
+    )
+
+
+def in_units(system: System, units: Floats) -> System:
+    """A sampled system with states that are counted in these units (n): x = units x_counted."""
+    if (units == 1).all():
+        return system
+    move, output, change, rate = system.move, system.output, system.change, system.rate
+    assert change is not None
+    assert system.flow is not None
+
+    def counted(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+        return lambda params, x, u: function(params, units * x, u) / units
+
+    return system._replace(
+        move=counted(move),
+        output=lambda params, x: output(params, units * x),
+        change=counted(change),
+        rate=None if rate is None else counted(rate),
+        linear=_counted_matrices(system.linear, units),
+        flow=_counted_matrices(system.flow, units),
+    )
+
+
+def _counted_matrices(linear: Matrices, units: Floats) -> Matrices:
+    """The matrices for states that are counted in these units (n)."""
+    A, B, C = linear
+    return Matrices(similar(A, units), B / units[:, None], C * units)
 
 
 def held(model: System) -> Floats:

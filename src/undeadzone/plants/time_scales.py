@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 
 from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.scaling import balancing, feedback_loops, similar
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 
-STILL = 1e-6  # of |A|: a pole this close to 0 is an integrator's
+STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
 def rates_of_motion(A: Floats) -> Floats:
@@ -16,8 +19,15 @@ def rates_of_motion(A: Floats) -> Floats:
 
     Empty for a chain of integrators.
     """
-    rates = np.abs(np.linalg.eigvals(A))
-    return rates[rates > STILL * np.linalg.norm(A, 2)]
+    return np.abs(_moving(A))
+
+
+def _moving(A: Floats) -> np.ndarray:
+    """The poles of x' = A x that are not those of integrators."""
+    poles = np.linalg.eigvals(A)
+    loops = feedback_loops(A)
+    size = np.linalg.norm(similar(loops, balancing(loops)), 2)
+    return np.asarray(poles[np.abs(poles) > STILL * size])
 
 
 def moving_poles(model: System) -> Floats:
@@ -33,6 +43,11 @@ def moving_poles(model: System) -> Floats:
 def fastest_pole(model: System) -> float:
     """The largest of `moving_poles` [1/s]."""
     return float(moving_poles(model).max())
+
+
+def mean_pole(model: System) -> float:
+    """The geometric mean of `moving_poles` [1/s]."""
+    return float(np.exp(np.log(moving_poles(model)).mean()))
 
 
 def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
@@ -64,3 +79,36 @@ def time_scale(flow: Matrices) -> float:
     if not moving.size:
         return 1.0
     return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
+
+
+def pace(flow: Matrices) -> float:
+    """How fast the plant moves [1/s]: |pole| of equal poles, else between their mean and the largest.
+
+    It is the largest of the k-th roots of the mean products of k poles, which rounding hardly
+    changes where poles are nearly equal. 1 for a chain of integrators. flow: in continuous time.
+    """
+    poles = _moving(flow.A)
+    if not poles.size:
+        return 1.0
+    sums = np.abs(np.poly(poles))
+    means = [(sums[k] / comb(poles.size, k)) ** (1 / k) for k in range(1, sums.size)]
+    return float(max(means))
+
+
+def state_units(flow: Matrices) -> Floats:
+    """What of each state shows as a z of 1, in powers of the plant's `pace` (n) [x / z].
+
+    State i of unit s shows in the k-th derivative of z as C A^k, which counts in units of pace^k.
+    In these units plants differ by neither their unit of time nor those of their states.
+
+    Args:
+        flow: the matrices in continuous time.
+    """
+    rate = pace(flow)
+    shown, seen = flow.C, np.abs(flow.C).max(axis=0)
+    for _ in range(1, flow.A.shape[0]):
+        shown = shown @ flow.A / rate
+        seen = np.maximum(seen, np.abs(shown).max(axis=0))
+    some = seen[seen > 0]
+    least = some.min() if some.size else 1.0
+    return np.asarray(1 / np.where(seen > 0, seen, least))

@@ -6,7 +6,7 @@ The page fetches nothing for it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,8 +23,11 @@ from undeadzone.support.files import replacing
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 MOVIES = (".gif", ".mp4")
+DPI = 80  # of a file
+COLOURS = 32  # of a GIF
 SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
 SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from an arm's path to what lies right in the drawing
@@ -43,11 +46,26 @@ _CONTROLS = (
 
 
 class Arm(NamedTuple):
-    """An arm that is shown: name, colour, and where its joints are (frames x points x 3) [m]."""
+    """An arm that is shown.
+
+    Attributes:
+        name: of its run.
+        colour: its colour.
+        poses: where its joints are (frames x points x 3) [m].
+        error: rms distance of its tip from the path over the last 2 s [m].
+    """
 
     name: str
     colour: str
     poses: Floats
+    error: float
+
+    @property
+    def label(self) -> str:
+        """Its name, and how far its tip is off at the end."""
+        far = self.error >= 0.1
+        size = f"{self.error:.2g} m" if far else f"{1e3 * self.error:.2g} mm"
+        return f"{self.name}: tip {size} off at the end"
 
 
 def animated(run: Run, rival: Run | None = None) -> Html:
@@ -128,7 +146,7 @@ def movie(
     require_movie(path)
     if run.poses is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.animation import FFMpegWriter, FuncAnimation
 
     arms = _arms(run, rival)
     stage = _stage(run, arms)
@@ -141,16 +159,67 @@ def movie(
             progress(1)
 
     length = max(len(arm.poses) for arm in arms)
-    form: Any = PillowWriter if path.suffix.lower() == ".gif" else FFMpegWriter
     with replacing(path) as temporary:
-        motion = FuncAnimation(
-            stage.figure,
-            lambda frame: _draw(stage, arms, frame),
-            frames=range(0, length, SKIPPED),
-        )
-        writer = form(fps=FRAMES / SKIPPED)
-        motion.save(temporary, writer=writer, dpi=80, progress_callback=count_frame)
+        if path.suffix.lower() == ".gif":
+            _write_gif(stage, arms, range(0, length, SKIPPED), temporary, count_frame)
+        else:
+            motion = FuncAnimation(
+                stage.figure,
+                lambda frame: _draw(stage, arms, frame),
+                frames=range(0, length, SKIPPED),
+            )
+            speed: Any = FRAMES / SKIPPED
+            writer = FFMpegWriter(fps=speed)
+            motion.save(temporary, writer=writer, dpi=DPI, progress_callback=count_frame)
     return path
+
+
+def _write_gif(
+    stage: Stage,
+    arms: list[Arm],
+    shown: range,
+    path: Path,
+    count_frame: Callable[[int, int], None],
+) -> None:
+    """A GIF of some frames, in few colours, of which each picture keeps what does not change.
+
+    Args:
+        stage: the figure.
+        arms: what moves on it.
+        shown: the frames.
+        path: the file.
+        count_frame: called with (frame, frames) for each frame done.
+    """
+    from PIL.Image import Dither
+
+    palette = _picture(stage, arms, shown[-1]).quantize(COLOURS)
+
+    def pictures() -> Iterator[Image]:
+        for number, frame in enumerate(shown):
+            picture = _picture(stage, arms, frame)
+            count_frame(number, len(shown))
+            yield picture.quantize(palette=palette, dither=Dither.NONE)
+
+    first, *others = pictures()
+    first.save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=others,
+        duration=round(1000 * SKIPPED / FRAMES),
+        loop=0,
+    )
+
+
+def _picture(stage: Stage, arms: list[Arm], frame: int) -> Image:
+    """What the figure shows at a frame."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL.Image import fromarray
+
+    _draw(stage, arms, frame)
+    canvas: Any = FigureCanvasAgg(stage.figure)
+    canvas.draw()
+    return fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 class Stage(NamedTuple):
@@ -169,7 +238,7 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
     from matplotlib.figure import Figure
 
     spatial = _spatial(run)
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    figure = Figure(figsize=(6.4, 6.0), dpi=DPI, layout="constrained")
     axes: Any = figure.add_subplot(projection="3d" if spatial else None)
     dimensions = 3 if spatial else 2
     path = _path(run)[:, :dimensions]
@@ -181,14 +250,14 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
     for arm in arms:
         trails += axes.plot(*empty, color=arm.colour, linewidth=1.2, alpha=0.7)
     for line, arm in zip(lines, arms, strict=True):
-        line.set_label(plain(arm.name))
+        line.set_label(plain(arm.label))
     points = [arm.poses.reshape(-1, 3)[:, :dimensions] for arm in arms]
     _limit(axes, np.vstack([path, *points]))
     if spatial:
         axes.view_init(elev=np.degrees(TILT), azim=np.degrees(-_turn(run)) - 90)
         axes.set_box_aspect((1, 1, 1), zoom=1.15)
     axes.grid(visible=True, alpha=0.4)
-    axes.legend(loc="upper left", fontsize=8.5)
+    figure.legend(loc="outside lower center", fontsize=9, ncols=2, frameon=False)
     return Stage(figure, axes, lines, trails, spatial, plain(run.info.title))
 
 
@@ -238,7 +307,7 @@ def _arm(run: Run, colour: str) -> Arm:
     end = len(run.poses)
     if run.diverged_at is not None:
         end = max(1, int(run.diverged_at * FRAMES))
-    return Arm(run.name, colour, run.poses[:end])
+    return Arm(run.name, colour, run.poses[:end], run.rms_tip or 0.0)
 
 
 def _path(run: Run) -> Floats:

@@ -42,7 +42,7 @@ def places(rows: Sequence[Row], title: str) -> Figure:
     worst = [row.worst_regret for row in rows]
     _place(axes, at, medians, [row.median_interval for row in rows], "median", ESTIMATE, "o")
     _place(axes, at, worst, [row.worst_interval for row in rows], "worst", PRINTED, "s")
-    for x, words in ((1.0, "naive"), (CAP, "diverged")):
+    for x, words in ((1.0, "half a zone"), (CAP, "diverged")):
         axes.axvline(x, color=ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
         axes.text(x, len(rows) - 0.4, words, color=ZONE, fontsize=8, ha="center", va="bottom")
     axes.set_xscale("log")
@@ -105,7 +105,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     axes.set_yticks(range(len(rows)), [row.method for row in rows])
     axes.grid(False)
     axes.spines[:].set_visible(False)
-    scale = "0: full state, 1: naive; blue is good, red is bad, a dash: not applicable"
+    scale = "0: all is known, 1: half a zone; blue is good, red is bad, a dash: not applicable"
     finish(axes, scale, "", "", legend=0)
     return figure
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.arena.contest import Contest
-from undeadzone.arena.leaderboard import CAP, FRAME, REFUSED, Row, regrets
+from undeadzone.arena.leaderboard import CAP, NAIVE, ZERO, Row, regrets
 from undeadzone.arena.metric import TAIL
 from undeadzone.arena.traces import Trace
 from undeadzone.report.arena_figures import costs, heat, places, traces
@@ -35,14 +35,16 @@ NOTE: Final = (
 RULES: Final = (
     "A run counts by J, the rms of z − r of the tracked outputs over its last "
     f"{100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
-    f"(J − J_full) / (J_naive − J_full) with the J of {FRAME[0]} and {FRAME[1]} on the same "
-    f"scenario and seed. It is at most {CAP:g}, which a diverged run counts. A method that is not "
-    f"applicable counts {REFUSED:g} there: what is left is the naive observer.",
+    f"(J − J_{ZERO}) / ((d_r + d_l) / 2) on the same scenario and seed: {ZERO} knows the state, "
+    f"the plant and the disturbance. A run that diverged counts {CAP:g}, and beyond {CAP / 2:g} the "
+    f"regret of others rises ever more slowly towards that. Where a method is not applicable the "
+    f"naive observer ({NAIVE}) is left, and its regret counts.",
     "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios "
     "and seeds; that of the worst resamples seeds alone.",
     "A method is told the believed model, the sensor but for its widths, and what the scenario "
     "declares: ranges of the widths and rough claims, never the truth. The lines full_state and "
-    "oracle are told the true state and the true widths.",
+    "oracle are told the true state and the true widths, informed the plant and the disturbance "
+    "too.",
     "Numbers were tuned on other scenarios, with the same budget for all.",
 )
 HEAD: Final = (

@@ -16,8 +16,9 @@ from undeadzone.errors import InputError
 from undeadzone.report.ensemble_figures import WORDS, distributions, over_time, words
 from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
 from undeadzone.report.sensitivity_figures import influence, tornado
-from undeadzone.report.style import label, write
+from undeadzone.report.style import write
 from undeadzone.support.files import write_text
+from undeadzone.support.text import label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -24,10 +24,11 @@ from undeadzone.report.gains_sections import (
 from undeadzone.report.html import Html, page, paragraph, picture, section, table
 from undeadzone.report.locus_figures import root_locus
 from undeadzone.report.proof_figures import courses, nyquist
-from undeadzone.report.style import label, write
+from undeadzone.report.style import write
 from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
 from undeadzone.support.files import write_text
+from undeadzone.support.text import label
 from undeadzone.synthesis.assessment import Assessment, Attacks
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.html import Html, folded, paragraph, table, tag
+from undeadzone.simulation.listening_words import in_words
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 SCORES: Final = {
@@ -166,6 +167,8 @@ def knowledge_section(of: Assessment) -> list[Html]:
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
     parts = [paragraph(question), table(head, rows)]
+    if of.listens:
+        parts.append(paragraph(f"How strongly readings move z^: {in_words(of.listens)}."))
     for i, known in enumerate(of.known):
         where = f"Output {i}: " if len(of.known) > 1 else ""
         parts += [paragraph(f"{where}{reason}.") for reason in known.reasons]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import png
+from undeadzone.simulation.listening_words import in_words
 from undeadzone.simulation.run import Run
 from undeadzone.support.text import printable
 
@@ -211,6 +212,7 @@ def _numbers(run: Run) -> dict[str, Any]:
         numbers["rms distance of the tip from its path, last 2 s [m]"] = run.rms_tip
     return numbers | {
         "share of silent samples": run.silent_fraction,
+        "how strongly readings move z^": in_words(run.info.listens) if run.info.listens else None,
         "certificate found for these gains": run.info.certified,
         "largest rise of V above an earlier value, relative to its largest": run.largest_rise_of_V,
         "integration error (against half the step)": run.info.integration_error,

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undeadzone.observers.parts.judged_filter import FAR
+from undeadzone.observers.parts.doubt import CHANCE
+from undeadzone.observers.parts.innovation_sums import FAR
 from undeadzone.report.style import (
     ESTIMATE,
     FORBIDDEN,
@@ -20,7 +21,6 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
-from undeadzone.simulation.consistency import LIMIT
 from undeadzone.simulation.estimation import Estimation
 from undeadzone.support.arrays import Floats
 
@@ -117,4 +117,4 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
 def _statistic(axes: Any, t: Floats, B: Floats) -> None:
     """The statistic B and its limit, in the panel of the innovations."""
     axes.plot(t, np.minimum(B, 2 * FAR), color=PRINTED, label="B")
-    axes.axhline(LIMIT, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="limit of B")
+    axes.axhline(CHANCE, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit")

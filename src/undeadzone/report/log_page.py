@@ -97,6 +97,7 @@ def _numbers(result: Estimation) -> dict[str, Any]:
         "B at the end": info.B,
         "mean square of normalised innovations": info.square,
         "readings used": info.used,
-        "of these beyond 4.5 standard deviations": info.glitches,
+        "readings taken for wrong": info.glitches,
+        "silent far outside the zone": info.silent_outside,
         "smoothed with the whole log": result.z_smooth is not None,
     }

@@ -6,6 +6,7 @@ The colours are those of Okabe and Ito, which colour-blind readers can tell apar
 from __future__ import annotations
 
 import io
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +15,7 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
+from undeadzone.support.text import label as label
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ def sheet(
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height * len(rows) + 0.4), layout="constrained")
         figure.suptitle(plain(title), x=0.01, ha="left")
+        vars(figure)["_repr_png_"] = partial(png, figure)  # so that a notebook shows it
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
 
@@ -112,11 +115,6 @@ def _make_room(axes: Axes) -> None:
         axes.set_ylim(low, high * (high / low) ** LEGEND_ROOM)
     else:
         axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
-
-
-def label(words: str, unit: str) -> str:
-    """Words and unit, the unit left out where it is 1."""
-    return words if unit == "1" else f"{words} [{unit}]"
 
 
 def axis_label(words: str, unit: str) -> str:

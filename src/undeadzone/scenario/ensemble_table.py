@@ -46,19 +46,20 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.
     Addresses are:
 
-    `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `plant.A[1,0]`, `B`, `C`
-    in continuous time, in whatever form the plant is given; `plant.parameters.NAME`; `plant.x0[0]`;
-    `reference.scale`, a factor on the whole reference, or `reference.amplitude` of a sine, step or
-    trapezoid about 0; likewise `disturbance.scale`, `disturbance.amplitude` (a bias is a step at
-    time 0), `disturbance.rms`; the numbers of observer and controller by their names in the loop,
-    such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and
+    `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `sensor.range[1]`, and
+    `range[0]` by a factor alone (`relative`), with several outputs `range[0,1]`; `plant.A[1,0]`,
+    `B`, `C` in continuous time, in whatever form the plant is given; `plant.parameters.NAME`;
+    `plant.x0[0]`; `reference.scale`, a factor on the whole reference, or `reference.amplitude` of a
+    sine, step or trapezoid about 0; likewise `disturbance.scale`, `disturbance.amplitude` (a bias
+    is a step at time 0), `disturbance.rms`; the numbers of observer and controller by their names
+    in the loop, such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and
     `observer.model.A[1,0]` for the model of the observer alone.
 
     Without an index, or with `:` for one, an address names several entries; `+` joins addresses:
     `"plant.A[1,:] + plant.B[1,:]"` with `relative` and `shared` divides the second equation by a
     mass. `sensor` and `plant` are the truth: observer, controller and feedforward stay as designed
-    for the nominal plant or [model], sensor and noise; but `oracle` knows the widths, and
-    `certified` the threshold. A width beyond `width_max` is not refused.
+    for the nominal plant or [model], sensor and noise; but `oracle` knows the widths,
+    `certified` the threshold, and all the range. A width beyond `width_max` is not refused.
 
     Attributes:
         runs: number of runs.

@@ -12,6 +12,8 @@ from typing import Any
 
 import msgspec
 
+from undeadzone.support.arrays import matlab
+
 _WORDS = {
     "object": "a table",
     "dict": "a table",
@@ -22,6 +24,27 @@ _WORDS = {
     "str": "text",
     "bool": "true or false",
     "null": "nothing",
+}
+_SYNONYMS = {  # words of other tools, and what stands for them here
+    "dt": "the sample time is simulation.step",
+    "Ts": "the sample time is simulation.step",
+    "sample_time": "the sample time is simulation.step",
+    "T": "the length of a run is simulation.duration, the sample time simulation.step",
+    "num": "write numerator",
+    "den": "write denominator",
+    "tf": "write transfer_function = { numerator = [...], denominator = [...] }",
+    "D": "direct feedthrough is not supported; leave D out where it is 0",
+    "upper": "the upper edge of the zone is sensor.right",
+    "lower": "the lower edge of the zone is -sensor.left",
+    "deadband": "the widths are sensor.right and sensor.left, from 0 to each edge",
+    "deadzone": "the widths are sensor.right and sensor.left, from 0 to each edge",
+    "width": "the widths are sensor.right and sensor.left, from 0 to each edge",
+    "gain": "L and gamma are the observer's gains, K the controller's, slope the sensor's",
+    "type": "write kind or method",
+    "freq": "write frequency, in Hz",
+    "omega": "write frequency, in Hz",
+    "saturation": "write range = [least, largest]",
+    "sigma": "write noise, the rms of white noise on the reading",
 }
 _CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]
@@ -41,6 +64,8 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     if unknown:
         name = unknown[1]
         advice = _advice(name, _fields(root, key, data), "known keys:")
+        if name in _SYNONYMS and not advice.startswith("did you mean"):
+            advice = f"{advice}; {_SYNONYMS[name]}"
         return f"{_join(key, name)}: unknown key; {advice}"
     missing = re.match(r"Object missing required field `(.*)`", body)
     if missing:
@@ -53,6 +78,39 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     body = re.sub(r"`([\w| ]+)`", _in_words, body)
     where = f"{key}: " if key else ""
     return f"{where}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
+
+
+def invalid_toml(text: str, message: str) -> str:
+    """The message about a text that is no TOML, with its line.
+
+    Args:
+        text: that was read.
+        message: of tomllib.
+    """
+    said, _, where = message.partition(" (at ")
+    place = re.match(r"line (\d+), column (\d+)", where)
+    if place is None:
+        return f"not valid TOML: {message}"
+    number = int(place[1])
+    lines = text.splitlines()
+    line = lines[number - 1].strip() if number <= len(lines) else ""
+    full = f"line {number}, column {place[2]}: not valid TOML: {said[:1].lower()}{said[1:]}"
+    if line:
+        full += f" in {line!r:.80}"
+    return full + _as_lists(line)
+
+
+def _as_lists(line: str) -> str:
+    """How a line in MATLAB's notation, A = [0 1; -1 -2], is written in TOML; else nothing."""
+    assignment = re.match(r"\s*([\w.]+)\s*=\s*(\[[^\[\]\"=]*\])\s*;?\s*(#.*|%.*)?$", line)
+    if assignment is None:
+        return ""
+    try:
+        rows = matlab(assignment[2])
+    except ValueError:
+        return ""
+    listed = [f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in rows]
+    return f"; write {assignment[1]} = [{', '.join(listed)}], or put MATLAB's matrix in quotes"
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:

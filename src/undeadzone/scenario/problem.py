@@ -16,6 +16,7 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import pace
 from undeadzone.scenario import reference_path as paths
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.time_step import (
@@ -72,7 +73,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     """
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = resolve(scenario.sensor, true.p, step)
+    sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
     disturbance = _disturbance(scenario, true.m)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
+import hashlib
 import os
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,10 +15,11 @@ import msgspec
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
-from undeadzone.scenario.messages import explain
+from undeadzone.scenario.changes import require_finite
+from undeadzone.scenario.messages import explain, invalid_toml
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
-from undeadzone.support.files import read_text, reason
+from undeadzone.support.files import LARGEST_TABLE, read_bytes, read_text, reason
 
 
 def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
@@ -36,7 +38,8 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
         InputError: with the key, what was found and what to do; also for a file outside of
             `confine`.
     """
-    scenario = parse(_text(path), Path(path).parent)
+    with _naming(path):
+        scenario = parse(_text(path), Path(path).parent)
     return scenario if confine is None else confined(scenario, Path(confine))
 
 
@@ -66,6 +69,11 @@ def read_for_logs(
                 raise InputError(
                     f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
                 )
+        if observer is None and "right" not in sensor and "declared" not in data:
+            raise InputError(
+                "observer: missing; name one and the range of the widths, such as "
+                'observer = { method = "auto", right = [0.0, 2.0] }'
+            )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
     scenario = convert(data, Path(path).parent)
     return scenario if confine is None else confined(scenario, Path(confine))
@@ -89,6 +97,17 @@ def _text(path: str | os.PathLike[str]) -> str:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
 
 
+@contextmanager
+def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Put the name of a file in front of what is wrong with its text."""
+    try:
+        yield
+    except FileError:
+        raise
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
 def parse(text: str, folder: Path = Path()) -> Scenario:
     """The scenario in a TOML text.
 
@@ -109,7 +128,7 @@ def _tables(text: str) -> dict[str, Any]:
     except RecursionError:
         raise InputError("not valid TOML: nested too deeply") from None
     except ValueError as error:
-        raise InputError(f"not valid TOML: {error}") from None
+        raise InputError(invalid_toml(text, str(error))) from None
 
 
 def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
@@ -123,7 +142,7 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         InputError: with the key, what was found and what to do.
     """
     try:
-        _require_finite(data, "")
+        require_finite(data, "")
         data = dict(data)
         for table in (vary.TABLE, tuning.TABLE):
             if table.name in data:
@@ -162,6 +181,20 @@ def confined(scenario: Scenario, folder: Path) -> Scenario:
     return _with_files(scenario, inside)
 
 
+def digests(scenario: Scenario) -> dict[str, str]:
+    """Digests of what the files hold that a scenario names, by key; of one that is missing none."""
+    by_key: dict[str, str] = {}
+
+    def seen(key: str, path: str) -> str:
+        with suppress(OSError, ValueError):
+            content = read_bytes(path, LARGEST_TABLE)
+            by_key[key] = hashlib.blake2b(content, digest_size=16).hexdigest()
+        return path
+
+    _with_files(scenario, seen)
+    return by_key
+
+
 def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenario:
     """The scenario with other paths of the files that it names.
 
@@ -183,17 +216,3 @@ def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
         if path is not None:
             part = msgspec.structs.replace(part, **{name: change(f"{key}.{name}", path)})
     return part
-
-
-def _require_finite(value: Any, key: str) -> None:
-    """Raise InputError where a number at or below a key is not finite, or too large."""
-    if isinstance(value, dict):
-        for name, child in value.items():
-            _require_finite(child, f"{key}.{name}" if key else name)
-    elif isinstance(value, list):
-        for index, child in enumerate(value):
-            _require_finite(child, f"{key}[{index}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{key}: must be a finite number, found {value}")
-    elif isinstance(value, int) and abs(value) >= 2**63:
-        raise InputError(f"{key}: the whole number is too large")

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import msgspec
 
 from undeadzone.controllers import ControllerOptions
+from undeadzone.errors import InputError
 from undeadzone.observers import ObserverOptions
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region
+from undeadzone.scenario.changes import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.tune_table import Tune
+from undeadzone.scenario.unnamed import usual_controller, usual_observer
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Disturbance, Signal
+from undeadzone.support import toml
 from undeadzone.support.arrays import Array
+from undeadzone.support.files import write_text
+
+UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,8 +89,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         plant: the plant.
         sensor: the sensor at its output, with a dead zone.
         reference: the signal that its tracked outputs should follow.
-        observer: the method that estimates state and widths.
-        controller: the method that computes the input.
+        observer: the method that estimates state and widths; default `auto` with the claims of
+            [declared], or with widths between 0 and three times the largest.
+        controller: the method that computes the input; default `state_feedback`, for rigid arms
+            `computed_torque`, for an elastic joint in sampled time `lqr`.
         simulation: length of a run, and how it is computed.
         model: the plant as observer and controller know it; default: the plant itself.
         disturbance: a signal added to the input; default: none.
@@ -98,8 +110,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     plant: Plant
     sensor: Sensor
     reference: Signal
-    observer: ObserverOptions
-    controller: ControllerOptions
+    observer: ObserverOptions = UNNAMED
+    controller: ControllerOptions = UNNAMED
     simulation: Simulation = Simulation()
     model: Model | None = None
     disturbance: Disturbance | None = None
@@ -111,3 +123,59 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     compare: ObserverOptions | None = None
     region: Region | None = None
     title: str = "Untitled"
+
+    def __post_init__(self) -> None:
+        """Put the usual observer and controller where none is named."""
+        if self.observer is UNNAMED:
+            observer = usual_observer(self.sensor, self.declared)
+            msgspec.structs.force_setattr(self, "observer", observer)
+        if self.controller is UNNAMED:
+            controller = usual_controller(self.plant, self.simulation.time == "sampled")
+            msgspec.structs.force_setattr(self, "controller", controller)
+
+    def replace(self, address: str, value: Any) -> Scenario:
+        """The scenario with another value at one key: `scenario.replace("sensor.right", 1.2)`.
+
+        Args:
+            address: dotted key, with an index for one entry: `sensor.right`, `plant.A[1,0]`.
+            value: number, list, text, table of keys, or a struct such as `Kalman()`.
+
+        Returns:
+            A new scenario; this one stays as it is.
+
+        Raises:
+            InputError: no such key, or a value that it cannot take.
+        """
+        return with_value(self, address, value)
+
+    def __or__(self, changes: Mapping[str, Any]) -> Scenario:
+        """The scenario with other tables: `scenario | {"sensor": {"right": 1.2}}`.
+
+        A table keeps the keys that are not changed, unless its `kind` or `method` is another one.
+
+        Raises:
+            InputError: no such key, or a value that it cannot take.
+        """
+        return with_tables(self, changes)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the scenario as TOML, every number exactly.
+
+        Args:
+            path: of the file, which `read` and the command line take.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: it cannot be written.
+            InputError: something in it that no text can hold, such as a Python function.
+        """
+        return write_text(toml.dumps(self), Path(path))
+
+    def __str__(self) -> str:
+        """The scenario as TOML."""
+        try:
+            return toml.dumps(self)
+        except InputError:
+            return repr(self)

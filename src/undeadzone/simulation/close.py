@@ -53,7 +53,7 @@ def close(
     Raises:
         InputError: a Taylor series was asked for, and the loop is not linear on its branches.
     """
-    params = _params(plant, sensor, observer, controller, step)
+    params = numbers(plant, sensor, observer, controller, step)
     state = State(
         np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params)
     )
@@ -81,15 +81,20 @@ def close(
     return Loop(whole, state, params, shapes, instant, parts)
 
 
-def _params(
+def numbers(
     plant: System, sensor: Zone, observer: Observer, controller: Controller, step: float
 ) -> Params:
-    """The numbers of a loop."""
+    """The numbers of a loop.
+
+    Args:
+        plant, sensor, observer, controller, step: as of `close`.
+    """
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
-    numbers = SensorParams(sensor.right, sensor.left, sensor.slope, sensor.threshold, quantum)
+    widths = sensor.right, sensor.left
+    zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits)
     h = np.float64(step)
-    return Params(plant.params, numbers, observer.params, controller.params, scale, h)
+    return Params(plant.params, zone, observer.params, controller.params, scale, h)
 
 
 def _instant(plant: System, controller: Controller, tracked: int) -> Exogenous:

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.error_dynamics import delta
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
+from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.linear.scaling import sizes as scaled_sizes
@@ -19,7 +19,7 @@ from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
-from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
+from undeadzone.simulation.verdicts import by_claims, constant_inputs, linear_verdicts
 from undeadzone.support.arrays import Floats
 
 
@@ -46,7 +46,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
     bias = constant_inputs(problem, np.eye(problem.plant.m))
     traits, step = problem.observer.traits, problem.scenario.simulation.step
 
-    def with_start(start_std: Floats | None) -> list[Verdict]:
+    def told(start_std: Floats | None, centre_std: Floats | None) -> list[Verdict]:
         return verdicts_along(
             problem.plant,
             signal.x,
@@ -58,22 +58,14 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             traits.uncertain,
             start_std,
             np.isfinite(signal.y),
+            centre_std,
         )
 
-    alone = with_start(None)
-    if traits.start_std is None:
+    alone = told(None, None)
+    if traits.start_std is None and traits.centre_std is None:
         return alone
-    homed = with_start(traits.start_std)
-    return [_homed(*pair) for pair in zip(alone, homed, strict=True)]
-
-
-def _homed(alone: Verdict, homed: Verdict) -> Verdict:
-    """The verdict with a declared start, which says what nothing else tells."""
-    gained = [name for name in DIRECTIONS if getattr(homed, name) and not getattr(alone, name)]
-    if not gained:
-        return homed
-    reason = f"{', '.join(gained)} from the declared start alone"
-    return homed._replace(reasons=(*homed.reasons, reason))
+    claimed = told(traits.start_std, traits.centre_std)
+    return [by_claims(traits, *pair) for pair in zip(alone, claimed, strict=True)]
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:

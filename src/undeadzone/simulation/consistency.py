@@ -1,24 +1,28 @@
-"""Whether an observer's innovations are what it claims: the test of batch means along a record.
+"""Whether a record is what an observer claims: its innovations, its own verdict, its silences.
 
 The means of normalised innovations over some periods of the plant are too large where something
-lasts that the observer does not know of, such as a wrong model, another step, swapped columns.
+lasts that the observer does not know of, such as a wrong model, another step, swapped columns. A
+sensor that is silent while z^ lies far outside the estimated zone contradicts that zone.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+import casadi as ca
 import numpy as np
 
-from undeadzone.observers.parts.doubt import HISTORY, SPAN
-from undeadzone.observers.parts.judged_filter import FAR
+from undeadzone.engine import interpret
+from undeadzone.interfaces import Estimate
+from undeadzone.observers.parts.doubt import CHANCE, HISTORY, SPAN
+from undeadzone.observers.parts.innovation_sums import FAR, Sums, summed
 from undeadzone.support.arrays import Floats
 
-LIMIT: Final = 2.2  # of B; a few of a hundred true records exceed it
-MOST_REFUSED: Final = 0.05  # share of the readings that may be refused
+MOST_REFUSED: Final = 0.05  # share of the readings, or silences, that may contradict the claims
 MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
 FEWEST: Final = 30  # readings that a test needs
-MOST_OF_THE_TIME: Final = 0.5  # share of the record during which B may exceed its limit
+MOST_OF_THE_TIME: Final = 0.5  # share of the record during which the claims may not fit
+ROUNDING: Final = 1e-6  # of the size of z, by which z^ may be off without any noise
 
 
 class Verdict(NamedTuple):
@@ -27,10 +31,12 @@ class Verdict(NamedTuple):
     Attributes:
         consistent: the answer; None where there is none: the observer gives no innovation_std, or
             too few readings corrected it.
-        B: the test's statistic at the end, the largest of the outputs; 1 is usual.
+        B: mean square of the sums of innovations at the end, the largest of the outputs; 1 is
+            usual.
         square: mean square of the normalised innovations that were not refused; 1 is usual.
         used: how many readings corrected the estimate.
-        refused: how many of them lie beyond 4.5 standard deviations.
+        refused: how many readings were taken for wrong, or lie beyond 4.5 standard deviations.
+        outside: how many readings are silent although z^ lies far outside the estimated zone.
         reasons: why not, or why there is no answer, in words; empty if it is consistent.
     """
 
@@ -39,13 +45,12 @@ class Verdict(NamedTuple):
     square: float | None
     used: int
     refused: int
+    outside: int
     reasons: list[str]
 
 
 class Consistency:
-    """The test of one output's innovations, block after block.
-
-    m := a m + nu, n := a^2 n + used, and where n > 1, B := b B + (1 - b) m^2 / n.
+    """The tests of one output, block after block.
 
     Args:
         step: between two samples [s].
@@ -56,13 +61,14 @@ class Consistency:
         self.B = 1.0
         self.used = 0
         self.refused = 0
-        self._a = float(np.exp(-step / (SPAN * quarter_period)))
-        self._b = float(np.exp(-step / (HISTORY * quarter_period)))
-        self._m = 0.0
-        self._n = 0.0
+        self.silent = 0
+        self.outside = 0
+        self._sums = np.array([0.0, 0.0, 1.0])  # total, count, ratio
+        self._graph = _graph()
+        self._rates = np.exp(-step / quarter_period / np.array([SPAN, HISTORY]))
         self._squares = 0.0
-        self._tested = 0  # samples at which B was renewed
-        self._exceeded = 0  # of them, those at which it was beyond its limit
+        self._samples = 0
+        self._exceeded = 0  # samples at which B was beyond its limit
 
     def add(self, innovation: Floats, std: Floats) -> Floats:
         """B after each of the next samples (N).
@@ -74,50 +80,102 @@ class Consistency:
         with np.errstate(invalid="ignore", divide="ignore"):
             nu = innovation / std
         used = (innovation != 0) & np.isfinite(nu)
-        refused = used & (np.abs(nu) > FAR)
-        counted = used & ~refused
+        far = used & (np.abs(nu) > FAR)
+        counted = used & ~far
         nu = np.where(counted, nu, 0.0)
         self.used += int(used.sum())
-        self.refused += int(refused.sum())
+        self.refused += int(far.sum())
         self._squares += float(nu @ nu)
-        return self._recursion(nu.tolist(), counted.tolist())
+        if not nu.size:
+            return np.empty(0)
+        rows = np.column_stack([nu, counted])
+        along, self._sums = interpret.run(self._graph, self._sums, rows, self._rates)
+        self.B = float(along[-1, 0])
+        self._samples += nu.size
+        self._exceeded += int((along[:, 0] > CHANCE).sum())
+        return along[:, 0]
+
+    def add_silences(self, estimate: Estimate, i: int, silent: Floats, band: float) -> None:
+        """Count the silent readings that contradict the zone that is estimated.
+
+        Only where the observer draws nothing from silence: else its innovation says it.
+
+        Args:
+            estimate: along the samples.
+            i: number of the output.
+            silent: whether its reading is there and silent (N).
+            band: by how much z may be outside a zone that is silent [z].
+        """
+        unused = silent.astype(bool) & (estimate.innovation[:, i] == 0)
+        z, right, left = (part[unused, i] for part in (estimate.z, estimate.right, estimate.left))
+        spread = estimate.innovation_std[unused, i]
+        margin = band + ROUNDING * (np.abs(z) + np.abs(right) + np.abs(left))
+        with np.errstate(invalid="ignore"):
+            beyond_right = z - right - margin > FAR * (spread + estimate.right_std[unused, i])
+            beyond_left = -z - left - margin > FAR * (spread + estimate.left_std[unused, i])
+        self.silent += int(unused.sum())
+        self.outside += int((beyond_right | beyond_left).sum())
 
     @property
     def square(self) -> float | None:
         """The mean square of the normalised innovations that count; None: there is none."""
         count = self.used - self.refused
-        return self._squares / count if count else None
+        return self._squares / count if count > 0 else None
 
     @property
     def exceeded(self) -> float:
-        """The share of the tested samples at which B was beyond its limit."""
-        return self._exceeded / max(1, self._tested)
+        """The share of the samples at which B was beyond its limit."""
+        return self._exceeded / max(1, self._samples)
 
-    def _recursion(self, nus: list[float], counted: list[bool]) -> Floats:
-        """B after each sample (N)."""
-        a, b, m, n, B = self._a, self._b, self._m, self._n, self.B
-        aa, rest = a * a, 1 - b
-        along = []
-        for nu, is_counted in zip(nus, counted, strict=True):
-            m = a * m + nu
-            n = aa * n + is_counted
-            if n > 1:
-                B = b * B + rest * m * m / n
-                self._tested += 1
-                if B > LIMIT:
-                    self._exceeded += 1
-            along.append(B)
-        self._m, self._n, self.B = m, n, B
-        return np.array(along)
+
+class Own:
+    """What a filter itself says of its claims, block after block.
+
+    Attributes:
+        last: whether they fitted at the last sample.
+        refused: readings that it took for wrong, so far.
+    """
+
+    def __init__(self) -> None:
+        self.last = True
+        self.refused = 0
+        self._samples = 0
+        self._unfit = 0
+
+    def add(self, estimate: Estimate) -> None:
+        """The next estimates, of a filter that judges itself."""
+        fits = estimate.consistent[:, 0] > 0.5
+        self._samples += fits.size
+        self._unfit += int((~fits).sum())
+        if fits.size:
+            self.last = bool(fits[-1])
+            self.refused = int(estimate.refused[-1].sum())
+
+    @property
+    def unfit(self) -> float:
+        """The share of the samples at which the claims did not fit."""
+        return self._unfit / max(1, self._samples)
+
+
+def _graph() -> ca.Function:
+    """The recursion of the sums as a graph: next, ratio = step(sums, [nu; counted], rates)."""
+    sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
+    after = summed(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
+    return ca.Function("sums", [sums, row, rates], [ca.vertcat(*after), after.ratio])
 
 
 def verdict_of(
-    tests: list[Consistency], widths: Floats, stds: Floats | None, diverged: bool
+    tests: list[Consistency],
+    own: Own | None,
+    widths: Floats,
+    stds: Floats | None,
+    diverged: bool,
 ) -> Verdict:
     """What the tests of all outputs come to.
 
     Args:
         tests: one for each output; none where the observer gives no innovation_std.
+        own: what the filter says; None where it says nothing.
         widths: the final widths (2p) [z].
         stds: their standard deviations (2p) [z]; None where the observer gives none.
         diverged: whether an estimate left all bounds.
@@ -126,9 +184,19 @@ def verdict_of(
     margin = np.zeros_like(widths) if stds is None else 2 * stds
     if (widths < -margin - 1e-12).any():
         reasons.append("a width is negative")
+    used = sum(test.used for test in tests)
+    refused = sum(test.refused for test in tests)
+    if own is not None:
+        refused = max(refused, own.refused)
+    if refused > MOST_REFUSED * used and refused > 1:
+        reasons.append(f"{_share(refused, max(used, refused))} of the readings cannot be right")
+    if own is None:
+        for test in tests:
+            reasons += _sums_too_large(test)
+    else:
+        reasons += _own_reasons(own, tests)
     for test in tests:
         reasons += _reasons(test)
-    used = sum(test.used for test in tests)
     consistent = None
     if reasons:
         consistent = False
@@ -144,25 +212,47 @@ def verdict_of(
         max((test.B for test in tests), default=None),
         max(squares, default=None),
         used,
-        sum(test.refused for test in tests),
+        refused,
+        sum(test.outside for test in tests),
         list(dict.fromkeys(reasons)),
     )
 
 
+def _share(count: int, of: int) -> str:
+    """A share in percent."""
+    return f"{100 * count / max(of, 1):.0f} %"
+
+
+def _own_reasons(own: Own, tests: list[Consistency]) -> list[str]:
+    """Why the filter says that its claims do not fit; empty if it does not."""
+    B = max((test.B for test in tests), default=1.0)
+    if not own.last:
+        return [f"the readings of late do not fit what the filter claims (B = {B:.3g})"]
+    if own.unfit > MOST_OF_THE_TIME:
+        return [f"the readings did not fit the filter's claims in {100 * own.unfit:.0f} % of time"]
+    return []
+
+
+def _sums_too_large(test: Consistency) -> list[str]:
+    """Why the sums of innovations are not what was claimed; empty if they are."""
+    if test.B > CHANCE:
+        return [f"the innovations' means are too large: B = {test.B:.3g} > {CHANCE:g}"]
+    if test.exceeded > MOST_OF_THE_TIME:
+        return [f"B exceeded {CHANCE:g} during {100 * test.exceeded:.0f} % of the record"]
+    return []
+
+
 def _reasons(test: Consistency) -> list[str]:
-    """Why the innovations of one output are not what was claimed; empty if they are."""
+    """Why the readings of one output are not what was claimed, whatever their sums."""
     reasons = []
-    if test.refused > MOST_REFUSED * test.used and test.refused > 1:
-        share = 100 * test.refused / test.used
-        reasons.append(f"{share:.0f} % of the readings lie beyond {FAR:g} standard deviations")
-    if test.B > LIMIT:
-        reasons.append(f"the innovations' means are too large: B = {test.B:.3g} > {LIMIT:g}")
-    elif test.exceeded > MOST_OF_THE_TIME:
-        share = 100 * test.exceeded
-        reasons.append(f"B exceeded {LIMIT:g} during {share:.0f} % of the record")
     if test.square is not None and test.square > MOST_SQUARE:
         reasons.append(
             f"the innovations are too large: their mean square is {test.square:.3g} times as "
             "large as claimed"
+        )
+    if test.outside > max(1.0, MOST_REFUSED * test.silent):
+        reasons.append(
+            f"{_share(test.outside, test.silent)} of the silent readings are silent although z^ "
+            "lies far outside the estimated zone: a jump sensor, or no dead zone at all?"
         )
     return reasons

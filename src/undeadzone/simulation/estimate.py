@@ -14,6 +14,8 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
+from undeadzone.logs.range_ends import range_ends
+from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.observers import Kalman
 from undeadzone.scenario.reader import read_for_logs
@@ -24,9 +26,7 @@ from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
-from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 
-BLOCK: Final = 1 << 22  # bytes that are read at once
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 
 
@@ -79,7 +79,23 @@ def estimate(
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
     estimated, sides, B = follower.follow(regular, progress)
     smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
-    return _collected(regular, estimated, sides, B, known(), smoothed)
+    info = msgspec.structs.replace(known(), remarks=_remarks(follower, regular))
+    return _collected(regular, estimated, sides, B, info, smoothed)
+
+
+def _remarks(follower: Follower, regular: Regular) -> list[str]:
+    """That readings stick at the end of a range of which the scenario does not know."""
+    if follower.zone.limits is not None:
+        return []
+    remarks = []
+    for i, y in enumerate(regular.y.T):
+        ends = range_ends(y, np.isfinite(y))
+        if ends.found:
+            remarks.append(
+                f"{int(ends.at.sum())} readings of output {i} stick at an end of their range, "
+                f"where they only bound z: set sensor.range = {ends.text}"
+            )
+    return remarks
 
 
 Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
@@ -102,7 +118,7 @@ def _of_log(
     """Samples from a file or a DataFrame, one step apart."""
     is_path = isinstance(log, str | os.PathLike)
     if is_path and Path(log).suffix.lower() not in BINARY:
-        text = TextLog(str(log), scenario, follower, chosen, strict, header=True)
+        text = TextLog(str(log), scenario, follower, chosen, strict)
         regular = _read_text(Path(log), text)
         return _limited(regular, str(log)), lambda: text.info(follower)
     if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
@@ -120,19 +136,11 @@ def _read_text(path: Path, text: TextLog) -> Regular:
     """All samples of a CSV file, one step apart. Raises FileError."""
     blocks = []
     count = 0
-    try:
-        require_plain(path, LARGEST_RUN)
-        with open(path, "rb") as file:
-            while True:
-                data = file.read(BLOCK)
-                blocks.append(text.feed(data, last=not data))
-                count += blocks[-1].t.size
-                if not data or count > LARGEST_LOG:
-                    break
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    for data, last in blocks_of(path):
+        blocks.append(text.feed(data, last))
+        count += blocks[-1].t.size
+        if count > LARGEST_LOG:
+            break
     return Regular(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
 
 
@@ -160,7 +168,7 @@ def _smoothed(
     if estimated.refused.size:
         refused = np.diff(estimated.refused, axis=0, prepend=0.0) > 0
         y = np.where(refused, np.nan, y)
-    smoothed = smooth(model, plain, follower.zone.threshold, y, regular.u)
+    smoothed = smooth(model, plain, follower.zone, y, regular.u)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,

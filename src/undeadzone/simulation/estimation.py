@@ -23,7 +23,7 @@ class Estimation:
         t: time (N) [s].
         y: reading (N x p) [y], NaN where it is missing.
         u: input (N x m), NaN where it is missing.
-        side: measured side (N x p): +1 right, -1 left, 0 silent or missing.
+        side: measured side (N x p): +1 right, -1 left, 0 silent or missing, +2, -2 at a limit.
         x_hat: estimate of the state from the readings so far (N x n).
         z_hat: estimate of the true output (N x p) [z].
         d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].

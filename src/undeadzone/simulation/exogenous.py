@@ -77,7 +77,7 @@ def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
     """The inputs of each step in sampled time: targets at its start, w at its middle."""
     t = grid.rows * grid.step
     w = _disturbance(problem, grid, t + grid.step / 2, 0.5)
-    return [*_targets(problem, t), w, held]
+    return [*targets(problem, t), w, held]
 
 
 def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
@@ -87,7 +87,7 @@ def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
         nudged = min(max(fraction, NUDGE), 1 - NUDGE)
         t = (grid.rows + nudged) * grid.step
         w = _disturbance(problem, grid, t, fraction)
-        parts += [*_targets(problem, t), w, held]
+        parts += [*targets(problem, t), w, held]
     return parts
 
 
@@ -100,8 +100,8 @@ def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
     parts = []
     for k in range(problem.scenario.simulation.order):
         scale = grid.step**k / math.factorial(k)
-        targets = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
-        scaled = [scale * part for part in targets[:3]]
+        target = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
+        scaled = [scale * part for part in target[:3]]
         if problem.disturbance is not None:
             w = scale * problem.disturbance.value(t, k)
         else:
@@ -202,10 +202,14 @@ def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
     return first * (1.0 - fraction) + last * fraction
 
 
-def _targets(problem: Problem, t: Floats) -> Target:
-    """Targets at times t [s], with what the controller plans along them.
+def targets(problem: Problem, t: Floats) -> Target:
+    """Targets with what the controller plans along them.
 
     u_ff of a sampled nonlinear model is that of the middle of the step.
+
+    Args:
+        problem: what is simulated.
+        t: times (N) [s].
     """
     target, plan = _followed(problem, t), problem.controller.plan
     if problem.model.nonlinear and problem.model.Ts is not None:

@@ -20,7 +20,6 @@ class TextLog:
         follower: of the same scenario.
         chosen: columns that the user names; see `names.parse_columns`.
         strict: whether a line that cannot be read is an error.
-        header: whether a log without a header is refused.
     """
 
     def __init__(
@@ -30,10 +29,9 @@ class TextLog:
         follower: Follower,
         chosen: Mapping[str, str],
         strict: bool,
-        header: bool = False,
     ) -> None:
         p, m = follower.model.p, follower.model.m
-        self.reader = LogReader(source, p, m, chosen, strict, header)
+        self.reader = LogReader(source, p, m, chosen, strict)
         self.grid = Grid(scenario.simulation.step, source)
         self._source, self._units = source, scenario.units
         self._checked = False

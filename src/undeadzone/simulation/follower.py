@@ -13,7 +13,7 @@ from undeadzone.logs.names import Layout
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.scenario.problem import modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
-from undeadzone.simulation.consistency import Consistency, verdict_of
+from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.numeric_along import numeric_along
 from undeadzone.simulation.online import Online, built_for
@@ -54,7 +54,9 @@ class Follower:
         self._numeric = built if isinstance(built, NumericObserver) else None
         self._online = None if self._numeric else Online(*parts)
         self._tests: list[Consistency] | None = None
-        self._counts = np.zeros((3, self.model.p), int)  # of sides: right, left, silent
+        self._own: Own | None = None
+        # Of sides: right, left, silent, at a limit of the range.
+        self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
         self._diverged = False
         self._last: Estimate | None = None
@@ -93,20 +95,31 @@ class Follower:
         self._missing += int((~present).any(axis=1).sum())
         for row, side in enumerate((1, -1, 0)):
             self._counts[row] += (present & (sides == side)).sum(axis=0)
+        self._counts[3] += (np.abs(sides) == 2).sum(axis=0)
         with np.errstate(invalid="ignore"):
             worst = np.abs(np.hstack([estimate.x, estimate.right, estimate.left]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
         if len(sides):
             self._last = Estimate(*[field[-1] for field in estimate])
+        return self._test(estimate, present & (sides == 0))
+
+    def _test(self, estimate: Estimate, silent: Floats) -> Floats:
+        """Test these estimates; B after each (N x p, N x 0 where no test exists)."""
         outputs = estimate.innovation_std.shape[1]
         if self._tests is None:
             flow = self.model.linear if self.model.flow is None else self.model.flow
             quarter = time_scale(flow)
             step = self._scenario.simulation.step
             self._tests = [Consistency(step, quarter) for _ in range(outputs)]
-        along = np.empty((len(sides), outputs))
+            self._own = Own() if estimate.consistent.shape[1] else None
+        if self._own is not None:
+            self._own.add(estimate)
+        along = np.empty((len(silent), outputs))
+        band = self.zone.threshold / self.zone.slope
         for i, test in enumerate(self._tests):
             along[:, i] = test.add(estimate.innovation[:, i], estimate.innovation_std[:, i])
+            if self.zone.kind == "deadzone":
+                test.add_silences(estimate, i, silent[:, i], float(band[i]))
         return along
 
     def info(
@@ -137,7 +150,7 @@ class Follower:
         if last.right_std.size:
             stds = np.concatenate([last.right_std, last.left_std])
         widths = np.concatenate([last.right, last.left])
-        verdict = verdict_of(self._tests or [], widths, stds, self._diverged)
+        verdict = verdict_of(self._tests or [], self._own, widths, stds, self._diverged)
         if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):
             reason = "most of its lines cannot be read"
             verdict = verdict._replace(consistent=False, reasons=[*verdict.reasons, reason])
@@ -145,7 +158,7 @@ class Follower:
             reason = "the inputs in its gaps are not known, and were taken as constant"
             verdict = verdict._replace(reasons=[*verdict.reasons, reason])
         p = self.model.p
-        right, left, silent = self._counts.tolist()
+        right, left, silent, limited = self._counts.tolist()
         return LogInfo(
             title=scenario.title,
             method=str(type(scenario.observer).__struct_config__.tag),
@@ -171,11 +184,13 @@ class Follower:
             square=verdict.square,
             used=verdict.used,
             glitches=verdict.refused,
+            silent_outside=verdict.outside,
             reasons=verdict.reasons,
             threshold=self.zone.threshold.tolist(),
             uncertain=list(self.observer.traits.uncertain),
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
             units=scenario.units,
+            limited=limited if self.zone.limits is not None else [],
         )
 
 

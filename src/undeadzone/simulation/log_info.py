@@ -32,12 +32,15 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         B: statistic of the test, about 1 where all is well.
         square: mean square of the normalised innovations, about 1 where all is well.
         used: readings that corrected the estimate.
-        glitches: of these, those beyond 4.5 standard deviations.
+        glitches: readings that the filter took for wrong, or beyond 4.5 standard deviations.
+        silent_outside: readings that are silent although z^ is far outside the estimated zone.
         reasons: why the record is not consistent, or cannot be tested.
         threshold: |y| that counts as silent (p) [y].
         uncertain: names of the parameters that the observer estimates.
         joints: names of an arm's joints; empty without an arm.
         units: names of units.
+        limited: samples at a limit of the range, of each output (p); empty: there is none.
+        remarks: what else the log shows, for the user.
     """
 
     title: str
@@ -64,17 +67,22 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     square: float | None
     used: int
     glitches: int
+    silent_outside: int
     reasons: list[str]
     threshold: list[float]
     uncertain: list[str] = []
     joints: list[str] = []
     units: Units = Units()
+    limited: list[int] = []
+    remarks: list[str] = []
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""
         numbers = msgspec.to_builtins(self)
-        for name in ("right", "left", "silent"):
+        for name in ("right", "left", "silent", "limited"):
             numbers[f"samples_{name}"] = numbers.pop(name)
+        if not self.limited:
+            del numbers["samples_limited"]
         for name, value in numbers.items():
             if name.startswith(("d_", "samples_")) and isinstance(value, list) and len(value) == 1:
                 numbers[name] = value[0]

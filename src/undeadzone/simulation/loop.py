@@ -11,6 +11,7 @@ import casadi as ca
 
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate
+from undeadzone.limits import Limits
 
 RUNGE_KUTTA: Final = 4  # the order that needs no Taylor series
 HELD: Final = 5  # exogenous inputs of an output that keep their value within a step: the last ones
@@ -45,6 +46,7 @@ class SensorParams(NamedTuple):
         slope: m (p) [y/z].
         threshold: |y| that counts as silent (p) [y].
         quantum: step of the reading (p) [y]; empty where nothing is quantised.
+        limits: least and largest readings (p) [y]; None: there are none.
     """
 
     right: Any
@@ -52,6 +54,7 @@ class SensorParams(NamedTuple):
     slope: Any
     threshold: Any
     quantum: Any
+    limits: Limits | None
 
 
 class Scale(NamedTuple):
@@ -103,7 +106,7 @@ class Outputs(NamedTuple):
         x: state (n).
         z: output C x (p).
         y: reading (p).
-        side: measured side (p).
+        side: measured side (p), +2 or -2 at a limit of the range.
         u: input (m).
         estimate: what the observer makes of the reading.
     """

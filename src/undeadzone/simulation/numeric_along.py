@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.engine.interpret import CHUNK
 from undeadzone.interfaces import Estimate, NumericObserver, Reading
+from undeadzone.limits import beyond
 from undeadzone.sensor import Zone, side
 from undeadzone.support.arrays import Floats
 
@@ -24,7 +25,7 @@ def numeric_along(
 
     Args:
         observer: the observer.
-        sensor: the dead zone, for its threshold.
+        sensor: the dead zone, for its threshold and its range.
         y: readings (N x p), NaN where one is missing.
         u: inputs (N x m), NaN where the last one is held.
         seed: of its random numbers.
@@ -35,7 +36,9 @@ def numeric_along(
     """
     state = observer.start(seed)
     held = np.zeros(u.shape[1])
-    sides = side(y, sensor.threshold)
+    if sensor.limits is not None:
+        y = np.where(beyond(y, sensor.limits), np.nan, y)
+    sides = side(y, sensor.threshold, sensor.limits)
     rows = []
     for k in range(len(y)):
         held = np.where(np.isfinite(u[k]), u[k], held)

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.engine import interpret
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, received
 from undeadzone.plants.system import System
-from undeadzone.sensor import present, side
+from undeadzone.sensor import Zone, present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -26,27 +26,26 @@ class Out(NamedTuple):
 
 
 def observer_graph(
-    model: System, observer: Observer, threshold: Floats
+    model: System, observer: Observer, sensor: Zone
 ) -> tuple[ca.Function, Floats, Floats, Out]:
     """The graph of an observer alone.
 
     Args:
         model: the sampled model.
         observer: the observer.
-        threshold: |y| that counts as silent (p).
+        sensor: the dead zone, for its threshold and its range.
 
     Returns:
         The function step(s, w, p) -> (next, out) with w = [y; u], its packed state, its packed
         params, and the shapes of out.
     """
-    values = (observer.params, threshold)
-    column, (params, silent) = tree.symbols(values, "p")
+    values = (observer.params, (sensor.threshold, sensor.limits))
+    column, (params, levels) = tree.symbols(values, "p")
     state = (observer.init(observer.params), np.zeros(model.m))
     s_column, (s, held) = tree.symbols(state, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
-    seen = ca.if_else(present(y), y, np.nan)
     used = ca.if_else(present(u), u, held)
-    reading = Reading(seen, side(seen, silent))
+    reading = received(y, *levels)
     after, estimate = observer.step(params, s, used, reading)
     out = Out(estimate, reading.side, ca.mmin(present(y)) == 0)
     function = ca.Function(

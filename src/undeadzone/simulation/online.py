@@ -14,6 +14,7 @@ from undeadzone.observers import ObserverOptions
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.sensor import Sensor, Zone, resolve
@@ -36,7 +37,7 @@ class Online:
     Args:
         observer: options of the observer.
         plant: the plant as the observer knows it.
-        sensor: kind, slope, noise and threshold; its widths are used by the oracle only.
+        sensor: kind, slope, noise, threshold and range; its widths are used by the oracle only.
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
         compiled: whether the step is compiled for this processor: the same bits in a fraction of
@@ -49,7 +50,8 @@ class Online:
             NaN before the first.
         samples: how many samples came in.
         missing: how many of them had a reading missing.
-        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing.
+        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing; twice
+            that at a limit of the range.
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -65,7 +67,7 @@ class Online:
         compiled: bool = False,
     ) -> None:
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps)
-        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone.threshold)
+        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
         self._step, self._blocks, self.engine = _engine(graph, state, params, compiled)
@@ -189,7 +191,7 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = resolve(sensor, model.p, Ts)
+    zone = resolve(sensor, model.p, Ts, pace(system.linear))
     built = observer.build(model, zone)
     require_bounded_error(model, built, Ts)
     return model, zone, built

@@ -12,6 +12,8 @@ import numpy as np
 from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
 from undeadzone.simulation.run_file import read, write
 from undeadzone.simulation.run_info import Info as Info
+from undeadzone.simulation.run_words import in_words
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 
 LAST: Final = 2.0  # [s] over which errors are measured
@@ -31,7 +33,7 @@ class Run:
         x: state (N x n).
         z: true output (N x p) [z].
         y: reading (N x p) [y].
-        side: measured side (N x p): +1 right, -1 left, 0 silent.
+        side: measured side (N x p): +1 right, -1 left, 0 silent, +2, -2 at a limit of the range.
         x_hat: estimate of x (N x n).
         z_hat: estimate of z (N x p) [z].
         d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].
@@ -208,7 +210,7 @@ class Run:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
         right, left = (_one_or_list(column) for column in self.widths.T)
         d_std, width_std = self.d_std, self.width_std
-        verdicts = self.info.identifiable
+        verdicts, listens = self.info.identifiable, self.info.listens
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
@@ -224,6 +226,7 @@ class Run:
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
             **judgement(self.consistent, self.refused, self.restarts),
+            "listens": _one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
@@ -234,6 +237,19 @@ class Run:
             "seconds": self.info.seconds,
         }
         return finite(numbers)
+
+    def in_words(self) -> dict[str, Any]:
+        """The lines that `undeadzone run` prints, by what they are about."""
+        last = min(LAST, float(self.t[-1] - self.t[0]))
+        return in_words(self.info, self.summary(), last)
+
+    def __str__(self) -> str:
+        """The table that `undeadzone run` prints."""
+        return shown.text([self.in_words()])
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, [self.in_words()])
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

@@ -46,6 +46,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         uncertain: the parameters that the observer estimates, and their true values.
         label: what tells its observer from one that it is compared with; empty: the method does.
         adapts: whether the observer estimates the widths.
+        listens: share of an error of the model that z^ follows, of each output; None where it
+            cannot be told; empty: not measured (`simulation.listening`).
     """
 
     title: str
@@ -66,3 +68,4 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     adapts: bool = True
     integration_share: float | None = None
     scales: list[float] = []
+    listens: list[float | None] = []

@@ -1,57 +1,75 @@
-"""The closed loop around an observer that computes in Python, stepped one sample at a time.
+"""The closed loop around an observer or a control law in Python, stepped one sample at a time.
 
-Plant, sensor and controller stay on the graph.
+Plant and sensor stay on the graph, and so does what else is a graph.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from undeadzone.engine.interpret import CHUNK, Stepper
-from undeadzone.interfaces import Estimate, NumericObserver, Observer, Reading
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate, NumericObserver, Observer, Reading
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, vector
+
+ControlLaw: TypeAlias = Callable[[float, Estimate, Floats], Any]
 
 
 def run_sample_by_sample(
     problem: Problem,
-    observer: NumericObserver,
+    observer: Observer | NumericObserver,
     exogenous: Floats,
     progress: Callable[[int], None] | None = None,
+    law: ControlLaw | None = None,
 ) -> Outputs:
     """The outputs of the closed loop along exogenous inputs, by name (rows: time).
 
     Args:
-        problem: what is simulated.
-        observer: the observer that computes in Python.
+        problem: what is simulated, in sampled time.
+        observer: the observer; it may compute in Python.
         exogenous: exogenous inputs (steps + 1 rows).
         progress: called with the number of steps just done.
+        law: law(t, estimate, r) is the input (m) at t [s]; the problem's controller is then
+            `commanded`. None: the problem's controller is a graph.
+
+    Raises:
+        InputError: the law gives no finite input of m entries.
     """
-    simulation = problem.scenario.simulation
+    numeric = observer if isinstance(observer, NumericObserver) else None
     loop = _loop_around(problem, observer)
     initial = tree.pack(loop.state._replace(plant=problem.x0))
     stepper = Stepper(loop.step, initial, tree.pack(loop.params))
     where: Outputs = tree.slices(loop.outputs)
-    estimated = slice(problem.plant.n, problem.plant.n + tree.size(loop.state.observer))
+    r = tree.slices(loop.instant).target.r
+    n, m = problem.plant.n, problem.plant.m
+    estimated = slice(n, n + tree.size(loop.state.observer))
     outputs = np.empty((exogenous.shape[0], tree.size(loop.outputs)))
-    state = observer.start(simulation.seed)
+    state = None if numeric is None else numeric.start(problem.scenario.simulation.seed)
     for k, row in enumerate(exogenous):
         stepper.w[:] = row
         before = stepper.state.copy()
-        stepper()  # for its reading alone, which does not depend on the estimate
-        reading = Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())
-        state, estimate = observer.correct(state, reading)
-        before[estimated] = tree.pack(tuple(estimate))
+        stepper()  # for its reading and estimate, which do not depend on what follows
+        estimate = _estimate(stepper.out, where)
+        if numeric is not None:
+            reading = Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())
+            state, estimate = numeric.correct(state, reading)
+            before[estimated] = tree.pack(tuple(estimate))
+        if law is not None:
+            t = k * problem.scenario.simulation.step
+            before[estimated.stop :] = _input(law(t, estimate, row[r].copy()), m, t)
         stepper.state[:] = before
         stepper()
         outputs[k] = stepper.out
-        state = observer.predict(state, outputs[k, where.u])
+        if numeric is not None:
+            state = numeric.predict(state, outputs[k, where.u])
         last = k + 1 == exogenous.shape[0]
         if progress is not None and (last or (k + 1) % CHUNK == 0):
             progress(k % CHUNK + 1)
@@ -59,12 +77,40 @@ def run_sample_by_sample(
     return by_name
 
 
-def _loop_around(problem: Problem, observer: NumericObserver) -> Loop:
-    """The loop of a problem with the observer's estimate left to be written in."""
-    stand_in = relay(observer, problem.plant.p)
+def commanded(m: int) -> Controller:
+    """What stands for a control law in Python on the graph.
+
+    Its state is the input, written from outside before each step.
+
+    Args:
+        m: number of inputs.
+    """
+
+    def step(params: Any, state: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+        return state, state
+
+    return Controller((), lambda params: np.zeros(m), step)
+
+
+def _estimate(out: Floats, where: Outputs) -> Estimate:
+    """The estimate among the outputs of a step, in memory of its own."""
+    return Estimate(*(out[part].copy() for part in where.estimate))
+
+
+def _input(u: Any, m: int, t: float) -> Floats:
+    """What a law gave as input (m). Raises InputError."""
+    try:
+        return vector("controller", u, m, "one per input")
+    except InputError as error:
+        raise type(error)(f"{error}, from the control law at t = {t:g} s") from None
+
+
+def _loop_around(problem: Problem, observer: Observer | NumericObserver) -> Loop:
+    """The loop of a problem, with the estimate of an observer in Python left to be written in."""
+    graph = relay(observer, problem.plant.p) if isinstance(observer, NumericObserver) else observer
     outputs_tracked = len(problem.tracked)
     step = problem.scenario.simulation.step
-    return close(problem.plant, problem.sensor, stand_in, problem.controller, outputs_tracked, step)
+    return close(problem.plant, problem.sensor, graph, problem.controller, outputs_tracked, step)
 
 
 def relay(observer: NumericObserver, p: int) -> Observer:

@@ -35,6 +35,7 @@ def simulate(
     check_step: bool = True,
     progress: Progress | None = None,
     engine: Engine = "interpret",
+    controller: live.ControlLaw | None = None,
 ) -> Run:
     """Simulate a scenario.
 
@@ -45,6 +46,9 @@ def simulate(
         progress: called with the number of steps just done, from two threads.
         engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes),
             which takes seconds the first time; they agree to the last bits.
+        controller: a function of one's own in the place of the scenario's controller, in sampled
+            time: controller(t, estimate, r) is the input u (m) at t [s], with the `Estimate` of
+            that sample as NumPy arrays and r the reference of the tracked outputs.
 
     Returns:
         The signals of the run, and what was found out about them.
@@ -54,8 +58,31 @@ def simulate(
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
+    if controller is not None:
+        problem = _under(controller, problem, engine)
+        exogenous = inputs.exogenous(problem)
+        signal = live.run_sample_by_sample(
+            problem, problem.observer, exogenous, progress, controller
+        )
+        return collect(problem, signal, None, began)
     signal, error = _signals(problem, check_step, progress, engine)
     return collect(problem, signal, error, began)
+
+
+def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
+    """The problem with a control law in Python for its controller. Raises InputError."""
+    if not callable(law):
+        raise InputError(
+            f"controller: expected a function of t, estimate and r, found {type(law).__name__}; "
+            "a controller with options stands in the scenario"
+        )
+    if problem.plant.Ts is None:
+        raise InputError(
+            'controller: a function runs sample by sample; set simulation.time = "sampled"'
+        )
+    if engine != "interpret":
+        raise InputError("engine: a controller that is a Python function cannot be compiled")
+    return problem._replace(controller=live.commanded(problem.plant.m))
 
 
 def _signals(

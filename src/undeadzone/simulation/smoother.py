@@ -15,7 +15,9 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
-from undeadzone.plants.system import System
+from undeadzone.observers.parts.even_states import even_units
+from undeadzone.plants.system import System, in_units
+from undeadzone.sensor import Zone
 from undeadzone.simulation.observer_graph import Out, observer_graph
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -55,7 +57,7 @@ class _Forward(NamedTuple):
     right: Any
 
 
-def smooth(model: System, observer: Observer, threshold: Floats, y: Floats, u: Floats) -> Smoothed:
+def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> Smoothed:
     """The smoothed estimates along a log.
 
     The equations hold for readings that are taken as they are or not at all: give the filter
@@ -64,25 +66,26 @@ def smooth(model: System, observer: Observer, threshold: Floats, y: Floats, u: F
     Args:
         model: the sampled, linear model.
         observer: the filter `kalman` that is built for it.
-        threshold: |y| that counts as silent (p) [y].
+        sensor: the dead zone, for its threshold and its range.
         y: readings (N x p), NaN where one is missing.
         u: inputs (N x m), NaN where the last one is held.
     """
-    forward = _filtered(model, observer, threshold, y, u)
+    forward = _filtered(model, observer, sensor, y, u)
+    units = even_units(model)
+    model = in_units(model, units)
     F = np.eye(forward.mean.shape[1])
     F[: model.n, : model.n] = model.linear.A
     mean, std = _backward(model, F, forward)
     n, p = model.n, model.p
     order = n + np.arange(2 * p).reshape(2, p).T.ravel()  # right and left of each output in turn
     x = mean[:, :n]
-    return Smoothed(x, x @ model.linear.C.T, mean[:, order], std[:, :n], std[:, order])
+    z = x @ model.linear.C.T
+    return Smoothed(units * x, z, mean[:, order], units * std[:, :n], std[:, order])
 
 
-def _filtered(
-    model: System, observer: Observer, threshold: Floats, y: Floats, u: Floats
-) -> _Forward:
+def _filtered(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> _Forward:
     """The filter along the log, with its beliefs before each reading."""
-    graph, state, params, shapes = observer_graph(model, observer, threshold)
+    graph, state, params, shapes = observer_graph(model, observer, sensor)
     s = ca.SX.sym("s", graph.size1_in(0))
     w = ca.SX.sym("w", graph.size1_in(1))
     q = ca.SX.sym("p", graph.size1_in(2))

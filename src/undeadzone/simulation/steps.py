@@ -12,7 +12,7 @@ import casadi as ca
 
 from undeadzone.errors import InputError
 from undeadzone.numerics.dense_output import DenseStep, runge_kutta, taylor
-from undeadzone.numerics.event_location import Crossing, StepAttempt, located_step
+from undeadzone.numerics.event_location import Crossing, Levels, StepAttempt, located_step, met
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, Exogenous, State
 from undeadzone.simulation.wiring import Mode, Wiring
@@ -87,13 +87,13 @@ def located_steps(
     right, left = wiring.widths(noise)
     arc = _dense_step(wiring, like, instant, start, columns, order)
     before = wiring.mode(tree.unpack(like, start), noise)
-    above, below = wiring.levels(noise)
+    edges = wiring.levels(noise)
 
     def after(mode: Mode, crossing: Crossing) -> Mode:
-        edge = ca.if_else(crossing.upper, above, below)
+        edge = met(edges, mode.side, crossing.rising)
         return entered(mode, crossing, edge, right, left)
 
-    levels = (above - noise.before, below - noise.before)
+    levels = Levels(*(tuple(edge - noise.before for edge in part) for part in edges))
     attempts = located_step(arc, levels, before, after, start)
     return [attempt._replace(end=wiring.admissible(like, attempt.end)) for attempt in attempts]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.edges import largest_deviations, vague
-from undeadzone.analysis.identifiability.information import Colour, deviations
+from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
     Verdict,
@@ -13,6 +14,7 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random
@@ -35,7 +37,26 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     bias = constant_inputs(problem, linear.B)
     if sensor.kind == "jump":
         return verdicts(linear, schedule, bias, jump=True)
-    simulation = problem.scenario.simulation
+    alone = _with_deviations(problem, schedule, arrive, bias, None)
+    traits = problem.observer.traits
+    least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
+    n, p = problem.model.n, problem.model.p
+    told = beforehand(n, p, traits.start_std, traits.centre_std, least)
+    if not len(told):
+        return alone
+    claimed = _with_deviations(problem, schedule, arrive, bias, told)
+    return [by_claims(traits, *pair) for pair in zip(alone, claimed, strict=True)]
+
+
+def _with_deviations(
+    problem: Problem,
+    schedule: Schedule,
+    arrive: Floats,
+    bias: Floats | None,
+    told: Floats | None,
+) -> list[Verdict]:
+    """Verdicts on a linear plant, `told` what is known beforehand."""
+    linear, sensor, simulation = problem.model.linear, problem.sensor, problem.scenario.simulation
     expected = deviations(
         linear,
         schedule,
@@ -45,12 +66,30 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
         bias,
         arrive=arrive,
         colour=_colour(problem.model, problem.scenario.disturbance),
+        told=told,
     ).widths
     judged = []
-    for i, verdict in enumerate(verdicts(linear, schedule, bias)):
+    for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
         swing = float(schedule.high[i] - schedule.low[i])
         judged.append(_limited(verdict, expected[i], sensor.right[i], sensor.left[i], swing))
     return judged
+
+
+def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
+    """The verdict with what an observer claims beforehand, which says what nothing else tells.
+
+    Args:
+        traits: of the observer.
+        alone: the verdict by readings alone.
+        claimed: the verdict with the claims.
+    """
+    gained = [name for name in DIRECTIONS if getattr(claimed, name) and not getattr(alone, name)]
+    if not gained:
+        return alone
+    sources = {"start": traits.start_std, "centre": traits.centre_std}
+    names = [name for name, std in sources.items() if std is not None]
+    reason = f"{', '.join(gained)} from the declared {' and '.join(names)} alone"
+    return claimed._replace(reasons=(*claimed.reasons, reason))
 
 
 def constant_inputs(problem: Problem, B: Floats) -> Floats | None:

@@ -8,6 +8,8 @@ import casadi as ca
 
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Observer, Reading
+from undeadzone.limits import at_limit
+from undeadzone.numerics.event_location import Levels
 from undeadzone.plants.system import System
 from undeadzone.sensor import branch, edges, quantised, side, zone
 from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
@@ -19,7 +21,7 @@ class Mode(NamedTuple):
 
     Attributes:
         zone: where z is (p): +1 beyond d_r, -1 below -d_l, 0 inside.
-        side: which side is read (p).
+        side: which side is read (p), +2 or -2 at a limit of the range.
     """
 
     zone: Any
@@ -45,17 +47,28 @@ class Wiring(NamedTuple):
         """The branch at a state."""
         right, left = self.widths(w)
         z = self.plant.output(self.p.plant, s.plant) + w.before
-        above, below = self.levels(w)
-        return Mode(zone(z, right, left), 1.0 * (z > above) - 1.0 * (z < below))
+        side = ca.SX(0.0)
+        for above, below in zip(*self.levels(w), strict=True):
+            side += 1.0 * (z > above) - 1.0 * (z < below)
+        return Mode(zone(z, right, left), side)
 
-    def levels(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """Two levels of z, noise ahead of the zone included (p each).
+    def levels(self, w: Exogenous) -> Levels:
+        """Levels of z, noise ahead of the zone included (p each).
 
-        The side is right where z lies above the first, left where z lies below the second.
+        The side is right where z lies above the first upper one, left where z lies below the first
+        lower one; beyond the second ones the reading is at a limit of its range.
         """
         sensor = self.p.sensor
-        above, below = edges(*self.widths(w), sensor.slope, self.kind, sensor.threshold, w.after)
-        return above, -below
+
+        def level(high: Any, low: Any) -> tuple[Any, Any]:
+            above, _ = edges(*self.widths(w), sensor.slope, self.kind, high, w.after)
+            _, below = edges(*self.widths(w), sensor.slope, self.kind, -low, w.after)
+            return above, -below
+
+        pairs = [level(sensor.threshold, -sensor.threshold)]
+        if sensor.limits is not None:
+            pairs.append(level(sensor.limits.high, sensor.limits.low))
+        return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
         """d_r, d_l at an instant (p each)."""
@@ -99,10 +112,26 @@ class Wiring(NamedTuple):
         sensor = self.p.sensor
         exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
         y = exact + w.after
-        if not sensor.quantum.numel():
+        if sensor.quantum.numel():
+            y = self._within_range(quantised(y, sensor.quantum))
+            return Reading(y, side(y, sensor.threshold, sensor.limits), s.plant)
+        if sensor.limits is None:
             return Reading(y, mode.side, s.plant)
-        y = quantised(y, sensor.quantum)
-        return Reading(y, side(y, sensor.threshold), s.plant)
+        if self.plant.Ts is None:
+            y = ca.if_else(mode.side > 1, sensor.limits.high, y)
+            y = ca.if_else(mode.side < -1, sensor.limits.low, y)
+            return Reading(y, mode.side, s.plant)
+        y = self._within_range(y)
+        active = ca.fmax(ca.fmin(mode.side, 1.0), -1.0)
+        return Reading(y, active + at_limit(y, sensor.limits), s.plant)
+
+    def _within_range(self, y: ca.SX) -> ca.SX:
+        """A reading kept within its range, if it has one; a missing one stays missing."""
+        limits = self.p.sensor.limits
+        if limits is None:
+            return y
+        y = ca.if_else(y > limits.high, limits.high, y)
+        return ca.if_else(y < limits.low, limits.low, y)
 
     def admissible(self, like: State, column: ca.SX) -> ca.SX:
         """The admissible state nearest to a column, as a column.

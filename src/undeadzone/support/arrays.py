@@ -34,11 +34,13 @@ def decode(kind: type, value: Any) -> Floats:
 
 
 def numeric(value: Any) -> Floats:
-    """A float array from numbers or nested lists.
+    """A float array from numbers, nested lists, or MATLAB's text "[0 1; -1 -2]".
 
     Raises:
-        ValueError: text, booleans, ragged lists, non-finite or huge entries.
+        ValueError: other text, booleans, ragged lists, non-finite or huge entries.
     """
+    if isinstance(value, str):
+        value = matlab(value)
     try:
         array = np.asarray(value)
     except ValueError:
@@ -56,6 +58,22 @@ def numeric(value: Any) -> Floats:
     if largest > LARGEST:
         raise ValueError(f"every number must be below {LARGEST:g} in size, found {largest:g}")
     return array
+
+
+def matlab(text: str) -> list[list[float]]:
+    """The rows of a matrix in MATLAB's notation: "[0 1; -1 -2]".
+
+    Raises:
+        ValueError: another text.
+    """
+    body = text.strip()
+    if not (body.startswith("[") and body.endswith("]")):
+        raise ValueError(f"expected numbers, found {text!r:.60}")
+    rows = body[1:-1].strip().strip(";").split(";")
+    try:
+        return [[float(entry) for entry in row.replace(",", " ").split()] for row in rows]
+    except ValueError:
+        raise ValueError(f"expected numbers, found {text!r:.60}") from None
 
 
 def array(key: str, value: Any) -> Floats:

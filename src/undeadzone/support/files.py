@@ -67,8 +67,11 @@ def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> byt
 
 
 def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
-    """What a user's file of UTF-8 text holds. Arguments and errors as of `read_bytes`."""
-    return read_bytes(path, largest).decode("utf-8")
+    """What a user's file of UTF-8 text holds, without the mark that some editors put in front.
+
+    Arguments and errors as of `read_bytes`.
+    """
+    return read_bytes(path, largest).decode("utf-8-sig")
 
 
 def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> None:

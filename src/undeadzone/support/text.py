@@ -17,6 +17,11 @@ def printable(text: str) -> str:
     return "".join(map(_printable, text))
 
 
+def label(words: str, unit: str) -> str:
+    """Words and unit, the unit left out where it is 1."""
+    return words if unit == "1" else f"{words} [{unit}]"
+
+
 def json_line(text: str) -> str:
     """A JSON text in which every control character stands as its JSON escape.
 

@@ -25,6 +25,7 @@ from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.errors import StructureError
 from undeadzone.scenario.problem import Problem, constant_gains
+from undeadzone.simulation.listening import listening
 from undeadzone.simulation.run import Run
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.knowledge import knowledge, plan, trial_run
@@ -87,6 +88,7 @@ class Assessment(NamedTuple):
         schedule: of its sides.
         known: what can be known of each output.
         gains: of a linear plant, where they are constant.
+        listens: how strongly readings move each z^ (`simulation.listening`); empty: not measured.
     """
 
     problem: Problem
@@ -94,10 +96,16 @@ class Assessment(NamedTuple):
     schedule: Schedule
     known: list[Knowledge]
     gains: Gains | None
+    listens: tuple[float, ...] = ()
 
 
-def assess(problem: Problem) -> Assessment:
-    """The assessment of a problem."""
+def assess(problem: Problem, listen: bool = False) -> Assessment:
+    """The assessment of a problem.
+
+    Args:
+        problem: the scenario's parts.
+        listen: whether to measure how strongly readings move z^, by two runs.
+    """
     run = trial_run(problem)
     schedule = plan(problem, run)
     known = knowledge(problem, schedule, run)
@@ -106,7 +114,8 @@ def assess(problem: Problem) -> Assessment:
         gains = None
     else:
         gains = _gains(problem, schedule, *constant)
-    return Assessment(problem, run, schedule, known, gains)
+    listens = tuple(listening(problem, run)) if listen else ()
+    return Assessment(problem, run, schedule, known, gains, listens)
 
 
 def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:

@@ -41,16 +41,18 @@ def check(scenario: Scenario) -> dict[str, Any]:
         Numbers that are not finite are None. By key:
 
         - certified: whether one V proves convergence for every sequence of sides; None where the
-          method has no constant gains. A nonlinear model is certified on the scenario's region.
+            method has no constant gains. A nonlinear model is certified on the scenario's region.
         - margin, frequency [rad/s]: of the proof.
         - l2_gain {disturbance, noise}: BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2
-          int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the input and v on y (each
-          the least with the other absent; None if not proved).
+            int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the input and v on y
+            (each the least with the other absent; None if not proved).
         - rate [1/s], time_constant [s]: of the error along the reference.
         - never: errors that stay.
         - states: which are determined (none are listed of a nonlinear model).
         - identifiable {right, left, width, centre}: what the readings can tell.
         - std: standard deviations of the same [z].
+        - listens: the share of a z 5 % larger than the model says that z^ follows; below a half the
+          model is taken on trust.
         - reasons: for every 'no'.
         - cures: what would help.
         - left_region [s]: when a run of the scenario first leaves the region, None if it does not.
@@ -58,7 +60,7 @@ def check(scenario: Scenario) -> dict[str, Any]:
     Raises:
         InputError: or a subclass, as `simulate` does.
     """
-    return summary(assess(resolve_scenario(scenario)))
+    return summary(assess(resolve_scenario(scenario), listen=True))
 
 
 def summary(assessment: Assessment) -> dict[str, Any]:
@@ -81,11 +83,18 @@ def summary(assessment: Assessment) -> dict[str, Any]:
                 **proved,
                 "identifiable": identifiable if several else identifiable[0],
                 "std": std if several else std[0],
+                "listens": _listens(assessment),
                 "reasons": reasons + _reasons_of_outputs(known),
                 "cures": cures,
             }
         )
     )
+
+
+def _listens(assessment: Assessment) -> Any:
+    """How strongly readings move each z^; None where it was not measured."""
+    listens = list(assessment.listens)
+    return listens if len(listens) > 1 else next(iter(listens), None)
 
 
 def affirmed(summary: Mapping[str, Any]) -> bool:

@@ -10,7 +10,13 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.candidates import Candidate, box, candidate_at, gains_at, point_of
+from undeadzone.synthesis.candidates import (
+    Candidate,
+    box,
+    candidate_at,
+    gains_at,
+    point_of,
+)
 from undeadzone.synthesis.criteria import score
 from undeadzone.synthesis.gain_search import (
     LONG,
@@ -30,6 +36,7 @@ NEAR: Final = 0.003  # of the box: first steps of the search around present gain
 ROUNDS: Final = 200  # of the search for the front
 BETTER: Final = np.log(1.05)  # by which the knee should beat present gains
 TRADED: Final = ("rate", "disturbance", "noise")  # on the front
+FIRST: Final = 2.0  # weight of the loss by an error of the model; that of the others is 1
 
 
 def balanced(
@@ -42,9 +49,11 @@ def balanced(
     """The front of rate, disturbance and noise, and its knee.
 
     The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
-    the least (0) and greatest (1) on the front. Where points of the front, or of a search of its
-    own around the present gains, beat these in all three, by 5 % if possible, the knee is chosen
-    among them; where none does, a remark says in what the knee is worse.
+    the least (0) and greatest (1) on the front. The error that a wrong model leaves counts too, and
+    before all others: no model is exact, and gains that trust theirs look best in all else. Where
+    points of the front, or of a search of its own around the present gains, beat these in rate,
+    disturbance and noise, by 5 % if possible, the knee is chosen among them; where none does, a
+    remark says in what the knee is worse.
 
     Args:
         task: the design task.
@@ -67,8 +76,9 @@ def balanced(
         costs = np.vstack([costs, _costs(task, near[None], limit)])
         admitted = np.isfinite(costs).all(axis=1)
         points, costs = points[admitted], costs[admitted]
-    least, greatest = costs.min(axis=0), costs.max(axis=0)
     bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
+    every = np.hstack([_mismatch(task, points)[:, None], costs])
+    least, greatest = every.min(axis=0), every.max(axis=0)
 
     def loss_in(task: Task) -> Cost:
         return _Loss(task, limit, least, greatest, bar).of
@@ -85,7 +95,7 @@ class _Loss(NamedTuple):
     Attributes:
         task: the design task.
         limit: least rate [1/s].
-        least, greatest: logarithms on the front (3).
+        least, greatest: logarithms on the front (4), that of the mismatch before the others.
         bar: logarithms to be beaten (3).
     """
 
@@ -98,7 +108,9 @@ class _Loss(NamedTuple):
     def of(self, points: Floats) -> Floats:
         """The loss of points (b, d): b numbers."""
         costs = _costs(self.task, points, self.limit)
-        loss = scalar(costs, self.least, self.greatest, np.ones((1, 3)))[0]
+        every = np.hstack([_mismatch(self.task, points)[:, None], costs])
+        weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
+        loss = scalar(every, self.least, self.greatest, weights)[0]
         return np.asarray(loss + WORSE * (costs >= self.bar).any(axis=1))
 
 
@@ -113,6 +125,12 @@ def _costs(task: Task, points: Floats, limit: float) -> Floats:
     slowness = 1 / np.where(admitted, scores.rate, 1.0)
     logs = np.log(np.stack([slowness, scores.disturbance, scores.noise], axis=1))
     return np.where(admitted[:, None], logs, np.inf)
+
+
+def _mismatch(task: Task, points: Floats) -> Floats:
+    """Logarithms of the error per relative error of the model, at points (b, d): b numbers."""
+    L, gamma = gains_at(task, points)
+    return np.asarray(np.log(score(task, L, gamma, gains=False).mismatch))
 
 
 def _explored(

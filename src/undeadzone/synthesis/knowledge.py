@@ -63,7 +63,8 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     known = []
     for i, verdict in enumerate(linear_verdicts(problem, schedule, arrive)):
         fields = verdict._asdict() | {"reasons": list(verdict.reasons), "std": verdict.std or {}}
-        texts = [remedy.text for remedy in remedies if remedy.output == i]
+        open_ = not (verdict.right and verdict.left)
+        texts = [remedy.text for remedy in remedies if open_ and remedy.output == i]
         known.append(Knowledge(**fields, cures=texts))
     return known
 

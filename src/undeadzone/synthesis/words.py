@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
+from undeadzone.analysis.identifiability.words import yes_no
 from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.listening_words import in_words as share_in_words
 
 REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
 
@@ -25,6 +27,7 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
         **_proof(summary, scenario),
         **_nearest(summary),
         **_speed(summary),
+        **_listens(summary),
         **_knowledge(summary, scenario),
     }
     if reasons:
@@ -32,29 +35,6 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     if summary["cures"]:
         shown["cure"] = summary["cures"]
     return shown
-
-
-def yes_no(verdict: Mapping[str, bool]) -> str:
-    """What can be known of one output: right yes, left NO, ..."""
-    words = {True: "yes", False: "NO"}
-    return ", ".join(f"{name} {words[bool(verdict[name])]}" for name in DIRECTIONS)
-
-
-def plain(gains: list[Any]) -> str:
-    """Gains as one would write them in a scenario, to six digits.
-
-    One column is written as a plain list, one number as itself.
-    """
-    words = []
-    for row in gains:
-        if not isinstance(row, list):
-            words.append(f"{row:.6g}")
-        elif len(row) == 1 and not isinstance(row[0], list):
-            words.append(f"{row[0]:.6g}")
-        else:
-            words.append(plain(row))
-    single = len(words) == 1 and not isinstance(gains[0], list)
-    return words[0] if single else f"[{', '.join(words)}]"
 
 
 def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
@@ -67,12 +47,7 @@ def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
             "stay in it, whatever the sides do"
         )
     elif certified:
-        where = "for large frequencies"
-        if summary["frequency"] is not None:
-            where = f"at {summary['frequency']:.4g} rad/s"
-        shown["certified"] = (
-            f"yes, margin {summary['margin']:.4g} {where}: V never rises, whatever the sides do"
-        )
+        shown["certified"] = in_words_of_margin(summary["margin"], summary["frequency"])
     elif certified is False:
         refused = [reason for reason in summary["reasons"] if reason.startswith(REFUSED)]
         why = "; ".join(reason.removeprefix(REFUSED) for reason in refused)
@@ -121,6 +96,13 @@ def _speed(summary: Mapping[str, Any]) -> dict[str, str]:
             "gains"
         )
     return shown
+
+
+def _listens(summary: Mapping[str, Any]) -> dict[str, str]:
+    """How strongly readings move z^."""
+    if summary["listens"] is None:
+        return {}
+    return {"listens": share_in_words(_as_list(summary["listens"]))}
 
 
 def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:

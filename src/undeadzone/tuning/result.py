@@ -17,12 +17,13 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.simulation.run import LIMIT
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
-from undeadzone.support import toml
+from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
 from undeadzone.tuning.objective import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.search import SimulatedCandidate
+from undeadzone.tuning.words import in_words
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
@@ -114,6 +115,14 @@ class Tuned:
             if not EDGE < parameter.share(value) < 1 - EDGE:
                 names.append(parameter.name)
         return names
+
+    def __str__(self) -> str:
+        """The table that `undeadzone tune` prints."""
+        return shown.text([in_words(self.summary())])
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, [in_words(self.summary())])
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.

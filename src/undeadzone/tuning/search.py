@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from undeadzone.numerics.optimise import evolve
 from undeadzone.scenario.tune_table import Tune
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.objective import Objective
+from undeadzone.tuning.objective import Objective, Problems
 from undeadzone.tuning.parameters import Parameter
 
 # To either side, as a share of a range: wide enough that a reading which changes its side makes no
@@ -71,6 +72,7 @@ class Search(NamedTuple):
         candidates: those simulated so far, in order; the list grows
         threads: default one per processor
         progress: called with the number of candidates just simulated
+        kept: what candidates of an earlier run cost, on disk; None: nothing is kept
     """
 
     objective: Objective
@@ -78,6 +80,7 @@ class Search(NamedTuple):
     candidates: list[SimulatedCandidate]
     threads: int | None
     progress: Callable[[int], None] | None
+    kept: Answers | None = None
 
     @property
     def what(self) -> Tune:
@@ -122,7 +125,7 @@ class Search(NamedTuple):
         if len(self.candidates) + len(chosen) > max(until * self.what.budget, 1):
             raise BudgetSpentError
         if chosen:
-            cost[chosen] = self.objective.costs(possible, self.threads)
+            cost[chosen] = self._costs(points[chosen], possible)
         for k in chosen:
             point = tuple(points[k].tolist())
             self.candidates.append(
@@ -131,6 +134,18 @@ class Search(NamedTuple):
         if self.progress is not None:
             self.progress(len(chosen))
         return Evaluation(cost, margin)
+
+    def _costs(self, points: Floats, problems: list[Problems]) -> Floats:
+        """What candidates cost, computed or kept."""
+        if self.kept is None:
+            return self.objective.costs(problems, self.threads)
+
+        def compute(missing: list[int]) -> Iterator[tuple[int, float]]:
+            wanted = [problems[k] for k in missing]
+            costs = self.objective.costs(wanted, self.threads)
+            yield from zip(missing, costs.tolist(), strict=True)
+
+        return np.array(self.kept.of(points.tolist(), compute))
 
     def run(self, start: Floats, seed: int) -> None:
         """Spend the budget from a start, given as shares of the ranges."""

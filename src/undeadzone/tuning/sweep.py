@@ -53,7 +53,7 @@ def sweep(
         The axes, and cost and margin at every point.
 
     Raises:
-        InputError or a subclass
+        InputError: or a subclass, for what is wrong with the scenario.
     """
     what = what or scenario.tune or Tune()
     axes = _axes(scenario, grid)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, StructureError, UndeadzoneError
 from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import TABLE, Tune
+from undeadzone.support import toml
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, scalar
 from undeadzone.tuning.objective import Frame, certified_margin, objective
 from undeadzone.tuning.parameters import Parameter, numbers, parameters, with_numbers
@@ -25,6 +31,8 @@ def tune(
     frames: Sequence[Frame] | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Tuned:
     """Tune one scenario, or several at once with the same numbers in each.
 
@@ -41,12 +49,14 @@ def tune(
         frames: what counts as 0 and as 1 in each scenario; default: the metric itself
         threads: on which to compute; default: one per processor
         progress: called with the number of candidates just tried
+        keep: file that keeps what candidates cost, to be deleted once the result is; None: none
+        resume: take up what a stopped search left in `keep`
 
     Returns:
         The tuned scenarios, every candidate, and what the numbers are worth on held-out runs.
 
     Raises:
-        InputError or a subclass: by key of [tune]
+        InputError or a subclass: by key of [tune]; FileError for `keep`
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
     what = _checked(scenarios, what)
@@ -58,8 +68,26 @@ def tune(
     probes = values_at(tuned, _probes(start))
     on = objective(what, scenarios, frames, names, probes, what.runs, seed)
     search = Search(on, tuned, [], threads, progress)
-    search.run(start, seed)
-    return validate(on, tuned, search.candidates, search.best, seed, threads)
+    if keep is None:
+        search.run(start, seed)
+        return validate(on, tuned, search.candidates, search.best, seed, threads)
+    kept = Answers(keep, _problem(scenarios, what, frames, seed), "candidates", resume)
+    with kept.kept():
+        search._replace(kept=kept).run(start, seed)
+        return validate(on, tuned, search.candidates, search.best, seed, threads)
+
+
+def _problem(
+    scenarios: Sequence[Scenario], what: Tune, frames: Sequence[Frame], seed: int
+) -> dict[str, Any]:
+    """Everything that the cost of a candidate depends on; the budget is none of it."""
+    return {
+        "scenarios": [toml.dumps(scenario) for scenario in scenarios],
+        "files": [digests(scenario) for scenario in scenarios],
+        "tune": msgspec.to_builtins(msgspec.structs.replace(what, budget=0, held_out=0)),
+        "frames": [list(frame) for frame in frames],
+        "seed": seed,
+    }
 
 
 def _probes(start: Floats) -> Floats:

@@ -9,11 +9,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from undeadzone.analysis.certificate.design_words import in_words
 from undeadzone.analysis.certificate.passivity import certify, recheck, stated_margin
 from undeadzone.analysis.error_dynamics import dynamics
 from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linear.matrices import Matrices
-from undeadzone.support import toml
+from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
 
@@ -133,6 +134,14 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 f"{proof.lmi:.3g}, least of P {proof.P:.3g}; they must be negative and positive): "
                 "the file was changed, or made for another model or sample time; design again"
             )
+
+    def __str__(self) -> str:
+        """The gains, their proof and their trade, as a table."""
+        return shown.text([in_words(msgspec.to_builtins(self))])
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, [in_words(msgspec.to_builtins(self))])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it as TOML, every number exactly.

@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.analysis.side_schedule import Schedule
 
+RARE = 0.1  # share of exact readings beyond the edges, below which a verdict says so
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
 
 
@@ -45,6 +46,19 @@ def unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
         stays = f"stays above -d_l, {low:.4g} against {-left:.4g}" if left + low >= 0 else ""
         reasons.append(_unreached("left", "-d_l", stays))
     return reasons
+
+
+def rarely_exact(schedule: Schedule, i: int) -> list[str]:
+    """That most readings of output i beyond its edges are at a limit of the range, in words."""
+    share = 1.0 if schedule.exact is None else float(schedule.exact[i])
+    if share >= RARE:
+        return []
+    if share == 0:
+        return ["no reading beyond the edges is exact: all are at a limit of sensor.range"]
+    return [
+        f"only {100 * share:.2g} % of the readings beyond the edges are exact: the others are at a "
+        "limit of sensor.range, where they only bound z"
+    ]
 
 
 def _unreached(name: str, edge: str, stays: str) -> str:

@@ -74,8 +74,9 @@ def deviations(
     process: Floats | None = None,
     arrive: Floats | None = None,
     colour: Colour | None = None,
+    told: Floats | None = None,
 ) -> Deviations:
-    """What noisy readings tell, whole passes of the schedule at a time; no prior is used.
+    """What noisy readings tell, whole passes of the schedule at a time; no other prior than `told`.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -88,8 +89,10 @@ def deviations(
             is sampled.
         arrive: share of each output's readings that arrive (p); all of them if not given.
         colour: a random input with its own states, which come after x and start at its own rms.
+        told: what is known beforehand (`beforehand`).
     """
-    visited = schedule.visited(linear.A.shape[0])
+    states_of_plant = linear.A.shape[0]
+    visited = schedule.visited(states_of_plant)
     prior: Floats = np.zeros(linear.A.shape[0])
     if colour is not None:
         linear, process, bias, prior = _coloured(linear, schedule.Ts, colour, process, bias)
@@ -101,6 +104,12 @@ def deviations(
     fisher = information(linear, schedule, variance, step, duration, bias, process)
     fisher[np.arange(n), np.arange(n)] += prior
     hidden = invisible(linear, visited, schedule.Ts, bias)
+    if told is not None:
+        rows = np.zeros((len(told), n + 2 * p))
+        rows[:, :states_of_plant] = told[:, :states_of_plant]
+        rows[:, n:] = told[:, states_of_plant:]
+        fisher[: n + 2 * p, : n + 2 * p] += rows.T @ rows
+        hidden = hidden.told(rows)
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
     covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)

@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.analysis.error_dynamics import delta, pattern
 from undeadzone.analysis.identifiability.edges import MARGIN as MARGIN
 from undeadzone.analysis.identifiability.edges import Cure as Cure
-from undeadzone.analysis.identifiability.edges import reaching, unreached
+from undeadzone.analysis.identifiability.edges import rarely_exact, reaching, unreached
 from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.linear.matrices import Matrices
@@ -85,6 +85,12 @@ class Invisible(NamedTuple):
     def within(self, part: np.ndarray) -> Invisible:
         """Those that leave every unknown outside `part` (bool) as it is."""
         return self._replace(basis=self.basis @ kernel(self.basis[~part], self.present))
+
+    def told(self, rows: Floats) -> Invisible:
+        """Those that stay once more is known of [x(0); d] than readings tell (k x n + 2p)."""
+        part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
+        size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
+        return self._replace(basis=self.basis @ kernel(rows @ part / size, self.present))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -163,7 +169,11 @@ def invisible(
 
 
 def verdicts(
-    linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
+    linear: Matrices,
+    schedule: Schedule,
+    bias: Floats | None = None,
+    jump: bool = False,
+    told: Floats | None = None,
 ) -> list[Verdict]:
     """What the readings along a schedule tell of each output's widths.
 
@@ -172,16 +182,20 @@ def verdicts(
         schedule: of the sides.
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
+        told: what is known beforehand (`beforehand`).
     """
     visited = schedule.visited(linear.A.shape[0])
     if jump:
         return [_jump_verdict(schedule, visited, i) for i in range(visited.shape[0])]
     hidden = invisible(linear, visited, schedule.Ts, bias)
+    if told is not None:
+        hidden = hidden.told(told)
     judged = []
     for i in range(visited.shape[0]):
-        confounded = _confounded(linear, schedule, bias, i)
+        confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
         known = {name: hidden.width(i, name) for name in DIRECTIONS}
-        reasons = (*unreached(schedule, visited, i), *confounded)
+        remark = rarely_exact(schedule, i)
+        reasons = (*unreached(schedule, visited, i), *confounded, *remark)
         judged.append(Verdict(**known, reasons=reasons, std=None))
     return judged
 
@@ -190,7 +204,8 @@ def _jump_verdict(schedule: Schedule, visited: np.ndarray, i: int) -> Verdict:
     """What a jump sensor's readings tell of output i: a width is known where its edge is passed."""
     right, left = bool(visited[i, 0]), bool(visited[i, 1])
     both = right and left
-    return Verdict(right, left, both, both, tuple(unreached(schedule, visited, i)))
+    reasons = (*unreached(schedule, visited, i), *rarely_exact(schedule, i))
+    return Verdict(right, left, both, both, reasons)
 
 
 def cures(
@@ -214,7 +229,8 @@ def cures(
         for remedy in _confounded(linear, schedule, bias, i).values():
             text = (
                 f"no reference can: {remedy}, or add a sensor without a dead zone; "
-                "or assume the centre, d_r - d_l"
+                "or claim the centre d_r - d_l of a filter: observer.centre = [lo, hi], 0 if the "
+                "zone is symmetric"
             )
             changes.append(Cure(i, None, None, text))
     return changes

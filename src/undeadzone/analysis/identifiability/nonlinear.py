@@ -9,7 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.edges import largest_deviations, unreached, vague
+from undeadzone.analysis.identifiability.beforehand import beforehand
+from undeadzone.analysis.identifiability.edges import (
+    largest_deviations,
+    rarely_exact,
+    unreached,
+    vague,
+)
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -19,9 +25,10 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.linearised_run import symmetric
 from undeadzone.analysis.identifiability.observability import Observability, observability
-from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.analysis.reading_levels import reading, reading_levels
+from undeadzone.analysis.side_schedule import recorded
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, zone
+from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 LIMIT = 1e9  # beyond this a state has diverged
@@ -40,6 +47,7 @@ def verdicts_along(
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
     arrived: np.ndarray | None = None,
+    centre: Floats | None = None,
 ) -> list[Verdict]:
     """What the readings along a run tell of each output's widths.
 
@@ -58,6 +66,7 @@ def verdicts_along(
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
         arrived: whether each reading did (N x p); all of them if not given.
+        centre: standard deviations of d_r - d_l as far as it is known beforehand (p), likewise.
     """
     if arrived is None:
         arrived = np.ones(z.shape, dtype=bool)
@@ -67,8 +76,9 @@ def verdicts_along(
     schedule = recorded(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return verdicts(model.linear, schedule, jump=True)
-    side = np.where(arrived, zone(z, *reading_levels(sensor).T), 0.0)
-    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, prior)
+    side = np.where(arrived, reading(z, sensor).side, 0.0)
+    told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
+    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
     judged = []
@@ -78,6 +88,7 @@ def verdicts_along(
             *unreached(schedule, visited, i),
             *_confounded(model, known, visited[i], i, biases, uncertain),
             *vague(std, most, right, left),
+            *rarely_exact(schedule, i),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         judged.append(Verdict(**enough, reasons=reasons, std=std))

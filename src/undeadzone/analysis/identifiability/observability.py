@@ -67,7 +67,7 @@ def observability(
     variance: Floats,
     bias: Floats | None = None,
     uncertain: Sequence[str] = (),
-    prior: Floats | None = None,
+    told: Floats | None = None,
 ) -> Observability:
     """The observability Gramian over the noise along a run, as a root, and what it tells.
 
@@ -80,15 +80,14 @@ def observability(
         variance: of the noise of z (p).
         bias: directions (m x b) of unknown constant inputs.
         uncertain: names of unknown parameters.
-        prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
-            not (n).
+        told: what is known of [x(0); d] beforehand (`beforehand`).
     """
     n, p = model.n, model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
     run = linearised(model, x, u, step, bias, uncertain)
     R = root(run, side, variance, n)
-    if prior is not None:
-        R = _with_prior(R, np.asarray(prior))
+    if told is not None and told.size:
+        R = _told(R, told)
     scale = _units(R, n, p)
     states, constants = np.split(R * scale, [n], axis=1)
     U, s, V = np.linalg.svd(states, full_matrices=False)
@@ -103,11 +102,10 @@ def observability(
     return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
 
 
-def _with_prior(R: Floats, prior: Floats) -> Floats:
-    """The root with what is known of x(0) beforehand; prior (n): standard deviations."""
-    known = np.isfinite(prior)
-    start = np.eye(prior.size, R.shape[1])[known] / prior[known, None]
-    return np.asarray(np.linalg.qr(np.vstack([R, start]), mode="r"))
+def _told(R: Floats, told: Floats) -> Floats:
+    """The root with what is known beforehand."""
+    rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
+    return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))
 
 
 def _units(R: Floats, n: int, p: int) -> Floats:

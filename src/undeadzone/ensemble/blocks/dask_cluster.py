@@ -17,9 +17,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from undeadzone.ensemble.blocks import batches
-from undeadzone.ensemble.blocks.job import Job, versions
+from undeadzone.ensemble.blocks.job import Job
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
 from undeadzone.support.arrays import Floats
+from undeadzone.support.versions import versions
 
 REACH = 5.0  # [s] to connect to a scheduler
 

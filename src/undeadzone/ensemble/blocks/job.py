@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from typing import NamedTuple, Protocol
 
-import undeadzone
 from undeadzone.support.arrays import Floats
 
 
@@ -49,20 +47,3 @@ class Job(Protocol):
             index: of the block
             threads: on which to compute; default: one per processor
         """
-
-
-def versions() -> dict[str, str]:
-    """The packages that decide the last bits of the results."""
-    packages = ("casadi", "numba", "llvmlite", "numpy", "scipy")
-    return {
-        "undeadzone": undeadzone.__version__,
-        **{name: _version(name) for name in packages},
-    }
-
-
-def _version(name: str) -> str:
-    """The version of an installed package."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "missing"

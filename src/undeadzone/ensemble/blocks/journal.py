@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import zip_longest
@@ -21,10 +20,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from undeadzone.ensemble.blocks.job import Layout, versions
+from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import reason, require_plain
+from undeadzone.support.stopped import lock
+from undeadzone.support.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
 NUMBER = 8  # [bytes] of a float64 and of a checksum
@@ -127,7 +128,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
             require_plain(path)
         file = io.FileIO(path, "r+", opener=_open_or_create)
     try:
-        _lock(path, file)
+        lock(path, file)
         there = _read(file, 0, len(header) + OTHER_HEADER)
         fresh = not there.strip(b"\0")
         if not fresh:
@@ -233,26 +234,6 @@ def _start_of_checksums(start: int, layout: Layout) -> int:
 def _checksum(block: int, data: bytes) -> bytes:
     """The checksum of the rows of a block, which also tells blocks apart."""
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
-
-
-def _lock(path: Path, file: io.FileIO) -> None:
-    """Keep other processes out until the file is closed, where the system has locks."""
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Another process may have finished and removed it between opening and locking.
-        used = not os.fstat(file.fileno()).st_nlink
-    except BlockingIOError:
-        used = True
-    except OSError:  # some network file systems have no locks
-        return
-    if used:
-        raise FileError(
-            f"{path}: another process is writing it; wait for it, or choose another name"
-        )
 
 
 def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 from undeadzone.ensemble.blocks import journal
 from undeadzone.ensemble.blocks.job import Job
-from undeadzone.errors import InputError, Terminated, UndeadzoneError
+from undeadzone.errors import InputError
+from undeadzone.support import stopped
 from undeadzone.support.arrays import Floats
 
 
@@ -61,20 +63,8 @@ def keeping(store: journal.Store) -> Iterator[None]:
 
     What stops it then says what is kept; a store without runs is removed.
     """
-    try:
+    with stopped.keeping(functools.partial(_leave, store)):
         yield
-    except (KeyboardInterrupt, Terminated) as stop:
-        raise type(stop)(_leave(store)) from None
-    except UndeadzoneError as error:
-        sentences = (str(error), _leave(store))
-        raise type(error)("; ".join(filter(None, sentences))) from None
-    except BaseException as error:
-        kept = _leave(store)
-        # Ctrl-C within a lock of the thread pool ends as a RuntimeError.
-        before = error.__context__
-        if isinstance(before, KeyboardInterrupt | Terminated):
-            raise type(before)(kept) from None
-        raise
 
 
 def _silent(runs: int) -> None:

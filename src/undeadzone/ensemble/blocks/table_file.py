@@ -6,6 +6,7 @@ tools.
 
 from __future__ import annotations
 
+import hashlib
 import struct
 import zipfile
 from collections.abc import Mapping
@@ -21,6 +22,7 @@ from undeadzone.support.files import reason, replacing, require_plain
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
 ATTACHED: Final = "attached/"
+CHECKSUM: Final = "checksum"  # of the other metadata of a `.parquet`, whose pages have their own
 CHUNK: Final = 2**20  # rows in a row group of Parquet
 ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
 
@@ -118,11 +120,14 @@ def _write_parquet(table: Table, path: Path) -> None:
     metadata: dict[str, str | bytes] = {HEADER: table.header}
     for name, values in table.attached.items():
         metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
+    metadata[CHECKSUM] = _checksum(metadata)
     schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata=metadata)
     runs = len(next(iter(table.columns.values())))
     with (
         replacing(path) as temporary,
-        parquet.ParquetWriter(temporary, schema, compression="zstd") as writer,
+        parquet.ParquetWriter(
+            temporary, schema, compression="zstd", write_page_checksum=True
+        ) as writer,
     ):
         for start in range(0, runs, CHUNK):
             chunks = [column[start : start + CHUNK] for column in table.columns.values()]
@@ -135,13 +140,27 @@ def _read_parquet(path: Path) -> Table:
     _arrow()
     import pyarrow.parquet as parquet
 
-    table = parquet.read_table(path)
+    table = parquet.read_table(path, page_checksum_verification=True)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
+    kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
+    if kept is not None and kept.decode() != _checksum(metadata):
+        raise ValueError("its header is damaged")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     attached = {}
     for name, value in _below(ATTACHED, metadata).items():
         attached[name] = np.frombuffer(value, "<f8")
     return Table(metadata[HEADER].decode(), columns, attached)
+
+
+def _checksum(metadata: Mapping[str, str | bytes]) -> str:
+    """The checksum of metadata; what other programs add to them does not count."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(metadata):
+        if name == HEADER or name.startswith(ATTACHED):
+            value = metadata[name]
+            content = value.encode() if isinstance(value, str) else value
+            digest.update(f"{name} {len(content)} ".encode() + content)
+    return digest.hexdigest()
 
 
 def _arrow() -> Any:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from undeadzone import sensor as sensors
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, no_further
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.numerics.gaussian import Gaussian, symmetric, triangle
 from undeadzone.observers.parts.gaussian_filter import (
@@ -110,11 +110,18 @@ def joint_prior(
     readings = quarter_period(model) / (stride * Ts)
     ranges = width_ranges(claims.right, claims.left, model.p)
     largest = float(ranges.max())
-    drift = defaults.drift * largest if claims.drift is None else claims.drift
-    x_std = defaults.x_std * largest if claims.x_std is None else claims.x_std
     floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
     prior = build_prior(
-        model, sensor, claims.right, claims.left, claims.noise, x_std, drift, floor=floor
+        model,
+        sensor,
+        claims.right,
+        claims.left,
+        claims.noise,
+        claims.x_std,
+        claims.drift,
+        floor=floor,
+        reach=defaults.x_std,
+        wear=defaults.drift,
     )
     swing = scalar("observer.swing", claims.swing, least=0.0)
     if claims.disturbance is None:
@@ -175,7 +182,7 @@ Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any], tuple[Gaussian
 """(q, belief, i, sight, y_i / m_i, side_i, present) -> (belief, innovation, its variance)."""
 
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
-"""(belief, motion, covariance that it adds) -> belief at the next sample."""
+"""(belief, change in a sample, covariance that it adds) -> belief at the next sample."""
 
 
 def joint_filter(
@@ -200,6 +207,8 @@ def joint_filter(
             seen = present(reading.y[i])
             y = ca.if_else(seen, reading.y[i], 0.0) / q.slope[i]
             sight = partial(reading_of, model, sensor.kind, q, i)
+            if sensor.limits is not None:
+                sight = partial(seen_from_limit, sight, y, reading.side[i])
             belief, e, S = correct(q, belief, i, sight, y, reading.side[i], seen)
             innovations.append(e)
             variances.append(S)
@@ -216,6 +225,11 @@ def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
     return read(kind, z, X[n + i], X[n + p + i])
+
+
+def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
+    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+    return no_further(sight(X), y, side)
 
 
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:

@@ -16,6 +16,8 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     Attributes:
         right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
             that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default five times the
             largest width.
@@ -37,6 +39,7 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     right: Array
     left: Array | None = None
+    centre: Array | None = None
     noise: Array | None = None
     x_std: Array | None = None
     drift: float | None = None

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
-from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.linear.matrices import Matrices
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.poles import observer_gain
-from undeadzone.linear.riccati import riccati
-from undeadzone.linear.scaling import sizes
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import in_poles, moving_poles
 from undeadzone.support.arrays import Array, Floats, array, matrix
@@ -20,7 +16,7 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
     """L as n x p.
 
     Args:
-        L: gains, a plain list for one output; None: P^-1 C' of the model.
+        L: gains, a plain list for one output; None: `default_gain` of the model.
         model: the model, for its shape.
         key: what an error calls L.
 
@@ -29,9 +25,9 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
     """
     n, p = model.n, model.p
     if L is None:
-        from undeadzone.analysis.certificate.passivity import passive_gain
+        from undeadzone.observers.parts.default_gains import default_gain
 
-        return passive_gain(model.linear, model.Ts)
+        return default_gain(model)
     gain = array(key, L)
     if gain.ndim == 1 and p == 1:
         gain = gain[:, None]
@@ -82,49 +78,3 @@ def hiding(model: System, factor: float) -> float:
     poles = moving_poles(model)
     order = max(2.0, model.n / model.p)
     return float(factor ** (2 / order) * np.exp(np.log(poles).mean()) / poles.max())
-
-
-def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
-    """L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
-
-    Args:
-        linear: the model, of the sampled one Ad, Bd, C.
-        speed: speed [1/s].
-        Ts: sample time [s]; None in continuous time.
-
-    Raises:
-        StructureError: where the outputs hardly show some state.
-    """
-    A, _, C = linear
-    n = A.shape[0]
-    flow = A if Ts is None else (A - np.eye(n)) / Ts
-    # the unit of each state, so that the equations below are near 1
-    unit = 1 / (speed * sizes(flow.T, C.T, speed))
-    A, C = A * unit / unit[:, None], C * unit
-    L = _shifted_riccati_gain(A, C, speed, Ts)
-    poles = np.linalg.eigvals(A - L @ C)
-    rate = poles.real.max() if Ts is None else np.log(np.abs(poles).max()) / Ts
-    if not rate < -speed / 4:
-        raise StructureError(
-            f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
-            "state; give a lower speed, or poles"
-        )
-    return unit[:, None] * L
-
-
-def _shifted_riccati_gain(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
-    """The Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no solution."""
-    n, p = A.shape[0], C.shape[0]
-    noise = 1e-8 * np.eye(n)
-    with warnings.catch_warnings():
-        # of scipy, on ill-conditioned equations: `fast_gain` judges the poles
-        warnings.simplefilter("ignore")
-        try:
-            if Ts is None:
-                shifted = Matrices((A / speed + np.eye(n) / 2).T, C.T, C)
-                return speed * riccati(shifted, noise, np.eye(p)).K.T
-            shrink, span = np.exp(-speed / 2 * Ts), speed * Ts
-            shifted = Matrices((A / shrink).T, C.T, C)
-            return shrink * riccati(shifted, noise * span, np.eye(p) / span, Ts).K.T
-        except np.linalg.LinAlgError:
-            return np.zeros((n, p))

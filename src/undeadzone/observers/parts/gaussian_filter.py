@@ -24,14 +24,14 @@ class Augmentation(NamedTuple):
     Attributes:
         params: numbers of its own, `Params.augmentation`.
         cov: covariance of the unknowns at first (E x E); their mean is 0.
-        move: move(q, x, extra, u) is (x+, extra+).
+        change: change(q, x, extra, u) is (x+ - x, extra+ - extra).
         noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
         alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
             takes it, the log of its odds); None: no claim is.
         bilinear: bilinear(q, x, extra, u) is (G (n x M), b (M)), as `predict` takes them; None: x+
             itself.
-        slope: slope(q) is the Jacobian of [x; d; extra] that a prediction to first order takes;
-            None: the exact one.
+        slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
+            order takes; None: the exact one.
         disturbance: disturbance(q, extra) is what it adds to x' (n) [1/s]; None: that of the change
             of x+.
         entries: entries of the upper triangle of the covariance of [x; d; extra] that are not 0
@@ -43,7 +43,7 @@ class Augmentation(NamedTuple):
 
     params: Any
     cov: Floats
-    move: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
+    change: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
     alternative: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
     bilinear: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
@@ -69,6 +69,7 @@ class Params(NamedTuple):
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
+        ends: of the range of the readings, as `Ends`; None: they have none.
     """
 
     model: Any
@@ -82,6 +83,7 @@ class Params(NamedTuple):
     ranges: Floats
     rate: Floats
     doubt: Any = None
+    ends: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
@@ -90,6 +92,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
     count = len(augmentation.cov)
     cov = np.zeros((known + count,) * 2)
     cov[:known, :known] = np.diag(prior.std**2)
+    widths, cov[model.n : known, model.n : known] = prior.widths()
     cov[known:, known:] = augmentation.cov
     rows, columns = kept_entries(model, augmentation).get_triplet()
     return Params(
@@ -99,7 +102,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         gate=prior.gate,
         slope=sensor.slope,
         drift=prior.drift,
-        mean=np.concatenate([prior.mean, np.zeros(count)]),
+        mean=np.concatenate([prior.mean[: model.n], widths, np.zeros(count)]),
         cov=cov[rows, columns],
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),
@@ -116,16 +119,16 @@ def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
 def motion(
     model: System, q: Params, augmentation: Augmentation, belief: Gaussian, u: Any
 ) -> tuple[Callable[[Any], Any], Any]:
-    """(the motion of [x; d; extra] over a step, the covariance that it adds)."""
+    """(the change of [x; d; extra] over a step, the covariance that it adds)."""
     n = model.n
     known = n + 2 * model.p
     noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
 
-    def move(X: Any) -> Any:
-        x, extra = augmentation.move(q, X[:n], X[known:], u)
-        return ca.vertcat(x, X[n:known], extra)
+    def change(X: Any) -> Any:
+        x, extra = augmentation.change(q, X[:n], X[known:], u)
+        return ca.vertcat(x, ca.SX(known - n, 1), extra)
 
-    return move, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
+    return change, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
 
 
 def to_estimate(
@@ -169,11 +172,14 @@ def white(model: System, variance: Floats) -> Augmentation:
         variance: that of the disturbance (m) [u^2].
     """
 
-    def move(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        return model.move(q.model, x, u), extra
+    assert model.change is not None
+    of_x = model.change
+
+    def change(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        return of_x(q.model, x, u), extra
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-        _, B = linearise(lambda v: model.move(q.model, x, v), u)
+        _, B = linearise(lambda v: of_x(q.model, x, v), u)
         return B @ ca.diag(q.augmentation) @ B.T, ca.SX(0, 0)
 
-    return Augmentation(variance, np.zeros((0, 0)), move, noise)
+    return Augmentation(variance, np.zeros((0, 0)), change, noise)

@@ -17,7 +17,7 @@ from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.observers.parts.boxes import FAR, Bounds, Boxes, cut, each, meet
 from undeadzone.observers.parts.modal_form import turned
 from undeadzone.plants.system import System
-from undeadzone.sensor import present
+from undeadzone.sensor import Zone, present
 from undeadzone.support.arrays import Floats
 
 
@@ -66,11 +66,13 @@ class Setup(NamedTuple):
         model: the model.
         pairs: first rows of its oscillating modes.
         kind: kind of the sensor.
+        ends: whether its readings have a range.
     """
 
     model: System
     pairs: list[int]
     kind: str
+    ends: bool
 
     @property
     def jump(self) -> bool:
@@ -79,24 +81,34 @@ class Setup(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """What a reading surely says of each output (p): right, left, either of both, silent."""
+    """What a reading surely says of each output (p).
+
+    Attributes:
+        right, left: z is beyond that edge, by what the reading says at least.
+        active: either of both.
+        silent: z is beyond no edge.
+        exact_right, exact_left: z is beyond the edge by what the reading says, not by more, as it
+            may be at a limit of the range.
+    """
 
     right: Any
     left: Any
     active: Any
     silent: Any
+    exact_right: Any
+    exact_left: Any
 
 
-def interval(model: System, pairs: list[int], params: Params, kind: str) -> Observer:
+def interval(model: System, pairs: list[int], params: Params, sensor: Zone) -> Observer:
     """The observer.
 
     Args:
         model: the linear model, continuous or sampled.
         pairs: first rows of its oscillating modes.
         params: its numbers.
-        kind: kind of the sensor.
+        sensor: the dead zone, for its kind and its range.
     """
-    setup = Setup(model, pairs, kind)
+    setup = Setup(model, pairs, sensor.kind, sensor.limits is not None)
 
     def init(q: Params) -> State:
         return State(q.start, np.zeros(len(pairs)))
@@ -124,7 +136,7 @@ def interval_step(
     shown = restarted(q, State(now, s.angle)).boxes
     boxes = shown if sampled else s.boxes
     e = (z.lo + z.hi) / 2 - q.model.C @ boxes.x
-    x = setup.model.move(q.model, boxes.x, u) + q.L @ e
+    x = setup.model.pushed(q.model, boxes.x, u, q.L @ e)
     if sampled:
         after = next_boxes(setup, q, boxes._replace(x=x), phi, s.angle + q.turn, z)
     else:
@@ -187,13 +199,17 @@ def output_bounds(q: Params, boxes: Boxes, frame: Any) -> Bounds:
     return Bounds(z - spread, z + spread)
 
 
-def sides(q: Params, reading: Reading) -> Sides:
+def sides(setup: Setup, q: Params, reading: Reading) -> Sides:
     """What a reading surely says of each output."""
     right = ca.logic_and(reading.side > 0, reading.y > q.sure)
     left = ca.logic_and(reading.side < 0, -reading.y > q.sure)
     active = ca.logic_or(right, left)
     silent = ca.logic_and(present(reading.y), ca.logic_not(active))
-    return Sides(right, left, active, silent)
+    if not setup.ends:
+        return Sides(right, left, active, silent, right, left)
+    exact = ca.fabs(reading.side) < 2
+    exact_right, exact_left = ca.logic_and(right, exact), ca.logic_and(left, exact)
+    return Sides(right, left, active, silent, exact_right, exact_left)
 
 
 def tightened(
@@ -201,7 +217,7 @@ def tightened(
 ) -> tuple[Boxes, Bounds]:
     """(the boxes given a reading, bounds of z)."""
     y = reading.y / q.slope
-    on = sides(q, reading)
+    on = sides(setup, q, reading)
     right, left = width_bounds(setup, q, boxes, output_bounds(q, boxes, frame), y, on)
     bounds = reading_bounds(setup, q, right, left, y, on)
     x, radius = boxes.x, boxes.radius
@@ -226,13 +242,15 @@ def width_bounds(
     """
     if setup.jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
         most_right, most_left, least_right, least_left = y, -y, FAR, FAR
+        met_right, met_left = on.exact_right, on.exact_left
     else:  # a reading is z - d_r on the right, z + d_l on the left
         most_right, most_left = z.hi - y, y - z.lo
         least_right, least_left = y - z.lo, z.hi - y
-    right = Bounds(-where(on.silent, q.slack - z.lo), where(on.right, most_right + q.noise))
-    left = Bounds(-where(on.silent, q.slack + z.hi), where(on.left, most_left + q.noise))
-    right_again = Bounds(-where(on.right, least_right + q.noise), FAR)
-    left_again = Bounds(-where(on.left, least_left + q.noise), FAR)
+        met_right, met_left = on.right, on.left
+    right = Bounds(-where(on.silent, q.slack - z.lo), where(met_right, most_right + q.noise))
+    left = Bounds(-where(on.silent, q.slack + z.hi), where(met_left, most_left + q.noise))
+    right_again = Bounds(-where(on.exact_right, least_right + q.noise), FAR)
+    left_again = Bounds(-where(on.exact_left, least_left + q.noise), FAR)
     return (
         meet(meet(boxes.right, right), right_again),
         meet(meet(boxes.left, left), left_again),
@@ -249,10 +267,15 @@ def reading_bounds(
         least = ca.if_else(on.right, right.lo, -left.hi)
         most = ca.if_else(on.right, right.hi, -left.lo)
         off = Bounds(least, most)
-    return Bounds(
+    bounds = Bounds(
         ca.if_else(on.active, y + off.lo - q.noise, -where(on.silent, left.hi + q.slack)),
         ca.if_else(on.active, y + off.hi + q.noise, where(on.silent, right.hi + q.slack)),
     )
+    if not setup.ends:
+        return bounds
+    past_right = ca.logic_and(on.right, ca.logic_not(on.exact_right))
+    past_left = ca.logic_and(on.left, ca.logic_not(on.exact_left))
+    return Bounds(ca.if_else(past_left, -FAR, bounds.lo), ca.if_else(past_right, FAR, bounds.hi))
 
 
 def where(holds: Any, bound: Any) -> Any:

@@ -13,10 +13,10 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.innovation_sums import FAR, Sums, summed
 from undeadzone.observers.parts.member import Member, Step
 from undeadzone.plants.system import System
 
-FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
 NO_TRAITS = Traits()
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
@@ -107,19 +107,17 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
     counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
-    fade, keep = q.doubt.fade, q.doubt.keep
-    total = fade * record.total + ca.if_else(counted, nu, 0.0)
-    count = fade**2 * record.count + counted
-    square = total**2 / ca.fmax(count, 1.0)
-    ratio = ca.if_else(count > 1, keep * record.ratio + (1 - keep) * square, record.ratio)
+    fade = q.doubt.fade
+    before = Sums(record.total, record.count, record.ratio)
+    sums = summed(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
     refused = step.trust < 0.5
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = fade * record.offset + (1 - fade) * e
     return Record(
-        total=total,
-        count=count,
-        ratio=ratio,
+        total=sums.total,
+        count=sums.count,
+        ratio=sums.ratio,
         offset=ca.if_else(used, offset, record.offset),
         share=ca.if_else(asked, share, record.share),
         refused=record.refused + refused,

@@ -15,7 +15,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, exact
+from undeadzone.limits import Limits
 from undeadzone.numerics.approximators import Basis
 from undeadzone.numerics.gaussian import linearise
 from undeadzone.observers.parts.adaptive_laws import Law, gradient
@@ -95,6 +96,7 @@ class Setup(NamedTuple):
         law: how the weights learn.
         filtered: whether W learns by the sensitivity of e to it.
         limited: whether the weights have bounds.
+        ends: limits of the readings, which are missing there; None: there are none.
     """
 
     model: System
@@ -102,6 +104,7 @@ class Setup(NamedTuple):
     law: Law
     filtered: bool
     limited: bool
+    ends: Limits | None
 
 
 def learning(
@@ -140,7 +143,7 @@ def learning(
             "use 'certified' or 'censored'"
         )
     n, weights = model.n, compensator.size * model.p
-    setup = Setup(model, compensator, law, filtered, limit is not None)
+    setup = Setup(model, compensator, law, filtered, limit is not None, sensor.limits)
     params = Params(
         model=model.params,
         L=L,
@@ -166,7 +169,7 @@ def learning_step(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """The state's derivative, or its next value when sampled, and the estimate."""
-    model = setup.model
+    model, reading = setup.model, exact(reading, setup.ends)
     sampled = model.Ts is not None
     keep = 1.0 if sampled else 0.0
     z, H = linearise(lambda x: model.output(q.model, x), s.x)
@@ -176,7 +179,7 @@ def learning_step(
     gate, psi = ca.diag(used), functions(setup, q, y, reading.side, z)
     inverse = y + psi @ s.W
     e = used * (inverse - z)
-    moved = model.move(q.model, s.x, u) + q.L @ e
+    moved = model.pushed(q.model, s.x, u, q.L @ e)
     zeta, sensitivity = -psi, s.sensitivity
     if setup.filtered:
         _, F = linearise(lambda x: model.move(q.model, x, u), s.x)

@@ -28,6 +28,12 @@ from undeadzone.observers.parts.gaussian_filter import (
     motion,
     to_estimate,
 )
+from undeadzone.observers.parts.limited_reading import (
+    distrusted,
+    ends,
+    surely_exact,
+    use_limits,
+)
 from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
 from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
@@ -47,7 +53,8 @@ class State(NamedTuple):
     Attributes:
         mean, cov: mean and covariance (its `triangle`) before the reading.
         last, previous: the last two readings, 0 where one was refused (p) [y].
-        wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
+        wait: steps to wait until an edge is heard again, right edges, then left ones (2p); where
+            the readings have a range, then until a limit is, upper ones, then lower ones (2p).
         u: the last input (m).
         share: mean share of refused readings of late (p).
         opened: 1 where the belief was opened just now, fading after that (1).
@@ -82,12 +89,13 @@ def measured_filter(
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        each = np.zeros(p)
-        return State(q.mean, q.cov, each, each, np.zeros(2 * p), np.zeros(m), each, np.zeros(1))
+        each, waits = np.zeros(p), np.zeros(4 * p if setup.ends else 2 * p)
+        return State(q.mean, q.cov, each, each, waits, np.zeros(m), each, np.zeros(1))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
-    return Member(params._replace(doubt=doubt), init, partial(filter_step, setup))
+    params = params._replace(doubt=doubt, ends=ends(sensor, prior))
+    return Member(params, init, partial(filter_step, setup))
 
 
 def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
@@ -99,8 +107,9 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     corrected = correct(setup, q, before, y, side)
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
-        silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
-        heard = use_bounds(setup, q, heard, silent, side)
+        heard = with_bounds(setup, q, s, heard, reading, y, side)
+    if setup.ends:
+        heard = heard._replace(trust=distrusted(heard.trust, reading))
     shown, fits = shown_belief(setup, q, heard.belief)
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
@@ -119,6 +128,28 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     )
 
 
+def with_bounds(
+    setup: Setup, q: Params, s: State, heard: Heard, reading: Reading, y: Any, side: Any
+) -> Heard:
+    """What is known given what silences and readings at a limit bound.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        s: its state.
+        heard: what is known after the readings on sure sides.
+        reading: what was read.
+        y: reading, 0 where it is missing (p) [y].
+        side: the sides that are sure (p).
+    """
+    silent = ca.logic_and(present(reading.y), ca.fabs(y) <= q.gate)
+    if not setup.ends:
+        return use_bounds(setup, q, heard, silent, side)
+    silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
+    edges = use_bounds(setup, q, heard, silent, side)
+    return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
+
+
 def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
     """The sides on which the readings are used (p), 0 where none is sure.
 
@@ -133,6 +164,9 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
     if setup.blind:
         return seen
     side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
+    if setup.ends:
+        exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
+        side = ca.if_else(exact, side, 0.0)
     if not setup.doubts:
         return side
     stuck = ca.logic_and(y == s.last, q.doubt.noisy)
@@ -198,12 +232,12 @@ def sound(setup: Setup, q: Params, belief: Gaussian) -> tuple[Any, Any, Any]:
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
     """The belief at the next sample."""
     augmentation = setup.augmentation
-    move, Q = motion(setup.model, q, augmentation, belief, u)
+    change, Q = motion(setup.model, q, augmentation, belief, u)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
-        return advance(belief, move, Q, slope)
+        return advance(belief, change, Q, slope)
     bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
-    return predict(belief, move, Q, setup.lasting, bend)
+    return predict(belief, change, Q, setup.lasting, bend)
 
 
 def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:

@@ -61,12 +61,14 @@ class Setup(NamedTuple):
     Attributes:
         model: the model.
         kind: kind of the sensor.
+        ends: whether the readings have a range, whose limits bound z.
         silence: whether it uses that a silent sensor bounds z.
         law: the adaptation law.
     """
 
     model: System
     kind: str
+    ends: bool
     silence: bool
     law: Law
 
@@ -111,7 +113,7 @@ def measured_side(
         silence: whether it uses that a silent sensor bounds z.
         law: the adaptation law.
     """
-    setup = Setup(model, sensor.kind, silence, law)
+    setup = Setup(model, sensor.kind, sensor.limits is not None, silence, law)
     per_step = 1.0 if model.Ts is None else model.Ts
     params = Params(
         model=model.params,
@@ -162,6 +164,8 @@ def measured_side_step(
     over, under = silent_violation(setup, p, s, z, reading)
     correct = correct_jump if setup.kind == "jump" else correct_deadzone
     correction = correct(s, z, y, reading.side, over, under)
+    if setup.ends:
+        correction = bounded(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
     right = Edge(
         drive=soft * correction.drive_right,
@@ -181,7 +185,7 @@ def measured_side_step(
     )
     change_right, right_gain = law.move(p.law, right)
     change_left, left_gain = law.move(p.law, left)
-    x = model.move(p.model, s.x, u) + p.L @ (soft * correction.e)
+    x = model.pushed(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(
         x, keep * s.right + change_right, keep * s.left + change_left, right_gain, left_gain
     )
@@ -221,3 +225,23 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
     adapt_left = ca.logic_or(side < 0, under < 0)
     right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
     return Correction(e, right, left, adapt_right, adapt_left)
+
+
+def bounded(correction: Correction, side: Any, jump: bool) -> Correction:
+    """What a reading says if those at a limit of the range only bound z.
+
+    At the upper limit z is at least what the reading says, so that an innovation below 0 says
+    nothing; at the lower limit it is the other way round. There a jump sensor does not show that z
+    is beyond any edge but 0.
+    """
+    above = ca.logic_and(side > 1, correction.e < 0)
+    below = ca.logic_and(side < -1, correction.e > 0)
+    heard = ca.logic_not(ca.logic_or(above, below))
+    adapts = ca.logic_and(heard, ca.fabs(side) < 2) if jump else heard
+    return Correction(
+        e=ca.if_else(heard, correction.e, 0.0),
+        drive_right=ca.if_else(adapts, correction.drive_right, 0.0),
+        drive_left=ca.if_else(adapts, correction.drive_left, 0.0),
+        adapt_right=ca.logic_and(adapts, correction.adapt_right),
+        adapt_left=ca.logic_and(adapts, correction.adapt_left),
+    )

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.plants.system import System, held
+from undeadzone.linear.hold import zoh_slopes
+from undeadzone.plants.system import System, held, in_units
 from undeadzone.support.arrays import Floats, scalar
 
 
@@ -56,13 +57,16 @@ def named(model: System, stds: dict[str, float]) -> Tolerance:
     )
 
 
-def tolerances(model: System, claimed: float | dict[str, float]) -> Tolerance:
+def tolerances(
+    model: System, claimed: float | dict[str, float], units: Floats | None = None
+) -> Tolerance:
     """The uncertain entries of the plant's A and B, or its parameters.
 
     Args:
         model: the sampled model.
         claimed: relative standard deviation of every entry, but of rows that only say
             x_i' = x_j; or of some, as {"A[1,0]": 0.1}; or of every parameter.
+        units: in which the filter counts states (n); None: those of the model.
 
     Raises:
         InputError: for an entry that does not exist or is 0.
@@ -86,12 +90,15 @@ def tolerances(model: System, claimed: float | dict[str, float]) -> Tolerance:
         if relative:
             std.append(relative)
             entries.append(places[name])
+    even = in_units(model, np.ones(model.n) if units is None else units)
+    assert even.flow is not None
+    AB = np.hstack(even.flow[:2])
     return Tolerance(
         np.array(std),
         sampled_slopes(AB, entries, model.Ts),
         tuple(entries),
         np.array([AB[at] for at in entries]),
-        held(model),
+        held(even),
     )
 
 
@@ -136,13 +143,9 @@ def sampled_slopes(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Flo
         entries: rows and columns in it (K).
         Ts: sample time [s].
     """
-    from scipy.linalg import expm_frechet
-
-    n, columns = AB.shape
-    square = np.vstack([AB, np.zeros((columns - n, columns))]) * Ts
-    slopes = [np.zeros((0, columns))]
+    directions = []
     for at in entries:
-        direction = np.zeros(square.shape)
-        direction[at] = 1.0
-        slopes.append(expm_frechet(square, square * direction, compute_expm=False)[:n])
-    return np.concatenate(slopes)
+        direction = np.zeros(AB.shape)
+        direction[at] = AB[at]
+        directions.append(direction)
+    return zoh_slopes(AB, directions, Ts)

@@ -13,7 +13,14 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    Reading,
+    Traits,
+    estimate,
+    no_further,
+)
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, deadzone, jump, present
@@ -130,10 +137,10 @@ def output_error(
 
     def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
         z = model.output(p.model, s.x)
-        e = error(sensor.kind, p, s, z, reading)
+        e = error(sensor, p, s, z, reading)
         right, left = where(p.law, s, z, reading)
         after = State(
-            model.move(p.model, s.x, u) + p.L @ e + inject(p.law, e),
+            model.pushed(p.model, s.x, u, p.L @ e + inject(p.law, e)),
             keep * s.right - p.gamma * e * right,
             keep * s.left + p.gamma * e * left,
         )
@@ -146,11 +153,14 @@ def output_error(
     return Observer(params, init, step, project, traits)
 
 
-def error(kind: str, p: Params, s: State, z: Any, reading: Reading) -> Any:
-    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing."""
-    zone = jump if kind == "jump" else deadzone
+def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
+    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is beyond."""
+    zone = jump if sensor.kind == "jump" else deadzone
     expected = zone(z, s.right, s.left)
-    return ca.if_else(present(reading.y), reading.y / p.slope - expected, 0.0)
+    y = reading.y / p.slope
+    if sensor.limits is not None:
+        expected = no_further(expected, y, reading.side)
+    return ca.if_else(present(reading.y), y - expected, 0.0)
 
 
 def project(p: Params, s: State) -> State:

@@ -7,11 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, unless it is claimed
 
 
 class Prior(NamedTuple):
@@ -24,6 +27,8 @@ class Prior(NamedTuple):
         gate: |y| that is surely not silent (p) [y].
         drift: variance that the widths gain each step (2p) [z^2].
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+        centre: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but what
+            the ranges say.
     """
 
     mean: Floats
@@ -32,6 +37,21 @@ class Prior(NamedTuple):
     gate: Floats
     drift: Floats
     ranges: Floats
+    centre: Floats | None = None
+
+    def widths(self) -> tuple[Floats, Floats]:
+        """Mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the centre."""
+        n = self.mean.size - len(self.ranges)
+        mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
+        if self.centre is None:
+            return mean, cov
+        p = len(self.centre)
+        for i, (claimed, std) in enumerate(self.centre):
+            h = np.eye(2 * p)[i] - np.eye(2 * p)[p + i]
+            gain = cov @ h / (h @ cov @ h + std**2)
+            mean = mean + gain * (claimed - h @ mean)
+            cov = cov - np.outer(gain, h @ cov)
+        return mean, (cov + cov.T) / 2
 
 
 def build_prior(
@@ -44,8 +64,10 @@ def build_prior(
     drift: Array | None,
     *,
     floor: float = FLOOR,
+    reach: float = REACH,
     wear: float = 0.0,
     start: Array = 0.0,
+    centre: Array | None = None,
 ) -> Prior:
     """The prior from claimed ranges [lo, hi] of the widths.
 
@@ -56,11 +78,15 @@ def build_prior(
         sensor: the dead zone.
         right, left: claimed ranges of d_r, d_l; left None: those of right.
         noise: rms of a reading [z]; None: the sensor's, but at least `floor`.
-        x_std: standard deviation of x(0); None: five times the largest width.
-        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width.
+        x_std: standard deviation of x(0); None: what shows as `reach` times the largest width
+            (`state_units`).
+        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width in
+            1 / |pole|, which is 2 / pi quarter periods.
         floor: least noise, as a share of the claimed range.
-        wear: drift, in largest widths per sqrt(s), where none is claimed.
+        reach: standard deviation of x(0), in largest widths, where none is claimed.
+        wear: drift, in largest widths per 1 / sqrt(|pole|), where none is claimed.
         start: mean of x(0), one number or one per state.
+        centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
 
     Raises:
         InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
@@ -77,11 +103,12 @@ def build_prior(
         rms = _claimed_noise(noise, p)
         least = np.zeros(p)
     if x_std is None:
-        spread = np.full(model.n, 5 * largest)
+        spread = reach * largest * state_units(model.flow or model.linear)
     else:
         spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
-    walk = wear * largest if drift is None else drift
-    growth = scalar("observer.drift", walk, least=0.0) ** 2 * Ts
+    if drift is None:
+        drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear))
+    growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
     x0 = vector("observer.start", start, model.n, "one per state")
     return Prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
@@ -90,7 +117,46 @@ def build_prior(
         gate=np.maximum(sensor.threshold, 4 * rms * sensor.slope),
         drift=np.full(2 * p, growth),
         ranges=ranges,
+        centre=None if centre is None else _centres(centre, ranges, p),
     )
+
+
+def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:
+    """What verdicts may use of a filter's prior: a start and centres, where they are claimed.
+
+    Args:
+        prior: of the filter.
+        x_std: as claimed; None: a default, which is no claim.
+    """
+    n = prior.mean.size - len(prior.ranges)
+    return Traits(
+        start_std=None if x_std is None else prior.std[:n],
+        centre_std=None if prior.centre is None else prior.centre[:, 1],
+    )
+
+
+def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
+    """Mean and standard deviation of each claimed d_r - d_l (p x 2). Raises InputError, ShapeError.
+
+    A range stands for the uniform distribution over it.
+    """
+    value = array("observer.centre", claimed)
+    if value.ndim == 0:
+        value = np.full(2, float(value))
+    if value.shape not in ((2,), (p, 2)):
+        raise ShapeError(
+            "observer.centre: expected the range [lo, hi] of d_r - d_l, its value, or one range "
+            f"per output ({p} x 2), found {' x '.join(map(str, value.shape))}"
+        )
+    low, high = np.broadcast_to(value, (p, 2)).T
+    least, most = ranges[:p, 0] - ranges[p:, 1], ranges[:p, 1] - ranges[p:, 0]
+    if (low > high).any() or (high < least).any() or (low > most).any():
+        raise InputError(
+            "observer.centre: a range [lo, hi] of d_r - d_l must have lo <= hi and meet what the "
+            f"ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}; found "
+            f"{value.tolist()}"
+        )
+    return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
 
 
 def _claimed_noise(noise: Array, p: int) -> Floats:

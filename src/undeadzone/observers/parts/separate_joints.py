@@ -72,7 +72,7 @@ def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
     return Augmentation(
         Noise(colour.F[0, 0], colour.Q[0, 0], variance),
         np.diag(variance),
-        partial(move_joints, joints),
+        partial(joint_change, joints),
         partial(joint_noise, joints),
         slope=partial(joint_slope, joints),
         disturbance=partial(joint_disturbance, joints),
@@ -80,23 +80,22 @@ def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
     )
 
 
-def move_joints(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """(x+, a+) with accelerations that stay as they are over the step."""
+def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+    """(x+ - x, a+ - a) with accelerations that stay as they are over the step."""
     N, Ts = joints.size, joints.Ts
-    position, v = x[:N], x[N:]
+    v = x[N:]
     a = joints.rate(q.model, x, u)[N:] + extra
-    x_after = ca.vertcat(position + Ts * v + Ts**2 / 2 * a, v + Ts * a)
-    return x_after, q.augmentation.F * extra
+    return ca.vertcat(Ts * v + Ts**2 / 2 * a, Ts * a), (q.augmentation.F - 1) * extra
 
 
 def joint_slope(joints: Joints, q: Params) -> Any:
-    """The Jacobian of the motion (5N x 5N), that of a double integrator under a for each joint."""
+    """The Jacobian of the change (5N x 5N), that of a double integrator under a for each joint."""
     Ts = joints.Ts
-    one = ca.SX.eye(5)  # of [q_i; q_i'; d_ri; d_li; a_i]
+    one = ca.SX(5, 5)  # of [q_i; q_i'; d_ri; d_li; a_i]
     one[0, 1] = Ts
     one[0, 4] = Ts**2 / 2
     one[1, 4] = Ts
-    one[4, 4] = q.augmentation.F
+    one[4, 4] = q.augmentation.F - 1
     return ca.kron(one, ca.SX.eye(joints.size))
 
 

@@ -42,6 +42,11 @@ class Setup(NamedTuple):
     doubts: bool
 
     @property
+    def ends(self) -> bool:
+        """Whether the readings have a range."""
+        return self.sensor.limits is not None
+
+    @property
     def jump(self) -> bool:
         """Whether the sensor is of the jump kind."""
         return self.sensor.kind == "jump"
@@ -117,7 +122,8 @@ def with_unknowns(
         extra = shown.mean[n + 2 * model.p :]
         if augmentation.disturbance is None:
             x = shown.mean[:n]
-            w = q.rate @ (augmentation.move(q, x, extra, u)[0] - model.move(q.model, x, u))
+            assert model.change is not None
+            w = q.rate @ (augmentation.change(q, x, extra, u)[0] - model.change(q.model, x, u))
         else:
             w = augmentation.disturbance(q, extra)
         estimated = estimated._replace(w=w)

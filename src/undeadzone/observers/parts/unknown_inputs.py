@@ -14,11 +14,12 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.scaling import similar
 from undeadzone.numerics.gaussian import Gaussian, update
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.model_tolerance import Tolerance
 from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import time_scale
+from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.support.arrays import Floats, scalar
 
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
@@ -174,7 +175,7 @@ def unknowns(
     return Augmentation(
         numbers,
         cov,
-        partial(move_with_unknowns, setup),
+        partial(change_with_unknowns, setup),
         partial(noise_of_unknowns, setup),
         alternative=partial(small_bias, setup) if may_be_small else None,
         bilinear=partial(tolerance_times_state, setup) if tolerance.entries else None,
@@ -188,25 +189,31 @@ def rest_under_bias(model: System, biased: Floats) -> Floats:
     The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
     centre.
     """
-    A, B, _ = model.linear
-    return np.linalg.lstsq(np.eye(model.n) - A, B @ biased, rcond=None)[0]
+    assert model.flow is not None
+    A, B, _ = model.flow
+    units = state_units(model.flow)
+    even = similar(A, units)
+    rest = np.linalg.lstsq(even, -(B / units[:, None]) @ biased, rcond=None)[0]
+    return np.asarray(units[:, None] * rest)
 
 
-def move_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """(x+, extra+) under bias, disturbance and tolerance."""
+def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+    """(x+ - x, extra+ - extra) under bias, disturbance and tolerance."""
     model, tolerance, numbers = setup.model, setup.tolerance, q.augmentation
     count = tolerance.std.size
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moving = u + setup.disturbing @ shaped
     total = moving + setup.biased @ constant
+    assert model.change is not None
     if model.nonlinear:
         params = tolerance.changed(q.model, theta) if count else q.model
-        after = model.move(params, x, total)
+        gained = model.change(params, x, total)
     else:
         regressor = numbers.slopes @ ca.vertcat(x - numbers.rest @ constant, moving)
-        after = model.move(q.model, x, total) + ca.reshape(regressor, model.n, count) @ theta
-    shaped_after = ca.kron(numbers.F, ca.SX.eye(setup.shaken)) @ shaped
-    return after, ca.vertcat(constant, shaped_after, theta)
+        gained = model.change(q.model, x, total) + ca.reshape(regressor, model.n, count) @ theta
+    faded = ca.kron(numbers.F - np.eye(numbers.F.shape[0]), ca.SX.eye(setup.shaken)) @ shaped
+    none = ca.SX(setup.ends[1], 1), ca.SX(count, 1)
+    return gained, ca.vertcat(none[0], faded, none[1])
 
 
 def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:

@@ -24,7 +24,7 @@ class Window(NamedTuple):
 
     Attributes:
         y: reading y / m (p).
-        side: measured side (p).
+        side: measured side (p), +2 or -2 at a limit of the range.
         seen: whether there was a reading (p).
         mean: mean of X (n + 2p).
         cov: covariance of X (n + 2p x n + 2p).
@@ -50,7 +50,7 @@ class Weights(NamedTuple):
 
     Attributes:
         noise: rms of a reading (p) [z].
-        slack: rms of a silent sensor's violation (p) [z].
+        slack: rms of the violation of a bound: by a silent sensor, or at a limit (p) [z].
         gate: z beyond an edge that a silent reading leaves open (p) [z].
         ranges: claimed ranges of the widths (2p x 2) [z].
     """
@@ -191,7 +191,7 @@ def reading_errors(
     """(M, b): M v - b are the errors of the readings on active sides, in units of their noise."""
     y, side = window.y.ravel(), window.side.ravel()
     noise = np.tile(weights.noise, len(window.y))
-    active, rightward = side != 0, (side > 0)[:, None]
+    active, rightward = np.abs(side) == 1, (side > 0)[:, None]
     M = (np.where(rightward, right.M, left.M) / noise[:, None])[active]
     b = ((y - np.where(side > 0, right.b, left.b)) / noise)[active]
     return M, b
@@ -200,7 +200,11 @@ def reading_errors(
 def constraints(
     window: Window, weights: Weights, right: Affine, left: Affine, d: Affine
 ) -> tuple[Floats, Floats, Floats]:
-    """(A, low, high): silent nodes inside both edges but for their violation, widths in ranges."""
+    """(A, low, high) of the bounds.
+
+    Silent nodes are inside both edges, those at a limit beyond what they read, but for their
+    violation; widths are in their ranges.
+    """
     nodes, p = window.y.shape
     silent = ((window.side == 0) & (window.seen > 0)).ravel()
     slack, gate = np.tile(weights.slack, nodes), np.tile(weights.gate, nodes)
@@ -209,6 +213,9 @@ def constraints(
     free = np.full(nodes * p, np.inf)
     above_left = np.where(silent, -gate - left.b, -np.inf)
     below_right = np.where(silent, gate - right.b, np.inf)
-    low = np.concatenate([-free, above_left, weights.ranges[:, 0] - d.b])
-    high = np.concatenate([below_right, free, weights.ranges[:, 1] - d.b])
+    y, side = window.y.ravel(), window.side.ravel()
+    at_high = np.where(side == 2, y - right.b, -free)
+    at_low = np.where(side == -2, y - left.b, free)
+    low = np.concatenate([at_high, above_left, weights.ranges[:, 0] - d.b])
+    high = np.concatenate([below_right, at_low, weights.ranges[:, 1] - d.b])
     return np.vstack([right.M - violation, left.M + violation, d.M]), low, high

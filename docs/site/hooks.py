@@ -1,0 +1,136 @@
+"""Hooks of the documentation site: pages made of code, and links that leave docs/.
+
+`mkdocs build` calls the functions on_...; docs/site/tutorials.py runs the tutorials.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+sys.path.insert(0, str(HERE))
+
+import tutorials  # noqa: E402
+
+PROJECT = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "KNOWN_GAPS.md", "benchmarks/RESULTS.md")
+FIRST = {
+    "Start": ["index.md", "which.md", "glossary.md", "faq.md"],
+    "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
+    "Proof and speed": ["certificate.md", "rates.md"],
+    "Logs": ["identify.md", "watch.md", "filters.md"],
+    "Studies": ["simulation.md", "ensemble.md", "tune.md", "arena.md", "robots.md"],
+    "Elsewhere": ["export.md", "security.md"],
+    "Reference": ["scenario.md", "decisions.md"],
+}
+LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Order the pages."""
+    methods = sorted(path.name for path in (ROOT / "docs/methods").glob("*.md"))
+    nav: list[Any] = [{title: list(pages)} for title, pages in FIRST.items()]
+    nav[0]["Start"].insert(1, {"Tutorials": [f"tutorials/{name}.md" for name in tutorials.NAMES]})
+    nav[-1]["Reference"].insert(0, "api.md")
+    nav.append({"Methods": ["methods/index.md", *(f"methods/{name}" for name in methods)]})
+    nav.append({"Project": [project_page(path) for path in PROJECT]})
+    config.nav = nav
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made of code, and the project's own."""
+    for path in PROJECT:
+        add(files, config, project_page(path), (ROOT / path).read_text(encoding="utf-8"))
+    add(files, config, "api.md", reference())
+    add(files, config, "methods/index.md", methods_page())
+    for name, content in tutorials.pages(ROOT / "docs/tutorials").items():
+        add(files, config, f"tutorials/{name}", content)
+    for path in sorted((HERE / "assets").rglob("*")):
+        if path.is_file():
+            where = f"assets/{path.relative_to(HERE / 'assets').as_posix()}"
+            add(files, config, where, path.read_bytes())
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Let links to files outside of docs/ lead to their pages or copies."""
+    source = source_of(page.file.src_uri)
+
+    def led(match: re.Match[str]) -> str:
+        before, target, anchor, after = match.groups()
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
+        where = page_of(path, files, config)
+        if where is None:
+            return match[0]
+        relative = posixpath.relpath(where, posixpath.dirname(page.file.src_uri) or ".")
+        return f"{before}{relative}{anchor or ''}{after}"
+
+    return LINK.sub(led, markdown)
+
+
+def project_page(path: str) -> str:
+    """Where a page of the project stands on the site."""
+    return f"project/{posixpath.basename(path)}"
+
+
+def source_of(uri: str) -> str:
+    """The path in the repository of a page of the site."""
+    for path in PROJECT:
+        if uri == project_page(path):
+            return path
+    return f"docs/{uri}"
+
+
+def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
+    """Where a path of the repository stands on the site; None for what stands there already."""
+    if path in PROJECT:
+        return project_page(path)
+    if path == "docs/methods":
+        return "methods/index.md"
+    if path.startswith("docs/"):
+        return path.removeprefix("docs/")
+    file = ROOT / path
+    if not file.is_file():
+        return None
+    uri = f"files/{path}"
+    if files.get_file_from_path(uri) is None:
+        add(files, config, uri, file.read_bytes())
+    return uri
+
+
+def add(files: Files, config: MkDocsConfig, uri: str, content: str | bytes) -> None:
+    """Add a file to the site."""
+    files.append(File.generated(config, uri, content=content))
+
+
+def reference() -> str:
+    """The page of the public names, by the room that they come from."""
+    stub = (ROOT / "src/undeadzone/__init__.pyi").read_text(encoding="utf-8")
+    rooms: dict[str, list[str]] = {}
+    for module, name in re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M):
+        source, _, target = f"undeadzone.{module}", None, name
+        rooms.setdefault(module.split(".")[0], []).append(f"::: {source}.{target}")
+    parts = ["# API", "Everything here is `uz.NAME` after `import undeadzone as uz`."]
+    for room in sorted(rooms):
+        parts += [f"## {room}", *sorted(rooms[room], key=str.lower)]
+    return "\n\n".join(parts) + "\n"
+
+
+def methods_page() -> str:
+    """The list of observers and controllers, with the first sentence of each page."""
+    rows = ["# Methods", "One page for each observer and controller.", ""]
+    for path in sorted((ROOT / "docs/methods").glob("*.md")):
+        text = path.read_text(encoding="utf-8").split("\n", 2)[2]
+        first = " ".join(text.strip().split("\n\n")[0].split())
+        sentence = re.split(r"(?<=[.:])\s", first)[0].rstrip(":")
+        rows.append(f"- [{path.stem}]({path.name}): {sentence}")
+    return "\n".join(rows) + "\n"

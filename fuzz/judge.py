@@ -1,0 +1,66 @@
+"""What an input may lead to: a result, or one line that says what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+
+from fuzz.case import Case, End
+
+NOT_A_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
+LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
+
+
+def complaint(case: Case, end: End) -> str:
+    """What is wrong with an end; empty if nothing is."""
+    if end.native:
+        return "a library wrote past Python"
+    if end.code not in (0, 1, 2):
+        return f"exit code {end.code}"
+    if "Traceback" in end.err or "Warning" in end.err:
+        return "a traceback or a warning"
+    if end.code == 2:
+        return _of_refusal(case, end)
+    return "" if case.command is None else _of_result(case.command, end)
+
+
+def _of_refusal(case: Case, end: End) -> str:
+    """What is wrong with a refusal."""
+    lines = end.err.splitlines()
+    if len(lines) != 1:
+        return f"a refusal of {len(lines)} lines"
+    if not lines[0].startswith("undeadzone"):
+        return "a refusal without its head"
+    return _controls(lines[0])
+
+
+def _of_result(command: Sequence[str], end: End) -> str:
+    """What is wrong with a result."""
+    streaming = any(word in command for word in LOGS)
+    if end.err and not streaming:
+        return "words on stderr beside a result"
+    if "--json" in command and "--help" not in command:
+        return _of_json(end.out, "watch" in command)
+    if end.code == 0 and not streaming and NOT_A_NUMBER.search(end.out):
+        return "success with NaN"
+    return _controls(end.out.replace("\n", ""))
+
+
+def _of_json(text: str, lines: bool) -> str:
+    """What is wrong with JSON."""
+
+    def refuse(constant: str) -> None:
+        raise ValueError(constant)
+
+    try:
+        for part in text.splitlines() if lines else [text]:
+            json.loads(part, parse_constant=refuse)
+    except ValueError:
+        return "no JSON"
+    return ""
+
+
+def _controls(text: str) -> str:
+    """Whether a text could steer a terminal."""
+    return "" if text.isprintable() else "control characters"

@@ -1,0 +1,72 @@
+"""Which test runs which line, and at what cost: noted once by coverage.py.
+
+As a plug-in of pytest this file notes the cost of each test.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+COSTS = "MUTANTS_COSTS"  # environment: the file of costs
+
+
+class Covering(NamedTuple):
+    """The map.
+
+    Attributes:
+        lines: of each file, of each line, the tests that run it.
+        costs: of each test [s] of processor time.
+    """
+
+    lines: dict[str, dict[int, list[str]]]
+    costs: dict[str, float]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Note what a test costs."""
+    began = time.process_time()
+    result = yield
+    if COSTS in os.environ:
+        with open(os.environ[COSTS], "a", encoding="utf-8") as file:
+            file.write(json.dumps([item.nodeid, time.process_time() - began]) + "\n")
+    return result
+
+
+def noted(root: Path, folder: Path, tests: list[str]) -> None:
+    """Run tests and note what they cover; what was noted of others stays."""
+    folder.mkdir(parents=True, exist_ok=True)
+    environment = os.environ | {COSTS: str(folder / "costs"), "COVERAGE_FILE": str(folder / "data")}
+    words = ["--cov=undeadzone", "--cov-context=test", "--cov-append", "--cov-report="]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "mutants.covering", *words, *tests]
+    subprocess.run(command, cwd=root, env=environment, check=True)
+
+
+def read(package: Path, folder: Path) -> Covering:
+    """What was noted."""
+    import coverage
+
+    costs: dict[str, float] = {}
+    for text in (folder / "costs").read_text(encoding="utf-8").splitlines():
+        test, cost = json.loads(text)
+        costs[test] = cost
+    lines: dict[str, dict[int, list[str]]] = {}
+    data: Any = coverage.CoverageData(str(folder / "data"))
+    data.read()
+    for measured in data.measured_files():
+        _, _, file = measured.rpartition(f"/{package.name}/")
+        by_line = {}
+        for line, contexts in data.contexts_by_lineno(measured).items():
+            names = {context.rpartition("|")[0] for context in contexts}
+            by_line[line] = sorted(name for name in names if name in costs)
+        lines[file] = by_line
+    return Covering(lines, costs)

@@ -1,0 +1,138 @@
+"""One mutant in a process of its own, forked from one that has imported everything.
+
+The functions of the package that runs get the code of the mutant's: so nothing is imported again.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import os
+import resource
+import signal
+import sys
+import time
+import types
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+PATIENCE: Final = 3.0  # times the usual cost, after which a mutant counts as noticed
+CLOCK: Final = 600.0  # [s] after which a process that sleeps is ended
+
+
+def preload(root: Path, tests: Iterable[str]) -> None:
+    """Import the package and files of tests, so that every mutant starts with them.
+
+    Args:
+        root: of the repository.
+        tests: files, relative to it.
+    """
+    sys.path[:0] = [str(root / "tests"), str(root)]
+    source = root / "src"
+    for path in sorted((source / "undeadzone").rglob("*.py")):
+        if path.name not in ("__init__.py", "__main__.py"):
+            importlib.import_module(".".join(path.relative_to(source).with_suffix("").parts))
+    for test in sorted(tests):
+        importlib.import_module(Path(test).stem)
+
+
+def noticed(
+    package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost: float
+) -> tuple[bool, str]:
+    """Whether tests notice a mutant, and how.
+
+    Args:
+        package: the package's folder.
+        file: that is changed, relative to it.
+        tree: the file, changed.
+        tests: to be run, by their ids.
+        cost: of them, usually [s].
+    """
+    pid = os.fork()
+    if not pid:
+        os._exit(_run(package, file, tree, tests, cost))
+    until = time.monotonic() + CLOCK
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            break
+        if time.monotonic() > until:
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.02)
+    if os.WIFSIGNALED(status):
+        return True, f"signal {os.WTERMSIG(status)}"
+    code = os.WEXITSTATUS(status)
+    return code != 0, {0: "", 1: "a test"}.get(code, f"code {code}")
+
+
+def _run(package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost: float) -> int:
+    """Run the tests in this process; pytest's exit code."""
+    try:
+        import pytest
+
+        limit = int(PATIENCE * cost + 15 + time.process_time())
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
+        null = os.open(os.devnull, os.O_RDWR)
+        for number in (0, 1, 2):
+            os.dup2(null, number)
+        name = ".".join([package.name, *Path(file).with_suffix("").parts])
+        plant(sys.modules[name], tree)
+        options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov"]
+        return int(pytest.main([*options, *tests]))
+    except BaseException:
+        return 30
+
+
+def plant(module: Any, tree: ast.Module) -> None:
+    """Give a module's functions, classes and constants what a changed tree says."""
+    fresh = types.ModuleType(module.__name__)
+    fresh.__file__, fresh.__package__ = module.__file__, module.__package__
+    sys.modules[module.__name__] = fresh  # dataclasses and annotations look it up there
+    try:
+        exec(compile(tree, str(module.__file__), "exec"), fresh.__dict__)
+    finally:
+        sys.modules[module.__name__] = module
+    for name, new in list(vars(fresh).items()):
+        old = vars(module).get(name)
+        if name.startswith("__") or old is None:
+            continue
+        if isinstance(new, type):
+            if new.__module__ == module.__name__:
+                _swap_class(old, new)
+        elif not _swap(old, new):
+            _rebind(name, old, new)
+
+
+def _swap_class(old: Any, new: Any) -> None:
+    """Give the methods of a class the code of another's."""
+    for name, value in list(vars(new).items()):
+        before = vars(old).get(name)
+        if isinstance(value, property) and isinstance(before, property):
+            _swap(before.fget, value.fget)
+        elif before is not None:
+            _swap(before, value)
+
+
+def _swap(old: Any, new: Any) -> bool:
+    """Give a function the code of another one; whether it is a function of its module."""
+    while isinstance(new, (staticmethod, classmethod, functools.cached_property)):
+        inner = "func" if isinstance(new, functools.cached_property) else "__func__"
+        old, new = getattr(old, inner), getattr(new, inner)
+    while hasattr(new, "__wrapped__"):
+        old, new = old.__wrapped__, new.__wrapped__
+    if not isinstance(new, types.FunctionType):
+        return callable(new) or isinstance(new, types.ModuleType)
+    if old.__code__.co_filename == new.__code__.co_filename:
+        old.__code__ = new.__code__
+        old.__defaults__, old.__kwdefaults__ = new.__defaults__, new.__kwdefaults__
+    return True
+
+
+def _rebind(name: str, old: Any, new: Any) -> None:
+    """Put a constant in the place of another one, wherever it was imported."""
+    for module in list(sys.modules.values()):
+        own = getattr(module, "__dict__", {})
+        if getattr(module, "__name__", "").startswith("undeadzone") and own.get(name) is old:
+            own[name] = new

@@ -1,0 +1,234 @@
+"""A linear controller of one's own on the estimated output: state space or transfer function."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
+
+HELD = 1e-9  # relative difference of two sample times that are the same
+
+
+class LinearController(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="linear",
+):
+    """x_c' = A x_c + B e, u = C x_c + D e with e = r - z^, designed with any other tool.
+
+    z^ is the observer's estimate of the hidden output. Give A, B, C, D, or numerator and
+    denominator (one output and one input), or in Python the object itself:
+    `LinearController(control.ss(...))`, `LinearController(control.tf(...))`, and those of scipy.
+    A continuous controller in a sampled loop is discretised by Tustin's rule.
+
+    Attributes:
+        A: (k x k) [1/s]; in Python also a system of scipy or python-control, for all of them.
+        B: (k x p).
+        C: (m x k).
+        D: (m x p); default 0.
+        numerator, denominator: of the transfer function from e to u, highest power first.
+        Ts: sample time of a controller in discrete time [s]; default: continuous time.
+        feedforward: whether u_ff, which makes the model follow r exactly, is added.
+    """
+
+    A: Array | None = None
+    B: Array | None = None
+    C: Array | None = None
+    D: Array | None = None
+    numerator: Array | None = None
+    denominator: Array | None = None
+    Ts: float | None = None
+    feedforward: bool = False
+
+    def __post_init__(self) -> None:
+        """Take the numbers out of a system of another package. Raises InputError."""
+        if hasattr(self.A, "to_ss") or hasattr(self.A, "dt"):
+            _unpack(self, self.A)
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model with as many inputs as outputs.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
+        require_square("linear", model)
+        numbers = self._numbers(model)
+        params = self._in_time_of(model, numbers)
+
+        def init(p: Params) -> State:
+            return State(np.zeros(params.A.shape[0]))
+
+        def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            e = target.r - tracked_output("linear", estimate, target)
+            u = p.C @ s.x + p.D @ e
+            if self.feedforward:
+                u = u + target.u_ff
+            return State(p.A @ s.x + p.B @ e), u
+
+        return Controller(params, init, step, rate=_fastest(numbers.A, self.Ts))
+
+    def _numbers(self, model: System) -> Params:
+        """A, B, C, D as they stand. Raises InputError, ShapeError."""
+        by_matrices = [name for name in "ABCD" if getattr(self, name) is not None]
+        by_function = self.numerator is not None or self.denominator is not None
+        if by_function and by_matrices:
+            raise InputError(
+                "controller: 'linear' needs A, B, C, D or numerator and denominator, not both; "
+                f"found {', '.join(by_matrices)} and a transfer function"
+            )
+        if by_function:
+            return self._realised()
+        m, p = model.m, model.p
+        D: Floats = np.zeros((m, p))
+        if self.D is not None:
+            D = matrix("controller.D", self.D, m, p, "inputs x outputs")
+        if self.A is None and self.B is None and self.C is None:
+            return self._static(D, p)
+        absent = [name for name in "ABC" if getattr(self, name) is None]
+        if absent:
+            raise InputError(f"controller.{absent[0]}: 'linear' needs A, B and C together")
+        A = matrix("controller.A", self.A)
+        k = A.shape[0]
+        A = matrix("controller.A", A, k, k, "square")
+        B = matrix("controller.B", self.B, k, p, "controller's states x outputs")
+        C = matrix("controller.C", self.C, m, k, "inputs x controller's states")
+        return Params(A, B, C, D)
+
+    def _static(self, D: Floats, p: int) -> Params:
+        """A gain alone. Raises InputError where not even that is there."""
+        if self.D is None:
+            raise InputError(
+                "controller: 'linear' needs A, B, C and D, or numerator and denominator, or D alone"
+            )
+        return Params(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((D.shape[0], 0)), D)
+
+    def _realised(self) -> Params:
+        """A realisation of the transfer function. Raises InputError."""
+        from scipy.signal import tf2ss
+
+        if self.numerator is None or self.denominator is None:
+            absent = "numerator" if self.numerator is None else "denominator"
+            raise InputError(f"controller.{absent}: 'linear' needs numerator and denominator")
+        numerator = np.trim_zeros(np.atleast_1d(array("controller.numerator", self.numerator)), "f")
+        denominator = np.atleast_1d(array("controller.denominator", self.denominator))
+        denominator = np.trim_zeros(denominator, "f")
+        if numerator.ndim != 1 or denominator.ndim != 1:
+            raise InputError("controller.numerator: expected one list of coefficients")
+        if denominator.size == 0 or numerator.size > denominator.size:
+            raise InputError(
+                "controller.denominator: must be of the numerator's order or above, which is "
+                f"{max(numerator.size - 1, 0)}, found order {denominator.size - 1}; add a filter"
+            )
+        if numerator.size == 0:
+            numerator = np.zeros(1)
+        if denominator.size == 1:
+            return self._static_gain(float(numerator[0] / denominator[0]))
+        return Params(*(np.asarray(part, float) for part in tf2ss(numerator, denominator)))
+
+    def _static_gain(self, gain: float) -> Params:
+        """A transfer function of order 0."""
+        return Params(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[gain]]))
+
+    def _in_time_of(self, model: System, numbers: Params) -> Params:
+        """The numbers in the time of the model. Raises InputError, ShapeError."""
+        if numbers.D.shape != (model.m, model.p):
+            raise InputError(
+                "controller.numerator: a transfer function is for a plant of one input and one "
+                f"output, the plant has {model.m} and {model.p}; use A, B, C, D"
+            )
+        if self.Ts is None:
+            return numbers if model.Ts is None else _tustin(numbers, model.Ts)
+        Ts = scalar("controller.Ts", self.Ts, above=0.0)
+        if model.Ts is None:
+            raise InputError(
+                "controller.Ts: a controller in discrete time needs simulation.time = "
+                f'"sampled" and simulation.step = {Ts:g}'
+            )
+        if abs(Ts - model.Ts) > HELD * model.Ts:
+            raise InputError(
+                f"controller.Ts: must be simulation.step, {model.Ts:g} s, found {Ts:g} s"
+            )
+        return numbers
+
+
+class Params(NamedTuple):
+    """Numbers of the controller.
+
+    Attributes:
+        A: (k x k) [1/s], per step when sampled.
+        B: (k x p).
+        C: (m x k).
+        D: (m x p).
+    """
+
+    A: Floats
+    B: Floats
+    C: Floats
+    D: Floats
+
+
+class State(NamedTuple):
+    """The controller's state (k)."""
+
+    x: Any
+
+
+def _unpack(options: LinearController, system: Any) -> None:
+    """Put a system's numbers in the place of the system. Raises InputError."""
+    space = system.to_ss() if hasattr(system, "to_ss") else system
+    if not hasattr(space, "A"):
+        space = _state_space(space)
+    for name in "ABCD":
+        numbers = np.atleast_2d(np.asarray(getattr(space, name), float))
+        msgspec.structs.force_setattr(options, name, numbers if numbers.size else None)
+    dt = getattr(system, "dt", None)
+    if dt is True:
+        raise InputError("controller: the system is in discrete time without a sample time; set it")
+    if dt:
+        msgspec.structs.force_setattr(options, "Ts", float(dt))
+
+
+def _state_space(system: Any) -> Any:
+    """The state space of a transfer function of python-control."""
+    import control
+
+    return control.ss(system)
+
+
+def _tustin(numbers: Params, Ts: float) -> Params:
+    """A continuous controller by the bilinear rule s = 2/Ts (z - 1)/(z + 1).
+
+    Raises InputError where it has a pole at 2/Ts.
+    """
+    A, B, C, D = numbers
+    identity = np.eye(A.shape[0])
+    implicit = identity - Ts / 2 * A
+    if A.size and np.linalg.cond(implicit) > 1 / np.finfo(float).eps:
+        raise InputError(
+            f"controller.A: has a pole at 2 / simulation.step = {2 / Ts:g} 1/s; use a smaller step"
+        )
+    forward = np.linalg.solve(implicit, identity + Ts / 2 * A)
+    driven = np.linalg.solve(implicit, Ts * B)
+    seen = (C @ np.linalg.inv(implicit)) if A.size else C
+    return Params(forward, driven, seen, D + seen @ (Ts / 2 * B))
+
+
+def _fastest(A: Floats, Ts: float | None) -> float | None:
+    """The largest |pole| of a continuous controller [1/s]; None without one."""
+    if Ts is not None or A.size == 0:
+        return None
+    return float(np.abs(np.linalg.eigvals(A)).max()) or None

@@ -1,0 +1,113 @@
+"""Linear-quadratic feedback on the estimate, with an integral of the control error where wanted."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.controllers.parts.tracked_error import tracked_output
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import riccati, weight
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats
+
+
+class LQG(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="lqg",
+):
+    """u = u_ff - K (x^ - x_ref) - K_i int (z^ - r), of least quadratic cost.
+
+    With a filter as observer this is the linear-quadratic-Gaussian servo (Anderson and Moore,
+    Optimal Control: Linear Quadratic Methods, 1990): the filter is built for the noise, these
+    gains for the cost, each alone. The gains are constant, for the model or its linearisation.
+
+    Attributes:
+        Q: weight of the states, a number, one per state, or a matrix.
+        R: weight of the inputs, a number, one per input, or a matrix.
+        integral: weight of the integral of z^ - r, a number, one per output, or a matrix; default:
+            no integral. It takes away what a constant disturbance leaves.
+    """
+
+    Q: Array = 1.0
+    R: Array = 1.0
+    integral: Array | None = None
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model, continuous or sampled.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+            StructureError: for a model on which the gains do not exist.
+        """
+        Q = weight("controller.Q", self.Q, model.n)
+        R = weight("controller.R", self.R, model.m, "inputs x inputs")
+        if self.integral is None:
+            K = riccati(model.linear, Q, R, model.Ts).K
+            return Controller(K, lambda p: None, _feedback, K=K)
+        params = self._servo(model, Q, R)
+        keep = 0.0 if model.Ts is None else 1.0
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.p))
+
+        def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            error = tracked_output("lqg", estimate, target) - target.r
+            _, u = _feedback(p.K, None, estimate, target)
+            return State(keep * s.integral + p.grown * error), u - p.K_i @ s.integral
+
+        return Controller(params, init, step, K=params.K)
+
+    def _servo(self, model: System, Q: Floats, R: Floats) -> Params:
+        """The gains of states and integrals together. Raises InputError, StructureError."""
+        if model.p > model.m:
+            raise InputError(
+                "controller.integral: needs as many inputs as outputs at least, the plant has "
+                f"{model.m} and {model.p}"
+            )
+        n, p = model.n, model.p
+        assert self.integral is not None
+        of_integrals = weight("controller.integral", self.integral, p, "outputs x outputs")
+        A, B, C = model.linear
+        grown = 1.0 if model.Ts is None else model.Ts
+        keep = np.zeros((p, p)) if model.Ts is None else np.eye(p)
+        both = Matrices(
+            np.block([[A, np.zeros((n, p))], [grown * C, keep]]),
+            np.vstack([B, np.zeros((p, model.m))]),
+            np.hstack([C, np.zeros((p, p))]),
+        )
+        weights = np.block([[Q, np.zeros((n, p))], [np.zeros((p, n)), of_integrals]])
+        K = riccati(both, weights, R, model.Ts).K
+        return Params(K[:, :n], K[:, n:], np.float64(grown))
+
+
+class Params(NamedTuple):
+    """Gains of the states (m x n) and of the integrals (m x p), and what a step adds to these."""
+
+    K: Floats
+    K_i: Floats
+    grown: Any
+
+
+class State(NamedTuple):
+    """The integral of z^ - r (p) [z s]."""
+
+    integral: Any
+
+
+def _feedback(K: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+    """The law without an integral."""
+    return s, target.u_ff - K @ (estimate.x - target.x_ref)

@@ -1,0 +1,160 @@
+"""PID on the estimated output: two degrees of freedom, filtered derivative, anti-windup."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, matrix, nonnegative, positive, vector
+
+
+class PID(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="pid",
+):
+    """u = k_p (b r - z^) + k_i int (r - z^) + k_d d/dt (c r - z^), the derivative filtered.
+
+    z^ is the observer's estimate of the hidden output, so that the loop acts inside the dead zone
+    too. Input i acts on output i. Where `limits` cut u off, the integral follows what is left by
+    back-calculation (Astrom and Hagglund, Advanced PID Control, 2006).
+
+    Attributes:
+        k_p, k_i, k_d: gains, one or one per output [u/z, u/(z s), u s/z]; default of k_i and k_d 0.
+        filter_time: time constant of the filter of the derivative [s].
+        reference_weights: [b, c], shares of r in the proportional and the derivative term.
+        limits: [least u, largest u], or one such pair per input; default none.
+        tracking_time: time constant of the anti-windup [s]; default sqrt(k_d / k_i), or k_p / k_i
+            where there is no k_d.
+        feedforward: whether u_ff, which makes the model follow r exactly, is added.
+    """
+
+    k_p: Array
+    k_i: Array = 0.0
+    k_d: Array = 0.0
+    filter_time: Array = 0.01
+    reference_weights: Array = (1.0, 0.0)
+    limits: Array | None = None
+    tracking_time: Array | None = None
+    feedforward: bool = False
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model with as many inputs as outputs.
+
+        Args:
+            model: the model that it computes with.
+
+        Raises:
+            InputError: for an option that it cannot take, or a model that it is not for.
+            ShapeError: for an option of another shape.
+        """
+        require_square("pid", model)
+        params = self._params(model)
+        limited = self.limits is not None
+        keep = 0.0 if model.Ts is None else 1.0
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.p), np.zeros(model.p))
+
+        def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            z = tracked_output("pid", estimate, target)
+            lag = p.c * target.r - z - s.filtered
+            wanted = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
+            if self.feedforward:
+                wanted = wanted + target.u_ff
+            u = wanted
+            if limited:
+                u = ca.fmax(ca.fmin(wanted, p.high), p.low)
+            growth = p.k_i * (target.r - z) + p.unwind * (u - wanted)
+            filtered = keep * s.filtered + p.rate * lag
+            return State(filtered, keep * s.integral + growth), u
+
+        fastest = float(1.0 / params.tau.min()) if params.k_d.any() else None
+        return Controller(params, init, step, rate=fastest)
+
+    def _params(self, model: System) -> Params:
+        """The controller's numbers. Raises InputError, ShapeError."""
+        each = "one per output"
+        k_p = vector("controller.k_p", self.k_p, model.p, each)
+        k_i = vector("controller.k_i", self.k_i, model.p, each)
+        k_d = vector("controller.k_d", self.k_d, model.p, each)
+        tau = positive("controller.filter_time", self.filter_time, model.p, each)
+        b, c = nonnegative("controller.reference_weights", self.reference_weights, 2, "b and c")
+        low, high = self._limits(model.m)
+        tracking = self._tracking_time(k_p, k_i, k_d)
+        if model.Ts is None:
+            rate, unwind, per_step = 1.0 / tau, 1.0 / tracking, 1.0
+        else:
+            per_step = model.Ts
+            rate = -np.expm1(-per_step / tau)
+            unwind = np.minimum(per_step / tracking, 1.0)
+        unwind = np.where(k_i == 0, 0.0, unwind)
+        weights = np.float64(b), np.float64(c)
+        return Params(k_p, k_i * per_step, k_d, tau, rate, *weights, low, high, unwind)
+
+    def _limits(self, m: int) -> tuple[Floats, Floats]:
+        """The least and the largest input (m each). Raises InputError, ShapeError."""
+        if self.limits is None:
+            return np.zeros(m), np.zeros(m)
+        pairs = np.atleast_2d(self.limits)
+        if len(pairs) == 1:
+            pairs = np.repeat(pairs, m, axis=0)
+        pairs = matrix("controller.limits", pairs, m, 2, "least and largest u of each input")
+        low, high = pairs.T
+        if (low >= high).any():
+            raise InputError(
+                "controller.limits: expected [least, largest] with least < largest, found "
+                f"{pairs.tolist()}"
+            )
+        return low, high
+
+    def _tracking_time(self, k_p: Floats, k_i: Floats, k_d: Floats) -> Floats:
+        """Time constants of the anti-windup (p) [s]; 1 where nothing is integrated."""
+        if self.tracking_time is not None:
+            return positive("controller.tracking_time", self.tracking_time, k_p.size)
+        integral = np.where(k_i == 0, 1.0, np.abs(k_i))
+        with_derivative = np.sqrt(np.abs(k_d) / integral)
+        times = np.where(k_d != 0, with_derivative, np.abs(k_p) / integral)
+        return np.where((k_i == 0) | (times == 0), 1.0, times)
+
+
+class Params(NamedTuple):
+    """Numbers of the controller.
+
+    Attributes:
+        k_p, k_i, k_d: gains (p); k_i per step when sampled.
+        tau: time constants of the filter (p) [s].
+        rate: rates of the filter (p) [1/s], per step when sampled.
+        b, c: weights of the reference.
+        low, high: limits of u (m).
+        unwind: rates of the anti-windup (p) [1/s], per step when sampled.
+    """
+
+    k_p: Floats
+    k_i: Floats
+    k_d: Floats
+    tau: Floats
+    rate: Floats
+    b: Any
+    c: Any
+    low: Floats
+    high: Floats
+    unwind: Floats
+
+
+class State(NamedTuple):
+    """The filtered c r - z^ (p) and the integral term (p)."""
+
+    filtered: Any
+    integral: Any

@@ -1,0 +1,125 @@
+"""An ensemble in words: shares, quantiles, what decides, the worst runs."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from undeadzone.ensemble.info import Info, unit_of_column
+from undeadzone.simulation.run import LAST
+from undeadzone.support.shown import Block
+from undeadzone.support.text import label
+
+METRICS: Final = {
+    "rms_tracking": "rms z - r, last 2 s",
+    "rms_estimation": "rms z - z^, last 2 s",
+    "rms_tip": "rms distance of the tip from its path, last 2 s",
+    "d_error": "largest |d^ - d|, at the end",
+    "settling_time": "settling time",
+    "peak_tracking": "peak |z - r|",
+    "rms_input": "rms u",
+    "silent_fraction": "share of silent samples",
+}
+SHOWN: Final = 5  # worst runs, and entries that decide
+
+
+def in_words(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
+    """What an ensemble came to, as blocks of text and tables.
+
+    Args:
+        info: of the ensemble.
+        summary: of the ensemble.
+        diverged: how many runs did.
+    """
+    sampling = info.sampling.replace("_", " ")
+    blocks: list[Block] = [
+        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, "
+        f"{sampling} sampling, seed {info.seed}",
+        _shares(info, summary, diverged),
+    ]
+    if summary["metrics"]:
+        blocks.append(_quantiles(info, summary["metrics"]))
+    if summary["sensitivities"]:
+        entries = list(summary["sensitivities"].items())[:SHOWN]
+        heads = ("what decides rms z - r", "rank correlation", "share of the variance")
+        blocks.append([heads, *(_decides(name, entry) for name, entry in entries)])
+    return blocks
+
+
+def _shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str, str]:
+    """The shares of runs that settle and that diverge."""
+    diverged = summary["diverged"]
+    lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
+    which = ""
+    if diverged["runs"]:
+        runs = _listed(diverged["runs"], lost)
+        which = f": {runs}; left out of what follows"
+    return {
+        "settled": (
+            f"{_share(summary['settled'])}: |z - r| within {100 * info.tolerance:g} % of the "
+            f"largest |r| {lasts}"
+        ),
+        "diverged": f"{_share(diverged)}{which}",
+    }
+
+
+def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
+    """The table of quantiles of each metric."""
+    rows: list[tuple[str, ...]] = [
+        ("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below")
+    ]
+    for key, name in METRICS.items():
+        if key in metrics:
+            quantiles = [_interval(metrics[key][column]) for column in ("median", "p95", "p99")]
+            rows.append((label(name, unit_of_column(key, info.units)), *quantiles))
+    return rows
+
+
+def _listed(runs: list[int], total: int) -> str:
+    """The first runs of a list."""
+    names = ", ".join(map(str, runs[:SHOWN]))
+    return f"run{'s' * (total > 1)} {names}{', ...' * (total > SHOWN)}"
+
+
+def _share(share: dict[str, Any]) -> str:
+    """A share and its interval in percent; one end of which is left out at 0 % and at 100 %."""
+    value, low, high = (f"{100 * share[key]:.3g} %" for key in ("value", "low", "high"))
+    if share["value"] <= 0:
+        return _within(value, None, high if share["value"] < 1 else None)
+    return _within(value, low, high if share["value"] < 1 else None)
+
+
+def _interval(metric: dict[str, Any]) -> str:
+    """A metric and its interval; a settling time without a bound is one that is never over."""
+    low, high = _number(metric["low"]), _number(metric["high"])
+    if metric["value"] is not None:
+        return _within(f"{metric['value']:.4g}", low, high)
+    return "never settles" if low is None else f"never settles (or after {low})"
+
+
+def _number(value: float | None) -> str | None:
+    """A number to four digits; None where there is none."""
+    return None if value is None else f"{value:.4g}"
+
+
+def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
+    """What an entry decides: its rank correlation, and its share of the variance."""
+    share = entry["total_order"] or entry["first_order"]
+    chance = entry["floor"] is not None and share["value"] < entry["floor"]
+    rank = _in_hundredths(entry["spearman"])
+    return name, rank, "may be chance" if chance else _in_hundredths(share)
+
+
+def _in_hundredths(value: dict[str, float]) -> str:
+    """A value and its interval, with two decimals."""
+    return _within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))
+
+
+def _within(value: str, low: str | None, high: str | None) -> str:
+    """A value and its interval, an end of which may be unknown."""
+    if low is None and high is None:
+        return value
+    if high is None:
+        return f"{value} ({low} or more)"
+    if low is None:
+        return f"{value} ({high} or less)"
+    return value if value == low == high else f"{value} ({low} to {high})"

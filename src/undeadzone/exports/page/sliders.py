@@ -1,0 +1,162 @@
+"""What the page's sliders change: each moves the numbers that its key of the scenario moves.
+
+A number of the loop may depend on one slider only, by a polynomial of degree two. That is found by
+building the scenario with other values of the key, and checked at the scenario's own.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from undeadzone.exports.page.slider import Range, Slider, nice, slider_of
+from undeadzone.exports.page.variation import varied
+from undeadzone.scenario.problem import Problem
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import Sine, Sines, Step
+from undeadzone.simulation.loop import Loop
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+RESOLVED = 40  # steps of the run in a period, at least
+
+
+def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
+    """The sliders of a scenario.
+
+    Args:
+        problem: the checked parts of the scenario.
+        loop: its closed loop.
+        sizes: largest |z| that the reference asks for (p) [z].
+    """
+    scenario = problem.scenario
+    made = _edges(problem, loop, sizes)
+    made += _motion(problem, loop)
+    made += _learning(problem, loop)
+    if np.ptp(problem.sensor.noise) == 0:
+        noise = float(problem.sensor.noise[0])
+        most = nice(max(4 * noise, 0.05 * float(sizes.max())))
+        wanted = Range("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
+        made += varied(problem, loop, wanted, _with_noise)
+    made += _mismatch(problem, loop)
+    return _apart(made)
+
+
+def _unit(scenario: Scenario) -> str:
+    """The unit of the outputs, as the page shows it."""
+    return "" if scenario.units.output == "1" else scenario.units.output
+
+
+def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
+    """A slider for each edge of each output."""
+    made = []
+    limit = problem.observer.traits.width_max
+    widest = np.maximum(problem.sensor.right, problem.sensor.left)
+    for output in range(problem.plant.p):
+        for side in ("right", "left"):
+            several = problem.plant.p > 1
+            number = str(output + 1) if several else ""
+            of = f" of output {number}" if several else ""
+            width = float(getattr(problem.sensor, side)[output])
+            most = nice(float(max(2 * widest[output], sizes[output] / 2)))
+            if limit is not None:
+                most = min(most, float(limit[output]))
+            place = _place(loop, f"sensor.{side}[{output}]")
+            wanted = Range(
+                side + number, f"{side} edge{of}", _unit(problem.scenario), width, 0.0, most
+            )
+            made.append(slider_of(wanted, [(place, 1.0, 0.0)]))
+    return made
+
+
+def _motion(problem: Problem, loop: Loop) -> list[Slider]:
+    """The sliders of the reference's size and speed."""
+    if problem.model.nonlinear:  # its target does not scale
+        return []
+    signal, unit = problem.scenario.reference, _unit(problem.scenario)
+    size, size_unit = 1.0, "×"
+    speed, speed_unit = 1.0, "×"
+    if isinstance(signal, Sine):
+        speed, speed_unit = signal.frequency, "Hz"
+        if np.size(signal.amplitude) == 1 and not np.any(signal.offset):
+            size, size_unit = abs(float(np.ravel(signal.amplitude)[0])), unit
+    place = _place(loop, "scale.reference")
+    wanted = Range("size", "size of the motion", size_unit, size, 0.0, nice(2 * size))
+    made = [slider_of(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
+    if isinstance(signal, Step) or problem.model.m != len(problem.tracked):
+        return made
+    fastest = speed * _fastest(problem)
+    least, most = speed / 4, min(nice(2.5 * speed), fastest)
+    if most > speed:
+        wanted = Range("speed", "speed of the motion", speed_unit, speed, least, most)
+        made.append(slider_of(wanted, []))
+    return made
+
+
+def _fastest(problem: Problem) -> float:
+    """How much faster the reference may become before a step no longer resolves it."""
+    signal = problem.scenario.reference
+    step = problem.scenario.simulation.step
+    if isinstance(signal, Sine):
+        return 1 / (RESOLVED * step * signal.frequency)
+    if isinstance(signal, Sines):
+        highest = max(tone.frequency for tone in signal.components)
+        return 1 / (RESOLVED * step * highest)
+    period = problem.reference.period
+    return 1.0 if period is None else period / (4 * RESOLVED * step)
+
+
+def _learning(problem: Problem, loop: Loop) -> list[Slider]:
+    """The slider of the observer's gain of adaptation, if it has one and takes it as a number."""
+    options, traits = problem.scenario.observer, problem.observer.traits
+    gamma = getattr(options, "gamma", None)
+    if gamma is None and hasattr(options, "gamma") and traits.gamma is not None:
+        gamma = traits.gamma / (problem.model.Ts or 1.0)
+    if gamma is None or not np.any(gamma) or getattr(options, "design", None) is not None:
+        return []
+    base = np.asarray(gamma, float)
+    own, unit = 1.0, "×"
+    if np.ptp(base) == 0:
+        own, unit = float(base.flat[0]), "1/s"
+
+    def change(scenario: Scenario, value: float) -> Scenario:
+        observer = msgspec.structs.replace(scenario.observer, gamma=base * (value / own))
+        return msgspec.structs.replace(scenario, observer=observer)
+
+    wanted = Range("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
+    return varied(problem, loop, wanted, change)
+
+
+def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
+    """The slider that makes the plant's input act more strongly than its observer believes."""
+    moves = []
+    names = tree.names(loop.params)
+    values = tree.pack(loop.params)
+    for place, name in enumerate(names):
+        if name.startswith("plant.B[") and values[place]:
+            moves.append((place, float(values[place]) / 100, 0.0))
+    wanted = Range("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
+    return [slider_of(wanted, moves)] if moves else []
+
+
+def _with_noise(scenario: Scenario, value: float) -> Scenario:
+    """The scenario with another noise of the reading."""
+    sensor = msgspec.structs.replace(scenario.sensor, noise=value)
+    return msgspec.structs.replace(scenario, sensor=sensor)
+
+
+def _place(loop: Loop, name: str) -> int:
+    """Where a number stands in the loop's packed params."""
+    return tree.names(loop.params).index(name)
+
+
+def _apart(made: list[Slider]) -> list[Slider]:
+    """The sliders, without those that move a number of an earlier one: they would not add up."""
+    taken: set[int] = set()
+    kept = []
+    for slider in made:
+        places = {place for place, _, _ in slider.moves}
+        if not places & taken:
+            kept.append(slider)
+            taken |= places
+    return kept

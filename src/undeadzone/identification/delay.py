@@ -1,0 +1,108 @@
+"""A delay of the input, in whole samples: tried where a later input explains the log better."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from undeadzone.identification.fit import Fit, climbed, fit_linear
+from undeadzone.identification.objective import Objective
+from undeadzone.identification.orders import OrderFit, best_order
+from undeadzone.identification.plant_fit import Data, Simulator
+
+PROBES = (0, 1, 2, 3, 5, 7, 10, 14, 19, 25)  # samples
+SCREENED = 2  # order of the linear plant
+STEPS = 30  # of a climb
+
+
+def delayed(data: Data, samples: int) -> Data:
+    """The records with their inputs later; what is not known is held.
+
+    Args:
+        data: the records.
+        samples: by how many; negative: earlier.
+    """
+    u = np.empty_like(data.u)
+    for part in data.records():
+        at = np.arange(part.stop - part.start) - samples
+        u[part] = data.u[part][np.clip(at, 0, len(at) - 1)]
+    return data._replace(u=u)
+
+
+def likely_delay(fits: list[OrderFit]) -> int:
+    """The delay with which a linear plant of low order explains a log best.
+
+    The zone disturbs these fits much alike; whether the delay is real is decided by fits with it.
+
+    Args:
+        fits: one an order, without a delay.
+
+    Returns:
+        Samples; 0 where none is better.
+    """
+    objective = fits[0].pairs.objective
+    data, integrators = objective.data, objective.layout.integrators
+    order = max(SCREENED, integrators + 1)
+    left: dict[int, float] = {}
+
+    def scan(samples: int) -> float:
+        if samples not in left:
+            fit = fit_linear(Simulator(delayed(data, samples), order, integrators))
+            left[samples] = fit.s
+        return left[samples]
+
+    best = min(PROBES, key=scan)
+    while True:  # to the least next to it
+        near = min((max(best - 1, 0), best, best + 1), key=scan)
+        if near == best:
+            return best
+        best = near
+
+
+def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
+    """Whether fits with a delay are better by BIC; the delay counts as a number.
+
+    Args:
+        fits: one an order, without a delay.
+        late: with it.
+    """
+    number = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
+    return best_order(late).pairs.bic + number < best_order(fits).pairs.bic
+
+
+def refined_delay(late: list[OrderFit]) -> int:
+    """By how many more samples the input acts late, by BIC, -2 to 2.
+
+    Args:
+        late: fits with a delay, one an order.
+    """
+    best = best_order(late)
+    smaller = [one.pairs for one in late if one.n <= best.n][-2:]
+    known = {0: best.pairs.bic}
+    for direction in (-1, 1):
+        for more in (direction, 2 * direction):
+            known[more] = min(_late(fit, more).bic for fit in smaller)
+            if known[more] >= known[more - direction]:
+                break
+    return min(known, key=lambda more: known[more])
+
+
+def _late(fit: Fit, samples: int) -> Fit:
+    """A fit with the input later, from where it ended: its numerators moved by as much."""
+    old = fit.objective
+    layout = old.layout
+    data = delayed(old.data, samples)
+    simulator = Simulator(data, layout.n, layout.integrators)
+    objective = Objective(simulator, old.kind, old.limits)
+    theta = fit.theta.copy()
+    numerators = theta[layout.b].reshape(layout.m, layout.n)
+    moved = np.zeros_like(numerators)
+    for k in range(layout.n):
+        if 0 <= k + samples < layout.n:
+            moved[:, k] = numerators[:, k + samples]
+    if not moved.any():
+        moved[:, 0] = numerators.sum(axis=1)
+    theta[layout.b] = moved.ravel()
+    top = climbed(objective, theta, STEPS)
+    return Fit(objective, top.theta, top.value)

@@ -1,0 +1,94 @@
+"""The range of a reading: y stays within [lo, hi], and at a limit it only bounds what it reads.
+
+Every function takes NumPy arrays or CasADi expressions alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.arrays import LARGEST, Floats, shape_text
+
+ROUNDING = 1e-6  # share of a limit by which a reading at it may miss it: of floats and text
+
+
+class Limits(NamedTuple):
+    """The limits of the readings; those that do not exist are `LARGEST`.
+
+    Attributes:
+        low, high: least and largest reading (p) [y].
+    """
+
+    low: Any
+    high: Any
+
+
+def at_limit(y: Any, limits: Limits) -> Any:
+    """+1 where a reading is at its upper limit, -1 where at its lower one, else 0 (NaN too)."""
+    low, high = (1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high
+    return 1.0 * (y >= high) - 1.0 * (y <= low)
+
+
+def beyond(y: Any, limits: Limits) -> Any:
+    """1 where a finite number lies beyond its range by more than rounding: no reading does."""
+    low, high = (1 + ROUNDING) * limits.low, (1 + ROUNDING) * limits.high
+    return 1.0 * (y > high) * (y < np.inf) + 1.0 * (y < low) * (y > -np.inf)
+
+
+def checked_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
+    """(least, largest) readings (p each), -inf and inf where there is no limit.
+
+    Args:
+        key: named in errors.
+        value: [lo, hi], or one such pair per output (p x 2); None: no limits.
+        p: number of outputs.
+
+    Raises:
+        InputError: unless lo < 0 < hi; -inf and inf are no limits.
+        ShapeError: another shape.
+    """
+    if value is None:
+        return np.full(p, -np.inf), np.full(p, np.inf)
+    try:
+        pairs = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{key}: expected [lo, hi], found {value!r:.60}") from None
+    if pairs.shape not in ((2,), (p, 2)):
+        raise ShapeError(
+            f"{key}: expected [lo, hi], or one such pair per output ({p} x 2), found "
+            f"{shape_text(pairs.shape)}"
+        )
+    low, high = np.broadcast_to(pairs, (p, 2)).T
+    if not ((low < 0) & (high > 0)).all():
+        raise InputError(
+            f"{key}: expected lo < 0 < hi (-inf or inf where there is no limit), found "
+            f"{pairs.tolist()}"
+        )
+    return low.copy(), high.copy()
+
+
+def limits_of(low: Floats, high: Floats) -> Limits | None:
+    """The limits with finite numbers (p each); None where no output has any."""
+    if not np.isfinite([low, high]).any():
+        return None
+    return Limits(np.maximum(low, -LARGEST), np.minimum(high, LARGEST))
+
+
+def require_readings(low: Floats, high: Floats, threshold: Floats) -> None:
+    """Raise InputError where every reading of an output is silent or at a limit.
+
+    Args:
+        low, high: least and largest readings (p) [y].
+        threshold: |y| that counts as silent (p) [y].
+    """
+    nearest = np.minimum(-low, high)
+    within = nearest <= threshold
+    if within.any():
+        i = int(within.argmax())
+        raise InputError(
+            f"sensor.range: a limit of {nearest[i]:g} lies within the silence, |y| <= "
+            f"{threshold[i]:g} (sensor.threshold): no reading lies between; check both"
+        )

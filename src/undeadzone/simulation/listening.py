@@ -1,0 +1,91 @@
+"""How strongly the readings move z^: what is left of an error of the model that all of them show.
+
+The same scenario runs once more with a plant whose z is 5 % larger than the model says. An observer
+that follows its model alone keeps the whole error, one that listens follows (docs/observer.md).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from undeadzone.interfaces import NumericObserver
+from undeadzone.plants.system import System
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation import sample_by_sample as live
+from undeadzone.simulation.listening_words import LARGER
+from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import Progress, prepare, run_loop
+from undeadzone.support.arrays import Floats
+
+STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
+
+
+def listening(problem: Problem, run: Run | None, progress: Progress | None = None) -> list[float]:
+    """The share of a lasting error of the model that z^ follows: 1 all of it, 0 none.
+
+    It is negative where readings make z^ worse. Errors are taken over the second half of the run.
+
+    Args:
+        problem: the scenario's parts.
+        run: of the scenario, if there is one already.
+        progress: called with the number of steps just done.
+
+    Returns:
+        A share for each output; NaN where an output does not move or the run diverges.
+    """
+    if run is None:
+        signal = _signals(problem, progress)
+        z, z_hat = signal.z, signal.estimate.z
+    else:
+        z, z_hat = run.z, run.z_hat
+    larger = _signals(problem._replace(plant=_larger(problem.plant)), progress)
+    half = slice(len(z) // 2, None)
+    with np.errstate(all="ignore"):
+        left = (larger.z - larger.estimate.z) - (z - z_hat)
+        whole = LARGER / (1 + LARGER) * _rms(larger.z[half])
+        share = 1 - _rms(left[half]) / whole
+        moves = whole > STILL * np.abs(larger.z).max(axis=0)
+    return [float(one) for one in np.where(moves & np.isfinite(share), share, np.nan)]
+
+
+def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run:
+    """The run, with how strongly its readings moved z^ in its info.
+
+    Args:
+        scenario: that was run.
+        run: of it.
+        progress: called with the number of steps just done.
+    """
+    shares = listening(resolve_scenario(scenario), run, progress)
+    known = [None if np.isnan(share) else share for share in shares]
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
+
+
+def _signals(problem: Problem, progress: Progress | None) -> Outputs:
+    """The signals of a run."""
+    observer = problem.observer
+    if isinstance(observer, NumericObserver):
+        exogenous = inputs.exogenous(problem)
+        return live.run_sample_by_sample(problem, observer, exogenous, progress)
+    return run_loop(*prepare(problem), progress)
+
+
+def _larger(plant: System) -> System:
+    """The plant with a larger output."""
+    if plant.nonlinear:
+        output = plant.output
+        return plant._replace(output=lambda params, x: (1 + LARGER) * output(params, x))
+    linear = plant.linear._replace(C=(1 + LARGER) * plant.linear.C)
+    return plant._replace(params=linear, linear=linear)
+
+
+def _rms(values: Floats) -> Floats:
+    """Root mean squares of columns."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

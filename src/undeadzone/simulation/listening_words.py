@@ -1,0 +1,25 @@
+"""How strongly readings move z^, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+LARGER: Final = 0.05  # by which the true z is larger than the model says
+LOUD: Final = 0.5  # share of it that z^ must follow, not to be taken on trust
+
+
+def on_trust(shares: Sequence[float | None]) -> bool:
+    """Whether some z^ hardly follows its readings, so that the model is taken on trust."""
+    return any(share is not None and share < LOUD for share in shares)
+
+
+def in_words(shares: Sequence[float | None]) -> str:
+    """Shares, in words.
+
+    Args:
+        shares: of each output; None where it cannot be told.
+    """
+    each = ", ".join("?" if share is None else f"{100 * share:.0f} %" for share in shares)
+    words = f"z^ follows {each} of a z that is {100 * LARGER:.0f} % larger than the model says"
+    return f"ON TRUST of the model: {words}" if on_trust(shares) else words

@@ -1,0 +1,168 @@
+"""Answers of a long computation on disk, a line each: stopped at any moment, it can go on.
+
+The first line says of what the answers are. Each line begins with a checksum of its rest, so
+nothing that was torn is believed, and ends where the next one begins.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.support.files import LARGEST_TABLE, reason, require_plain
+from undeadzone.support.stopped import keeping, lock
+from undeadzone.support.versions import versions
+
+SUM = 16  # hexadecimal digits of a checksum
+
+
+class Answers:
+    """An open file of answers, locked against other processes; made where there is none.
+
+    Args:
+        path: of the file.
+        problem: everything that the answers depend on, besides versions of packages.
+        unit: what an answer is of, in the plural, for messages.
+        resume: take up what an earlier run left there.
+
+    Raises:
+        FileError: it cannot be written, another process uses it, it is something else, or it is
+            there and `resume` is not set.
+        InputError: it holds another problem.
+    """
+
+    def __init__(
+        self, path: Path, problem: Mapping[str, Any], unit: str, resume: bool = False
+    ) -> None:
+        self._path, self._unit = path, unit
+        self._known: dict[str, Any] = {}
+        with _writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.exists():
+                require_plain(path, LARGEST_TABLE)
+            self._file = io.FileIO(path, "a+")
+        try:
+            lock(path, self._file)
+            self._open({"answers": unit, **problem, **versions()}, resume)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def of(
+        self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
+    ) -> list[Any]:
+        """The answers to questions; those that are missing are computed, and kept as they come.
+
+        Args:
+            questions: values that JSON knows.
+            compute: takes the numbers of those to be answered, gives (number, answer).
+        """
+        texts = [json.dumps(question) for question in questions]
+        missing = [k for k, text in enumerate(texts) if text not in self._known]
+        for k, answer in compute(missing) if missing else ():
+            self._append(json.dumps([texts[k], answer]))
+            self._known[texts[k]] = answer
+        return [self._known[text] for text in texts]
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Close the file at the end; where something stops what is done inside, say what is kept.
+
+        Then a file without answers is deleted. One that is complete stays, until what its answers
+        are for is saved.
+        """
+        with keeping(self._leave):
+            yield
+        self._file.close()
+
+    def _open(self, problem: Mapping[str, Any], resume: bool) -> None:
+        """Read the answers that are there, or begin the file."""
+        with _writing(self._path):
+            self._file.seek(0)
+            content = self._file.read()
+        head = json.dumps(problem)
+        if _line(head).startswith(content):  # empty, or torn in its first line
+            with _writing(self._path):
+                self._file.truncate(0)
+            self._append(head)
+            return
+        lines = [line for line in map(_checked, content.split(b"\n")) if line is not None]
+        self._require(lines, problem, resume)
+        for line in lines[1:]:
+            question, answer = json.loads(line)
+            self._known[question] = answer
+        if not content.endswith(b"\n"):  # a torn line must not swallow the next one
+            with _writing(self._path):
+                self._file.write(b"\n")
+
+    def _require(self, lines: list[str], problem: Mapping[str, Any], resume: bool) -> None:
+        """Raise FileError or InputError for a file that cannot be continued."""
+        try:
+            there = json.loads(lines[0])
+            there["answers"]
+        except (IndexError, ValueError, TypeError, KeyError):
+            raise FileError(
+                f"{self._path}: holds no kept {self._unit}; choose another name or delete it"
+            ) from None
+        if not resume:
+            raise FileError(
+                f"{self._path}: {self._unit} of a stopped run are there; continue it with "
+                "--resume, or delete it to start anew"
+            )
+        here = json.loads(json.dumps(problem))
+        other = sorted(key for key in here | there if here.get(key) != there.get(key))
+        if other:
+            raise InputError(
+                f"{self._path}: holds another problem ({', '.join(other)} differ); "
+                "delete it to start anew, or choose another name"
+            )
+
+    def _append(self, text: str) -> None:
+        """Write a line. Raises FileError (disk full, file removed)."""
+        if not os.fstat(self._file.fileno()).st_nlink:
+            raise FileError(f"{self._path}: cannot write: it was removed")
+        with _writing(self._path):
+            view = memoryview(_line(text))
+            while view:
+                view = view[self._file.write(view) :]
+
+    def _leave(self) -> str:
+        """Close the file, or remove one without answers, and say what it holds."""
+        self._file.close()
+        if not self._known:
+            self._path.unlink(missing_ok=True)
+            return ""
+        return f"{len(self._known)} {self._unit} are kept in {self._path}; continue with --resume"
+
+
+def _line(text: str) -> bytes:
+    """A line of the file."""
+    data = text.encode()
+    return _sum(data) + b" " + data + b"\n"
+
+
+def _sum(data: bytes) -> bytes:
+    """The checksum of a line."""
+    return hashlib.blake2b(data, digest_size=SUM // 2).hexdigest().encode()
+
+
+def _checked(line: bytes) -> str | None:
+    """What a line says, if its checksum is right."""
+    begin, _, rest = line.partition(b" ")
+    return rest.decode() if begin == _sum(rest) else None
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Failures to write as FileError."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None

@@ -1,0 +1,22 @@
+"""The packages that decide the last bits of results."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+import undeadzone
+
+PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
+
+
+def versions() -> dict[str, str]:
+    """The versions of this package and of those that decide the last bits of its results."""
+    return {"undeadzone": undeadzone.__version__, **{name: _version(name) for name in PACKAGES}}
+
+
+def _version(name: str) -> str:
+    """The version of an installed package."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"

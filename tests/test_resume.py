@@ -1,0 +1,176 @@
+"""Tuning and the arena go on where something stopped them; kill -9 changes nothing."""
+
+from __future__ import annotations
+
+import functools
+import json
+import multiprocessing
+import random
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.scenes import scene
+
+from undeadzone.arena.contest import run_contest
+from undeadzone.errors import FileError, InputError, Terminated
+from undeadzone.scenario.reader import digests
+from undeadzone.scenario.schema import Scenario
+from undeadzone.scenario.tune_table import Range, Tune
+from undeadzone.support.answers import Answers
+from undeadzone.tuning.tune import tune
+
+PROBLEM = {"a": 1}
+FORK = multiprocessing.get_context("fork")
+
+
+def squares(
+    path: Path, resume: bool = True, told: list[int] | None = None, stop: int | None = None
+) -> list[Any]:
+    """The squares of 0 to 9; told: those computed; stop: where SIGTERM comes."""
+
+    def compute(missing: list[int]) -> Iterator[tuple[int, int]]:
+        for k in missing:
+            if k == stop:
+                raise Terminated
+            if told is not None:
+                told.append(k)
+            yield k, k * k
+
+    kept = Answers(path, PROBLEM, "squares", resume)
+    with kept.kept():
+        return kept.of(list(range(10)), compute)
+
+
+# --- The file
+
+
+def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
+    path, told = tmp_path / "kept", list[int]()
+    words = f"5 squares are kept in {path}; continue with --resume"
+    with pytest.raises(Terminated, match=words):
+        squares(path, told=told, stop=5)
+    assert squares(path, told=told) == [k * k for k in range(10)]
+    assert told == list(range(10))
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_a_damaged_file_gives_right_answers_or_none(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("kept") / "kept"
+    squares(path)
+    content = bytearray(path.read_bytes())
+    first = content.index(b"\n")
+    place = data.draw(st.integers(0, len(content) - 1))
+    if data.draw(st.booleans()):
+        del content[place:]
+    else:
+        content[place] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+    try:
+        answers = [squares(path), squares(path)]
+    except FileError:
+        assert place <= first
+        return
+    assert answers == [[k * k for k in range(10)]] * 2
+
+
+def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
+    path = tmp_path / "kept"
+    squares(path)
+    with pytest.raises(FileError, match="squares of a stopped run are there; continue it with --r"):
+        squares(path, resume=False)
+    with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
+        Answers(path, {"a": 2}, "squares", True)
+    monkeypatch.setattr("undeadzone.support.answers.versions", lambda: {"numpy": "1.0"})
+    with pytest.raises(InputError, match="numpy"):
+        squares(path)
+    path.write_text('{"somebody": "else"}\n')
+    with pytest.raises(FileError, match="choose another name or delete it"):
+        squares(path)
+    assert path.read_text() == '{"somebody": "else"}\n'
+
+
+def test_two_at_once_are_refused(tmp_path: Path) -> None:
+    first = Answers(tmp_path / "kept", PROBLEM, "squares")
+    with first.kept():
+        with pytest.raises(FileError, match="another process is writing it"):
+            squares(tmp_path / "kept")
+        (tmp_path / "kept").unlink()
+        with pytest.raises(FileError, match="it was removed"):
+            first.of([1], lambda missing: iter([(0, 1)]))
+
+
+def test_nothing_kept_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(Terminated):
+        squares(tmp_path / "kept", stop=0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_a_scenario_names_count(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("0,0\n1,1\n")
+    named = scene(reference={"kind": "csv", "path": str(path)})
+    before = digests(named)
+    path.write_text("0,0\n1,2\n")
+    assert list(before) == ["reference.path"]
+    assert digests(named) != before
+
+
+# --- Killed
+
+
+def killed(work: Callable[[], object], path: Path, rng: random.Random) -> None:
+    """Kill a process that works, once it has kept something, at any instant."""
+    process = FORK.Process(target=work)
+    process.start()
+    before = path.stat().st_size if path.exists() else 0
+    while process.is_alive() and not (path.exists() and path.stat().st_size > before + 100):
+        time.sleep(0.002)
+    time.sleep(rng.uniform(0, 0.05))
+    process.kill()
+    process.join()
+
+
+def small() -> Scenario:
+    return scene(
+        sensor={"noise": 0.01},
+        simulation={"time": "sampled", "step": 1e-2, "duration": 0.5},
+        observer={"method": "certified", "L": [1.0, 1.5], "gamma": 10.0},
+    )
+
+
+def tuned(keep: Path | None) -> dict[str, Any]:
+    """What tuning two numbers finds."""
+    between = Range(between=(0.1, 100.0), log=True)
+    entries = {"observer.gamma": between, "controller.alpha": between}
+    what = Tune(entries=entries, runs=2, held_out=2, budget=20)
+    return tune(small(), what, keep=keep, resume=True, threads=1).summary()
+
+
+def test_a_search_that_is_killed_again_and_again_finds_the_same(tmp_path: Path) -> None:
+    whole, path, rng = tuned(None), tmp_path / "tuned.toml.partial", random.Random(3)
+    for _ in range(3):
+        killed(functools.partial(tuned, path), path, rng)
+    assert path.exists()
+    assert json.dumps(tuned(path)) == json.dumps(whole)
+
+
+def contest(keep: Path | None) -> list[dict[str, Any]]:
+    """The results of a contest but for seconds."""
+    methods = ["certified", "kalman", "printed", "adaptive_inverse"]
+    result = run_contest(methods, {"mine": small()}, [0, 1], {}, 1, keep=keep, resume=True)
+    return [{**row, "cost": 0.0} for row in result.summary()["results"]]
+
+
+def test_a_contest_that_is_killed_again_and_again_ends_the_same(tmp_path: Path) -> None:
+    whole, path, rng = contest(None), tmp_path / "results.json.partial", random.Random(4)
+    for _ in range(3):
+        killed(functools.partial(contest, path), path, rng)
+    assert contest(path) == whole
