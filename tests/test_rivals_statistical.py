@@ -97,6 +97,20 @@ def same_but_for_ranges(ours: Estimate, kalmans: Estimate, tolerance: float) -> 
         assert width == pytest.approx(getattr(kalmans, name), rel=tolerance, abs=1e-9)
 
 
+def units_of(model: System) -> Floats:
+    """In what units Kalman's filter counts [x; d_r; d_l]."""
+    return np.concatenate([even_units(model), np.ones(2 * model.p)])
+
+
+def same_belief(ours: Any, kalmans: Any, model: System, tolerance: float) -> None:
+    """Equal means and covariances."""
+    units = units_of(model)
+    rows, columns = ca.Sparsity.upper(units.size).get_triplet()
+    scale = units[rows] * units[columns]
+    assert ours.mean == pytest.approx(units * kalmans.mean, rel=tolerance, abs=1e-9)
+    assert ours.cov == pytest.approx(scale * kalmans.cov, rel=tolerance, abs=1e-9)
+
+
 @given(seeds, st.integers(1, 3), st.integers(1, 2))
 @settings(max_examples=15)
 def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int, p: int) -> None:
@@ -119,8 +133,7 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
         (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
         same_but_for_ranges(estimate, expected, 1e-9)
-        assert s.filter.mean == pytest.approx(t.filter.mean, rel=1e-9, abs=1e-9)
-        assert s.filter.cov == pytest.approx(t.filter.cov, rel=1e-9, abs=1e-9)
+        same_belief(s.filter, t.filter, model, 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +161,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     mean = np.concatenate([x / even_units(model), s.filter.mean[2:]])
     s, t = (
         s._replace(filter=s.filter._replace(mean=mean)),
-        t._replace(filter=t.filter._replace(mean=mean)),
+        t._replace(filter=t.filter._replace(mean=mean / units_of(model))),
     )
     one, other = on_numbers(rival, model), on_numbers(kalman, model)
     for _ in range(10):
@@ -159,8 +172,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         x = model.linear.A @ x + model.linear.B @ u
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
         same_but_for_ranges(estimate, expected, 1e-7)
-        assert s.filter.mean == pytest.approx(t.filter.mean, rel=1e-7, abs=1e-9)
-        assert s.filter.cov == pytest.approx(t.filter.cov, rel=1e-7, abs=1e-9)
+        same_belief(s.filter, t.filter, model, 1e-7)
 
 
 # --- UKF

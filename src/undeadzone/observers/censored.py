@@ -96,7 +96,9 @@ class Censored(
         tolerance = tolerances(model, self.tolerance, units)
         glitches = glitch_share(self.glitches)
         careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
-        augmentation = unknowns(even, colour, rms, bias, calibrated, tolerance, careful)
+        augmentation = unknowns(
+            even, colour, rms, bias, calibrated, tolerance, careful and self.bias is None
+        )
         lasting = max(1.0, correlation / Ts)
         member = measured_filter(
             even,

@@ -84,7 +84,7 @@ class Params(NamedTuple):
     cov: Floats
     ranges: Floats
     rate: Floats
-    lasting: Any
+    lasting: Any = 1.0
     doubt: Any = None
     ends: Any = None
 
