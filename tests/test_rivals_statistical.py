@@ -97,18 +97,10 @@ def same_but_for_ranges(ours: Estimate, kalmans: Estimate, tolerance: float) -> 
         assert width == pytest.approx(getattr(kalmans, name), rel=tolerance, abs=1e-9)
 
 
-def units_of(model: System) -> Floats:
-    """In what units Kalman's filter counts [x; d_r; d_l]."""
-    return np.concatenate([even_units(model), np.ones(2 * model.p)])
-
-
-def same_belief(ours: Any, kalmans: Any, model: System, tolerance: float) -> None:
+def same_belief(ours: Any, kalmans: Any, tolerance: float) -> None:
     """Equal means and covariances."""
-    units = units_of(model)
-    rows, columns = ca.Sparsity.upper(units.size).get_triplet()
-    scale = units[rows] * units[columns]
-    assert ours.mean == pytest.approx(units * kalmans.mean, rel=tolerance, abs=1e-9)
-    assert ours.cov == pytest.approx(scale * kalmans.cov, rel=tolerance, abs=1e-9)
+    assert ours.mean == pytest.approx(kalmans.mean, rel=tolerance, abs=1e-9)
+    assert ours.cov == pytest.approx(kalmans.cov, rel=tolerance, abs=1e-9)
 
 
 @given(seeds, st.integers(1, 3), st.integers(1, 2))
@@ -133,7 +125,7 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
         (s, estimate), (t, expected) = one(s, u, y, np.sign(y)), other(t, u, y, np.sign(y))
         same_but_for_ranges(estimate, expected, 1e-9)
-        same_belief(s.filter, t.filter, model, 1e-9)
+        same_belief(s.filter, t.filter, 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -159,10 +151,8 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
     mean = np.concatenate([x / even_units(model), s.filter.mean[2:]])
-    s, t = (
-        s._replace(filter=s.filter._replace(mean=mean)),
-        t._replace(filter=t.filter._replace(mean=mean / units_of(model))),
-    )
+    s = s._replace(filter=s.filter._replace(mean=mean))
+    t = t._replace(filter=t.filter._replace(mean=mean))
     one, other = on_numbers(rival, model), on_numbers(kalman, model)
     for _ in range(10):
         z, u = model.linear.C @ x, rng.normal(size=1)
@@ -172,7 +162,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         x = model.linear.A @ x + model.linear.B @ u
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
         same_but_for_ranges(estimate, expected, 1e-7)
-        same_belief(s.filter, t.filter, model, 1e-7)
+        same_belief(s.filter, t.filter, 1e-7)
 
 
 # --- UKF
@@ -208,7 +198,9 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
 
     points = kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0)
     theirs = kalman.UnscentedKalmanFilter(4, 1, TS, reading, motion, points)
-    theirs.x, theirs.P = state.filter.mean.copy(), full(state.filter.cov, 4)
+    units = np.concatenate([even_units(model), np.ones(2)])
+    square = np.outer(units, units)
+    theirs.x, theirs.P = units * state.filter.mean, square * full(state.filter.cov, 4)
     theirs.Q, theirs.R = np.diag([0.0, 0.0, 0.01 * TS, 0.01 * TS]), np.array([[0.01]])
     truth = np.array([0.3, 0.0])
     for k in range(80):
@@ -222,7 +214,7 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
         assert estimate.x_std == pytest.approx(np.sqrt(np.diag(theirs.P))[:2], rel=1e-6)
         assert estimate.innovation_std == pytest.approx(np.sqrt(theirs.S[0]), rel=1e-6)
         theirs.predict(u=force)
-        assert full(state.filter.cov, 4) == pytest.approx(theirs.P, rel=1e-6, abs=1e-8)
+        assert square * full(state.filter.cov, 4) == pytest.approx(theirs.P, rel=1e-6, abs=1e-8)
         truth = move(truth, force).full()[:, 0]
 
 

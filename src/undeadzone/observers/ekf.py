@@ -20,9 +20,10 @@ from undeadzone.numerics.gaussian import (
     update_unless_glitch,
 )
 from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
+from undeadzone.observers.parts.even_states import even_units
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.joint_filter import Sight, joint_filter
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone, branch, zone
 
 DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
@@ -69,7 +70,8 @@ class EKF(
             )
         correct = correct_predicted
         if self.mode == "measured":
-            correct = partial(correct_measured, model, sensor, self.pseudo)
+            counted = in_units(model, even_units(model))
+            correct = partial(correct_measured, counted, sensor, self.pseudo)
         prior = joint_prior(self, model, sensor, DEFAULTS)
         return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
