@@ -39,6 +39,26 @@ def scenario(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def certified(scenario: Path) -> Path:
+    """The template with the alternative that has a proof, in continuous time."""
+    text = scenario.read_text()
+    for old, new in (
+        ('method = "auto" ', "# "),
+        ("right = [0.0, 3.0] ", "# "),
+        ('# method = "certified"', 'method = "certified"'),
+        ("# L = [1.0, 1.5] ", "L = [1.0, 1.5] "),
+        ("# gamma = 10.0 ", "gamma = 10.0 "),
+        ('time = "sampled" ', 'time = "continuous" '),
+        ("step = 0.01 ", "step = 1e-3 "),
+        ("noise = 0.01 ", "noise = 0.0 "),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    scenario.write_text(text)
+    return scenario
+
+
 def test_version_and_help() -> None:
     assert re.fullmatch(r"undeadzone, version \d+\.\d+\.\d+\n", undeadzone("--version").stdout)
     assert undeadzone("-V").stdout == undeadzone("--version").stdout
@@ -169,16 +189,16 @@ def test_integrators_are_answered_with_no(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_input_is_one_clear_line(
-    scenario: Path, old: str, new: str, words: list[str]
+    certified: Path, old: str, new: str, words: list[str]
 ) -> None:
-    text = scenario.read_text()
+    text = certified.read_text()
     assert old in text
-    scenario.write_text(
+    certified.write_text(
         text.replace(old, new, 1).replace("L = [1.0, 1.5]", "L = [0.5, 0.0]")
         if "observer.L" in words
         else text.replace(old, new, 1)
     )
-    done = undeadzone("run", scenario, "--json")
+    done = undeadzone("run", certified, "--json")
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1, done.stderr
@@ -187,16 +207,16 @@ def test_wrong_input_is_one_clear_line(
         assert word in done.stderr
 
 
-def test_reference_that_cannot_be_followed(scenario: Path) -> None:
-    text = scenario.read_text()
+def test_reference_that_cannot_be_followed(certified: Path) -> None:
+    text = certified.read_text()
     numerator, denominator = [1.0, 0.0, 39.47841760435743], [1.0, 3.0, 3.0, 1.0]
     plant = f"transfer_function = {{ numerator = {numerator}, denominator = {denominator} }}\n"
     start = text.index("A = [[0.0")
     text = text[:start] + plant + "#" + text[text.index("# Other forms") :]
-    scenario.write_text(
+    certified.write_text(
         text.replace("L = [1.0, 1.5] ", "#").replace("Q = [[1.0, 0.0], [0.0, 1.0]]", "")
     )
-    done = undeadzone("run", scenario)
+    done = undeadzone("run", certified)
     assert done.returncode == 2
     assert "zero of the plant" in done.stderr
     assert "6.283j" in done.stderr
@@ -279,7 +299,7 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
         for k in range(3):
             process.stdin.write(f"{0.1 * k},1.0\n")
             process.stdin.flush()
-            assert json.loads(process.stdout.readline())["t"] == pytest.approx(k * 1e-3)
+            assert json.loads(process.stdout.readline())["t"] == pytest.approx(k * 1e-2)
         process.stdin.close()
         assert process.wait(20) == 0
 

@@ -50,7 +50,7 @@ def test_default_gains_are_certified_and_strong(Ts: float | None) -> None:
     assert certify(model.linear, L, gamma, Ts).certified
     at_rest = -plant(1.0).linear.C @ np.linalg.solve(plant(1.0).linear.A, L)
     if Ts in (None, 1e-3):
-        assert at_rest[0, 0] == pytest.approx(5.0, rel=0.01)
+        assert at_rest[0, 0] == pytest.approx(1.0, rel=0.01)
 
 
 def test_kalman_listens_unless_it_is_told_not_to() -> None:

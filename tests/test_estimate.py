@@ -33,6 +33,7 @@ noise = 0.02
 [observer]
 method = "kalman"
 right = [0.0, 2.0]
+disturbance = 0.0
 [simulation]
 step = 0.01
 time = "sampled"

@@ -142,7 +142,8 @@ def test_elastic_joint() -> None:
 def test_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = runpy.run_path(str(FOLDER / "your_plant.py"))
-    np.testing.assert_allclose(found["run"].widths, [[1.0, 0.7]], atol=1e-3)
+    assert (np.abs(found["run"].d_hat[-1] - [1.0, 0.7]) < 1.96 * found["run"].d_std[-1]).all()
+    assert found["run"].rms_estimation < 0.05
     assert (tmp_path / "your_plant.png").stat().st_size > 10_000
 
 

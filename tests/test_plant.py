@@ -231,9 +231,9 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
             r"plant.B: expected a matrix with 2 rows \(as many rows as A, 2\), found 1 x 1",
         ),
         (
-            {"A": A2, "B": [0.0, 1.0], "C": [[1.0, 0.0]]},
+            {"A": A2, "B": [0.0, 1.0, 0.0], "C": [[1.0, 0.0]]},
             ShapeError,
-            "plant.B: expected a matrix with 2 rows .*, found a list of 2 numbers",
+            "plant.B: expected a matrix with 2 rows .*, found a list of 3 numbers",
         ),
         (
             {"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]},

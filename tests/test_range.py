@@ -287,7 +287,9 @@ def test_a_limit_that_the_estimate_is_beyond_says_nothing(method: str) -> None:
 @pytest.mark.parametrize("method", [name for name in BOUNDED if name not in MISSING])
 def test_a_limit_that_the_estimate_contradicts_moves_it(method: str) -> None:
     """It lies below the bound, and must rise."""
-    options = small("sampled", observer={"method": method} | OBSERVERS[method][1]).observer
+    trusting = {"glitches": 0.0} if method == "ukf" else {}  # else it is 12 deviations off, refused
+    table = {"method": method} | OBSERVERS[method][1] | trusting
+    options = small("sampled", observer=table).observer
     model = first_order()
     observer = graph_of(options.build(model, zone()))
     step = on_numbers(observer, model)

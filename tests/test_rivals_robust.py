@@ -831,9 +831,9 @@ def test_a_box_is_cut_to_what_its_output_allows() -> None:
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
 def test_a_reading_bounds_widths_and_output(kind: str) -> None:
     """z in [1, 4], d_r in [0.5, 2], noise 0.1, y on the right: z - d_r, or z itself."""
-    shared = interval_step.Setup(PAPER_PLANT, [], kind)
+    shared = interval_step.Setup(PAPER_PLANT, [], kind, ends=False)
     numbers = interval_step.Params(*[None] * 13)._replace(noise=ca.SX(0.1), slack=ca.SX(0.1))
-    on = interval_step.Sides(ca.SX(1), ca.SX(0), ca.SX(1), ca.SX(0))
+    on = interval_step.Sides(*map(ca.SX, (1, 0, 1, 0, 1, 0)))
     before = Bounds(ca.SX(0.5), ca.SX(2.0))
     boxes, z, y = Boxes(None, None, before, before), Bounds(ca.SX(1.0), ca.SX(4.0)), ca.SX(2.6)
     right, left = interval_step.width_bounds(shared, numbers, boxes, z, y, on)

@@ -69,10 +69,9 @@ def test_dropout_of_one_output_alone_counts() -> None:
 def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
     excess: float, refuted: bool
 ) -> None:
-    setup: Any = SimpleNamespace(model=SimpleNamespace(n=1), doubts=True)
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
     belief = Gaussian(ca.SX([0.0, 3.0 + excess]), ca.SX(np.diag([1.0, 1 / FAR**2])))
-    shown, consistent = clipped(setup, q, belief)
+    shown, consistent = clipped(1, q, belief, doubts=True)
     variance = 1 / FAR**2 + (excess**2 if refuted else 0.0)
     np.testing.assert_allclose(ca.DM(shown.mean).full().ravel(), [0.0, 3.0])
     np.testing.assert_allclose(np.diag(ca.DM(shown.cov).full()), [1.0, variance])

@@ -7,6 +7,7 @@ sensor that is silent while z^ lies far outside the estimated zone contradicts t
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import casadi as ca
@@ -121,6 +122,12 @@ class Consistency:
         """The mean square of the normalised innovations that count; None: there is none."""
         count = self.used - self.refused
         return self._squares / count if count > 0 else None
+
+    @property
+    def most_square(self) -> float:
+        """What `square` may be: 1 and five deviations of a mean of so few squares, at least."""
+        count = max(self.used - self.refused, 1)
+        return max(MOST_SQUARE, 1 + 5 * math.sqrt(2 / count))
 
     @property
     def exceeded(self) -> float:
@@ -245,7 +252,7 @@ def _sums_too_large(test: Consistency) -> list[str]:
 def _reasons(test: Consistency) -> list[str]:
     """Why the readings of one output are not what was claimed, whatever their sums."""
     reasons = []
-    if test.square is not None and test.square > MOST_SQUARE:
+    if test.square is not None and test.square > test.most_square:
         reasons.append(
             f"the innovations are too large: their mean square is {test.square:.3g} times as "
             "large as claimed"

@@ -26,12 +26,16 @@ def label(words: str, unit: str) -> str:
 def with_deviation(value: float | None, std: float | None) -> str:
     """A value and its standard deviation to two digits, the value to the same place."""
     if value is None or std is None or not math.isfinite(value) or not 0 < std < math.inf:
-        parts = ("nan" if part is None else f"{part:.4g}" for part in (value, std))
-        return " ± ".join(parts)
+        return f"{_short(value)} ± {_short(std)}"
     place = 1 - math.floor(math.log10(std))
     if place < 0 or abs(value) < 1e-4 or place > 12:
         return f"{value:.4g} ± {std:.2g}"
     return f"{value:.{place}f} ± {std:.{place}f}"
+
+
+def _short(value: float | None) -> str:
+    """A number to four digits; nan where there is none."""
+    return "nan" if value is None else f"{value:.4g}"
 
 
 def json_line(text: str) -> str:

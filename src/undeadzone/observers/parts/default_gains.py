@@ -17,7 +17,7 @@ from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import mean_pole
 from undeadzone.support.arrays import Floats
 
-STRENGTH: Final = 5.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error
+STRENGTH: Final = 1.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error
 ADAPTATION: Final = 3.0  # gamma, in mean poles of the plant
 LARGEST: Final = 0.5  # of gamma, per sample
 WEAKER: Final = 0.5  # factor on L until it is certified in sampled time
