@@ -306,7 +306,7 @@ def test_the_object_holds_no_data_and_calls_no_library(tmp_path: Path) -> None:
 
 def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> None:
     """A width that moves by less than float's last digit at each sample stands still in float."""
-    slow = {"method": "certified", "gamma": 1e-3, "widths0": [3.99, 3.99]}
+    slow = {"method": "certified", "L": [1.0, 1.5], "gamma": 1e-3, "widths0": [3.99, 3.99]}
     scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
     step = parts.build(resolve_scenario(scenario))
     rows = np.tile([5.0, 0.0], (100_000, 1))

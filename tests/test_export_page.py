@@ -140,7 +140,7 @@ def test_a_wrong_sign_in_the_code_shows(
     monkeypatch.setitem(wasm._NUMBERS, ca.OP_SUB, wasm._NUMBERS[ca.OP_ADD])
     scenario = scene(simulation=SAMPLED)
     shown(page, scenario, tmp_path)
-    assert largest_gap(page, uz.simulate(scenario)) > 0.1
+    assert not largest_gap(page, uz.simulate(scenario)) <= 0.1  # it may diverge
 
 
 def test_a_slider_changes_what_its_key_changes(page: Browser, tmp_path: Path) -> None:

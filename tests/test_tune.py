@@ -298,7 +298,8 @@ def test_an_observer_in_python_runs_the_same_runs() -> None:
         loop, state, _ = prepare_loop(problem)
         metrics_of_run = row(problem, run_loop(loop, state, exogenous(problem, run=k)))
         np.testing.assert_allclose(metrics_of_run[0], expected, rtol=1e-9)
-    particles = gusts(ensemble=None, observer=ParticleFilter(right=[0.0, 2.0], particles=10))
+    observer = ParticleFilter(right=[0.0, 2.0], particles=10, noise=0.1)
+    particles = gusts(ensemble=None, observer=observer)
     noise = {"observer.noise": Range(between=(0.01, 1.0), log=True)}
     found = tune(particles, Tune(entries=noise, runs=2, held_out=2, budget=4))
     assert len(found.trials) == 4
