@@ -6,15 +6,10 @@ docs/filters.md derives them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
-
-CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
-TAIL = (
-    10.0  # standard deviations of the innovation over which a glitch is spread, besides its reach
-)
 
 
 class Gaussian(NamedTuple):
@@ -27,24 +22,6 @@ class Gaussian(NamedTuple):
 
     mean: Any
     cov: Any
-
-
-class Weighed(NamedTuple):
-    """What is known after a reading, or a silence, that may be wrong.
-
-    Attributes:
-        belief: mean and covariance of the mixture of both cases.
-        e: innovation, at most `CLIP` standard deviations; 0 of a silence.
-        std: standard deviation of what was foretold.
-        trust: probability that it is not wrong; 1 where it was not used.
-        log: log of the density, or of the chance, with which it was foretold; 0 where not used.
-    """
-
-    belief: Gaussian
-    e: Any
-    std: Any
-    trust: Any
-    log: Any
 
 
 def triangle(cov: Any, entries: ca.Sparsity) -> Any:
@@ -121,7 +98,7 @@ def spread(P: Any, E: Any, Q: Any) -> Any:
     covariance is not positive any more.
     """
     gained = E @ P
-    return _from_upper(P + (gained + gained.T + gained @ E.T + Q))
+    return from_upper(P + (gained + gained.T + gained @ E.T + Q))
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
@@ -144,93 +121,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     K = use * (P @ h.T) / S
     half = P - K @ (h @ P)
     cov = half - (half @ h.T) @ K.T + R * (K @ K.T)
-    return Gaussian(mean + K * e, _from_upper(cov)), S
-
-
-def update_unless_glitch(
-    belief: Gaussian, h: Any, e: Any, R: Any, use: Any, odds: Any, reach: Any
-) -> Weighed:
-    """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
-
-    A glitch says nothing of x and is evenly spread.
-
-    Args:
-        belief: of x (N).
-        h: row of the reading (1 x N).
-        e: innovation, the reading less what was expected.
-        R: variance of v.
-        use: 0 leaves the belief as it is.
-        odds: log of the odds of a glitch before the reading is seen; None: none is one.
-        reach: range over which a glitch is spread, besides `TAIL` standard deviations.
-    """
-    P = belief.cov
-    S = ca.fmax(h @ P @ h.T, 0.0) + R
-    return settle(belief, P @ h.T / S, e, S, R, use, odds, reach)
-
-
-def settle(
-    belief: Gaussian, K: Any, e: Any, S: Any, R: Any, use: Any, odds: Any, reach: Any
-) -> Weighed:
-    """The belief after a reading of which the gain is known, or after a glitch.
-
-    The covariance loses one product k k', which rounds each entry once and leaves it as it is where
-    nothing is used; no variance falls below that of v seen through the gain, which it cannot in
-    exact numbers.
-
-    Args:
-        belief: of x (N).
-        K: gain of the regular update (N), the best one.
-        e: innovation.
-        S: variance of the innovation.
-        R: variance of v.
-        use, odds, reach: as `update_unless_glitch` takes them.
-    """
-    std = ca.sqrt(S)
-    if odds is None:
-        return Weighed(_moved(belief, K, e, S, R, use), e, std, ca.SX(1.0), 0.0)
-    r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
-    near = r * std
-    wrong = odds - ca.log(reach + TAIL * std)
-    right = -(r**2) / 2 - ca.log(2 * math.pi * S) / 2
-    trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
-    weight = ca.if_else(use, trust, 0.0)
-    after = _moved(belief, K, near, S - (1 - weight) * near**2, R, weight)
-    log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
-    return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
-
-
-def _moved(belief: Gaussian, K: Any, e: Any, known: Any, R: Any, weight: Any) -> Gaussian:
-    """The belief moved by a share of K e.
-
-    Args:
-        belief: of x (N).
-        K: gain (N).
-        e: innovation.
-        known: what the covariance loses along K, per share.
-        R: variance of v.
-        weight: the share.
-    """
-    mean, P = belief
-    cov = P - (weight * known * K) @ K.T
-    least = weight * R * K**2
-    cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
-    return Gaussian(mean + weight * e * K, _from_upper(cov))
-
-
-def together(readings: Sequence[Weighed]) -> Weighed:
-    """What is known after readings that were taken one after the other, as columns."""
-    return Weighed(
-        belief=readings[-1].belief,
-        e=ca.vertcat(*(one.e for one in readings)),
-        std=ca.vertcat(*(one.std for one in readings)),
-        trust=ca.vertcat(*(one.trust for one in readings)),
-        log=sum(one.log for one in readings),
-    )
-
-
-def log_of_sum(a: Any, b: Any) -> Any:
-    """log(e^a + e^b)."""
-    return ca.fmax(a, b) + ca.log(1 + ca.exp(-ca.fabs(a - b)))
+    return Gaussian(mean + K * e, from_upper(cov)), S
 
 
 def truncate(
@@ -256,50 +147,7 @@ def truncate(
     ratio = ca.if_else(used, hazard(alpha), 0.0)
     along = P @ h.T / std
     cov = P - ratio * (ratio + alpha) * (along @ along.T)
-    return Gaussian(mean - ratio * along, _from_upper(cov)), used
-
-
-def truncate_unless_fake(
-    belief: Gaussian,
-    h: Any,
-    excess: Any,
-    R: Any,
-    use: Any,
-    limit: float,
-    fake: Any,
-    moved: Any = None,
-) -> tuple[Weighed, Any]:
-    """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
-
-    Mean and covariance of the mixture are matched.
-
-    Args:
-        belief, h, excess, R, use, limit: as `truncate` takes them.
-        fake: log of the probability that a silence is fake.
-        moved: share by which the bound moves each variable (N); None: all move. What it says of
-            the others is then known given those that stay.
-
-    Returns:
-        What is known, and 1 where the bound was used.
-    """
-    mean, P = belief
-    std = ca.sqrt(ca.fmax(h @ P @ h.T, 0.0) + R)
-    alpha = ca.fmax(-excess / std, -CLIP)
-    used = ca.logic_and(use, alpha < limit)
-    chance = log_chance(alpha)
-    trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
-    ratio = ca.if_else(used, hazard(alpha), 0.0)
-    along = P @ h.T / std
-    certain, between = trust * ratio * (ratio + alpha), trust * (1 - trust) * ratio**2
-    if moved is None:
-        shift, lost = along, (certain - between) * (along @ along.T)
-    else:
-        shift = moved * along
-        lost = shift @ (certain * along - (certain + between) / 2 * shift).T
-        lost = lost + lost.T  # certain (along along' - stay stay') - between shift shift'
-    after = Gaussian(mean - trust * ratio * shift, _from_upper(P - lost))
-    log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
-    return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
+    return Gaussian(mean - ratio * along, from_upper(cov)), used
 
 
 def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
@@ -319,14 +167,14 @@ def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian
     shift = (at_a - at_b) * share
     along = P[:, i] / std
     cov = P - (shift**2 + (b * at_b - a * at_a) * share) * (along @ along.T)
-    return Gaussian(mean + shift * along, _from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
+    return Gaussian(mean + shift * along, from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
 
 
 def mix(first: Gaussian, second: Gaussian, share: Any) -> Gaussian:
     """Mean and covariance of the mixture: `first` with probability `share`, else `second`."""
     gap = first.mean - second.mean
     spread = share * first.cov + (1 - share) * second.cov + share * (1 - share) * gap @ gap.T
-    return Gaussian(share * first.mean + (1 - share) * second.mean, _from_upper(spread))
+    return Gaussian(share * first.mean + (1 - share) * second.mean, from_upper(spread))
 
 
 def hazard(alpha: Any) -> Any:
@@ -353,6 +201,6 @@ def _density(x: Any) -> Any:
     return ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
 
 
-def _from_upper(cov: Any) -> Any:
+def from_upper(cov: Any) -> Any:
     """The symmetric matrix with this upper triangle."""
     return ca.triu2symm(ca.triu(cov))

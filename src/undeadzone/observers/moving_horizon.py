@@ -13,7 +13,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, NumericObserver, Reading, numeric_estimate
-from undeadzone.numerics.gaussian import CLIP
+from undeadzone.numerics.doubtful import CLIP
 from undeadzone.observers.parts import window as horizon
 from undeadzone.observers.parts.augmented_state import (
     Defaults,

@@ -12,7 +12,8 @@ import casadi as ca
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics import unscented
-from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
+from undeadzone.numerics.doubtful import Weighed, settle
+from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.joint_filter import Sight, joint_filter

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.numerics.gaussian import CLIP, TAIL
+from undeadzone.numerics.doubtful import CLIP, TAIL
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale

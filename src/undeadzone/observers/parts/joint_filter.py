@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.interfaces import Observer, Reading, no_further
-from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
+from undeadzone.numerics.doubtful import Weighed, together
+from undeadzone.numerics.gaussian import Gaussian, symmetric
 from undeadzone.observers.parts.augmented_state import JointPrior, read
 from undeadzone.observers.parts.doubt import doubt_numbers, glitch_share
 from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states

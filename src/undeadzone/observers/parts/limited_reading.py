@@ -14,13 +14,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Reading
-from undeadzone.numerics.gaussian import (
-    Gaussian,
-    Weighed,
-    linearise,
-    truncate,
-    truncate_unless_fake,
-)
+from undeadzone.numerics.doubtful import Weighed, truncate_unless_fake
+from undeadzone.numerics.gaussian import Gaussian, linearise, truncate
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.measured_reading import DOUBT, Heard, beyond_edge
 from undeadzone.observers.parts.prior import Prior

@@ -7,15 +7,13 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.numerics.gaussian import (
-    Gaussian,
+from undeadzone.numerics.doubtful import (
     Weighed,
-    linearise,
     together,
-    truncate,
     truncate_unless_fake,
     update_unless_glitch,
 )
+from undeadzone.numerics.gaussian import Gaussian, linearise, truncate
 from undeadzone.observers.parts.gaussian_filter import Params, informed
 from undeadzone.observers.parts.shown_belief import Setup
 from undeadzone.sensor import LEFT, RIGHT, offset
