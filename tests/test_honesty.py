@@ -17,6 +17,7 @@ from scenes import PAPER_PLANT
 from test_glitches import AT, PLANT, SENSOR, TS, drive
 from undeadzone.interfaces import Estimate, NumericObserver, Reading
 from undeadzone.linear.hold import zoh
+from undeadzone.numerics.doubtful import truncate_unless_fake
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.plants.system import sampled
 from undeadzone.sensor import resolve
@@ -129,18 +130,14 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
     belief = Gaussian(ca.SX(mean), ca.SX(P))
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one, _ = doubtful.truncate_unless_fake(
-            belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved)
-        )
+        one, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved))
         after, cov = numbers(*one.belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every, _ = doubtful.truncate_unless_fake(
-        belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
-    )
-    plain, _ = doubtful.truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
+    every, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0]))
+    plain, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
     for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
