@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import operator
+import os
 import re
 import subprocess
 import sys
@@ -585,6 +586,13 @@ def test_a_damaged_file_costs_a_compilation_and_no_more(folder: Path) -> None:
         assert doubled() == (6.0, True)
 
 
+def path_of_tests() -> dict[str, str]:
+    """The environment, with this folder and the one above among the paths of Python."""
+    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    present = os.environ.get("PYTHONPATH")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([*folders, *([present] if present else [])])}
+
+
 IN_A_PROCESS = """
 import sys
 import casadi as ca, numpy as np
@@ -605,7 +613,7 @@ def test_a_kernel_from_disk_with_every_instruction_needs_no_numba(folder: Path) 
             capture_output=True,
             text=True,
             check=True,
-            cwd=Path(__file__).parent,
+            env=path_of_tests(),
         ).stdout.split()
 
     (compiled, imported), (kept, again) = shown(), shown()
@@ -620,7 +628,7 @@ def test_processes_may_compile_the_same_kernel_at_once(folder: Path) -> None:
             [sys.executable, "-c", code],
             stdout=subprocess.PIPE,
             text=True,
-            cwd=Path(__file__).parent,
+            env=path_of_tests(),
         )
         for _ in range(3)
     ]
