@@ -503,7 +503,8 @@ def test_fused_sums_mean_the_same_to_rounding(
     np.testing.assert_array_less((np.abs(fused - plain) / (1 + largest) ** 2)[kept], 1e-12)
 
 
-def test_lanes_are_computed_by_vector_instructions() -> None:
+def test_lanes_are_computed_by_vector_instructions(folder: Path) -> None:
+    """Of a kernel that is compiled here; one that is kept has no text."""
     step = parts(small("sampled"))[0]
     exogenous, params = range(step.size1_in(1)), range(step.size1_in(2))
     kernel = lanes.build(step, params=params, exogenous=exogenous, width=32)
