@@ -21,7 +21,15 @@ sys.path.insert(0, str(HERE))
 
 import tutorials  # noqa: E402
 
-PROJECT = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "KNOWN_GAPS.md", "benchmarks/RESULTS.md")
+PROJECT = (
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "KNOWN_GAPS.md",
+    "benchmarks/RESULTS.md",
+    "fuzz/RESULTS.md",
+    "mutants/RESULTS.md",
+)
 FIRST = {
     "Start": ["index.md", "tour.md", "which.md", "glossary.md", "faq.md"],
     "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
@@ -79,7 +87,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 def project_page(path: str) -> str:
     """Where a page of the project stands on the site."""
-    return f"project/{posixpath.basename(path)}"
+    return f"project/{path.replace('/', '-')}"
 
 
 def source_of(uri: str) -> str:
@@ -101,7 +109,7 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
     file = ROOT / path
     if not file.is_file():
         return None
-    uri = f"files/{path}"
+    uri = f"files/{path}.txt" if path.endswith(".md") else f"files/{path}"
     if files.get_file_from_path(uri) is None:
         add(files, config, uri, file.read_bytes())
     return uri
