@@ -52,7 +52,7 @@ def check(scenario: Scenario) -> dict[str, Any]:
         - identifiable {right, left, width, centre}: what the readings can tell.
         - std: standard deviations of the same [z].
         - listens: the share of a z 5 % larger than the model says that z^ follows; below a half the
-          model is taken on trust.
+            model is taken on trust.
         - reasons: for every 'no'.
         - cures: what would help.
         - left_region [s]: when a run of the scenario first leaves the region, None if it does not.
