@@ -32,7 +32,7 @@ bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmark
 	$(BIN)/python -m benchmarks
 
 docs: .venv/documented         ## the documentation site, in site/
-	bash docs/site/katex.sh
+	bash docs/site/vendor.sh
 	$(BIN)/mkdocs build --strict
 
 clean:

@@ -39,6 +39,7 @@ FIRST = {
     "Elsewhere": ["export.md", "security.md"],
     "Reference": ["scenario.md", "decisions.md"],
 }
+WORKER = re.compile(r'<script src="https://[^"]*/iframe-worker/shim"></script>')
 LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
 
@@ -83,6 +84,15 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"{before}{relative}{anchor or ''}{after}"
 
     return LINK.sub(led, markdown)
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """Take the worker of the search from this site, or leave it out where it is not at hand."""
+    if not (HERE / "assets/iframe-worker.js").is_file():
+        return WORKER.sub("", output)
+    folder = posixpath.dirname(page.file.dest_uri) or "."
+    where = posixpath.relpath("assets/iframe-worker.js", folder)
+    return WORKER.sub(f'<script src="{where}"></script>', output)
 
 
 def project_page(path: str) -> str:
