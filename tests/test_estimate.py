@@ -33,6 +33,7 @@ noise = 0.02
 [observer]
 method = "kalman"
 right = [0.0, 2.0]
+disturbance = 0.0
 [simulation]
 step = 0.01
 time = "sampled"
@@ -192,7 +193,7 @@ def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbanc
     options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
     model, zone, observer = built_for(options, PLANT, SENSOR, 0.01, 10)
     N = 250
-    smoothed = smooth(model, graph_of(observer), zone.threshold, run.y[:N], run.u[:N])
+    smoothed = smooth(model, graph_of(observer), zone, run.y[:N], run.u[:N])
     expected = batch(run, model, N, disturbance**2)
     np.testing.assert_allclose(smoothed.x, expected[:, :2], rtol=0, atol=2e-6)
     np.testing.assert_allclose(smoothed.x_std, expected[:, 2:4], rtol=1e-3, atol=1e-7)
