@@ -14,6 +14,8 @@ from undeadzone.identification.plant_fit import Data, Simulator
 PROBES = (0, 1, 2, 3, 5, 7, 10, 14, 19, 25)  # samples
 SCREENED = 2  # order of the linear plant
 STEPS = 30  # of a climb
+NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
+CLEARLY = 20.0  # of BIC, by which a delay must be better than more poles
 
 
 def delayed(data: Data, samples: int) -> Data:
@@ -63,12 +65,24 @@ def likely_delay(fits: list[OrderFit]) -> int:
 def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
     """Whether fits with a delay are better by BIC; the delay counts as a number.
 
+    Clearly better, where the poles without it are those of a plant in continuous time.
+
     Args:
         fits: one an order, without a delay.
         late: with it.
     """
-    number = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
-    return best_order(late).pairs.bic + number < best_order(fits).pairs.bic
+    best = best_order(fits)
+    margin = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
+    if _is_sampled(best.pairs):
+        margin += CLEARLY  # a fast pole looks much like a delay
+    return best_order(late).pairs.bic + margin < best.pairs.bic
+
+
+def _is_sampled(fit: Fit) -> bool:
+    """Whether a plant in continuous time has these poles: none at 0 nearly, none negative."""
+    poles = fit.objective.simulator.poles(fit.theta)
+    real = np.abs(poles.imag) < 1e-9
+    return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
 def refined_delay(late: list[OrderFit]) -> int:
