@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.controllers.parts.tracked_error import require_square
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
@@ -54,11 +55,7 @@ class PD(
             InputError: for an option that it cannot take, or a model that it is not for.
             StructureError: for a model on which it does not exist.
         """
-        if model.m != model.p:
-            raise InputError(
-                "controller.method: 'pd' needs as many inputs as outputs, the plant has "
-                f"{model.m} and {model.p}"
-            )
+        require_square("pd", model)
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._gains(model)
         rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)

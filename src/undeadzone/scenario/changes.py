@@ -15,13 +15,12 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
-from undeadzone.scenario.messages import explain
+from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.support.arrays import decode
 from undeadzone.support.toml import tables
 
 S = TypeVar("S", bound=msgspec.Struct)
 ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
-CHOOSERS = ("kind", "method")  # keys that choose what a table is
 
 
 def with_value(scenario: S, address: str, value: Any) -> S:

@@ -46,7 +46,7 @@ _SYNONYMS = {  # words of other tools, and what stands for them here
     "saturation": "write range = [least, largest]",
     "sigma": "write noise, the rms of white noise on the reading",
 }
-_CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
+CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]
 
 
@@ -116,7 +116,7 @@ def _as_lists(line: str) -> str:
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
     """The message about a key that is missing from the table at `key`."""
     text = f"{_join(key, name)}: missing; this key is required"
-    choices = _tags(root, key) if name in _CHOOSERS else []
+    choices = _tags(root, key) if name in CHOOSERS else []
     if choices:
         text += f" (one of {', '.join(choices)})"
     return text
@@ -125,7 +125,7 @@ def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
 def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
     """The words that may stand at a dotted key; none where it does not choose among words."""
     parent, _, name = key.rpartition(".")
-    tags = _tags(root, parent) if name in _CHOOSERS else []
+    tags = _tags(root, parent) if name in CHOOSERS else []
     if tags:
         return tags
     words = []
@@ -227,7 +227,7 @@ def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Stru
     table, structs = _walk(key, data), _at(root, key)
     if not isinstance(table, dict):
         return structs
-    chosen = [table.get(chooser) for chooser in _CHOOSERS]
+    chosen = [table.get(chooser) for chooser in CHOOSERS]
     return [struct for struct in structs if struct.__struct_config__.tag in chosen] or structs
 
 
