@@ -11,7 +11,7 @@ from typing import Any
 
 from undeadzone.errors import FileError
 from undeadzone.support.files import reason, require_folder
-from undeadzone.support.text import printable
+from undeadzone.support.text import one_line, printable
 
 Files = dict[str, str | bytes]
 GENERATOR = "undeadzone export"
@@ -149,7 +149,7 @@ def arduino_files(report: dict[str, Any]) -> dict[str, str]:
         params_declared=declared,
         params_default=default,
     )
-    title = printable(" ".join(str(report["title"]).split()))
+    title = one_line(str(report["title"]))
     return {
         "library.properties": PROPERTIES.format(name=name, title=title),
         f"examples/{name}_example/{name}_example.ino": sketch,

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import Field
-from undeadzone.support.text import printable
+from undeadzone.support.text import one_line
 
 _HEAD: Final = '''"""{title}: {part}, by one sample after the other.
 
@@ -171,4 +171,4 @@ def _listed(fields: list[Field]) -> str:
 
 def _plain(text: str) -> str:
     """A text that ends no docstring."""
-    return printable(" ".join(text.split())).replace("\\", "/").replace('"', "'")
+    return one_line(text).replace("\\", "/").replace('"', "'")

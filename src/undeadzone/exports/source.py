@@ -14,7 +14,7 @@ from undeadzone.exports.instructions import uses_of
 from undeadzone.exports.labels import meanings
 from undeadzone.exports.math_header import math_header
 from undeadzone.exports.statements import INDENT, Body, Names, body
-from undeadzone.support.text import printable
+from undeadzone.support.text import one_line
 
 
 class Labels(NamedTuple):
@@ -185,7 +185,7 @@ def _header(code: Code, labels: Labels, style: Style) -> str:
 
 def _plain(text: str) -> str:
     """A text that may stand in a comment, which nothing in it ends."""
-    line = printable(" ".join(text.split())).replace("\\", "/")  # first: it makes new slashes
+    line = one_line(text).replace("\\", "/")  # first: it makes new slashes
     return line.replace("*/", "* /").replace("/*", "/ *")
 
 

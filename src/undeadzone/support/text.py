@@ -18,6 +18,11 @@ def printable(text: str) -> str:
     return "".join(map(_printable, text))
 
 
+def one_line(text: str) -> str:
+    """A text that is `printable`, its line ends and runs of blanks as single blanks."""
+    return printable(" ".join(text.split()))
+
+
 def label(words: str, unit: str) -> str:
     """Words and unit, the unit left out where it is 1."""
     return words if unit == "1" else f"{words} [{unit}]"

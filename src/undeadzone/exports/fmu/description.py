@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from undeadzone.exports.fmu.variables import Variable
-from undeadzone.support.text import printable
+from undeadzone.support.text import one_line
 
 _NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
 
@@ -133,7 +133,7 @@ def _structure(root: Element, listed: list[Variable], version: int) -> None:
 
 def _plain(text: str) -> str:
     """A text on one line that XML can hold."""
-    return printable(" ".join(text.split())).translate(_NO_XML)
+    return one_line(text).translate(_NO_XML)
 
 
 def build_description(name: str, sources: list[str]) -> str:
