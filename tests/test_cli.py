@@ -348,3 +348,38 @@ def test_watch_wrong_input(scenario: Path, stdin: str, words: str) -> None:
     done = undeadzone("watch", scenario, stdin=stdin)
     assert done.returncode == 2
     assert words in done.stderr
+
+
+def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
+    listed = undeadzone("init", "--list").stdout
+    for path in EXAMPLES.glob("*.*"):
+        name = path.stem if path.suffix in (".toml", ".urdf") else path.name
+        assert f"\n{name} " in listed
+    done = undeadzone("init", "--example", "ur5", "deep/mine.toml", "--out", "out", cwd=tmp_path)
+    assert "next: undeadzone run out/deep/mine.toml" in done.stdout
+    for name, written in (("ur5.toml", "mine.toml"), ("ur5.urdf", "ur5.urdf")):
+        kept = (EXAMPLES / name).read_bytes()
+        assert (tmp_path / "out" / "deep" / written).read_bytes() == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--example", "two_lnk"], "did you mean 'two_link'?"),
+        (["--example", "../secret"], "--list shows all"),
+        (["--example", ""], "--list shows all"),
+    ],
+)
+def test_init_knows_no_other_example(words: list[str], told: str, tmp_path: Path) -> None:
+    done = undeadzone("init", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_init_replaces_no_file_of_an_example(tmp_path: Path) -> None:
+    (tmp_path / "ur5.urdf").write_text("mine")
+    done = undeadzone("init", "--example", "ur5", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "ur5.urdf: exists already" in done.stderr
+    assert not (tmp_path / "ur5.toml").exists()
