@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.edges import MARGIN
 from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.analysis.reading_levels import reading_levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.support.arrays import Floats
 
@@ -24,11 +25,11 @@ def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list
     if options is None or getattr(options, "measured", "") == "velocity":
         return list(verdicts)
     offset = np.broadcast_to(np.asarray(options.reference, float), z.shape[1])
+    levels = reading_levels(problem.sensor)
     cured = []
     for i, verdict in enumerate(verdicts):
         where = "plant.arm.reference" + (f"[{i}]" if z.shape[1] > 1 else "")
-        right, left = problem.sensor.right[i], problem.sensor.left[i]
-        cure = _cure(where, z[:, i], float(offset[i]), float(right), float(left))
+        cure = _cure(where, z[:, i], float(offset[i]), *map(float, levels[i]))
         cured.append(verdict._replace(reasons=(*verdict.reasons, *cure)))
     return cured
 
@@ -40,7 +41,7 @@ def _cure(where: str, z: Floats, offset: float, right: float, left: float) -> li
         where: its key.
         z: the output along the run (N).
         offset: the position.
-        right, left: widths of the output.
+        right, left: from where on the sensor reads something, its threshold included.
     """
     if not np.isfinite(z).all():
         return []
