@@ -26,7 +26,8 @@ for name, text in answer.summary().items():
     print(f"{name:12} {text}")
 
 # %% [markdown]
-# The command line does the same with a file, and draws it: `undeadzone identify log.csv --order 1-2`.
+# The command line does the same with a file, and draws it: `undeadzone identify log.csv --order
+# 1-2`.
 
 # %%
 table = np.column_stack([step * np.arange(y.size), u, y])
