@@ -163,3 +163,17 @@ def test_help_lists_every_command() -> None:
     shown = CliRunner().invoke(group, ["--help"]).output
     for name in group.commands:
         assert f"undeadzone {name} " in shown
+
+
+def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
+    """Shown were 0.5 and an interval that excludes 1.0: plausible, and wrong."""
+    text = TEMPLATE.replace("right = [0.0, 3.0]", "right = [0.0, 0.5]\nleft = [0.2, 3.0]")
+    run = uz.simulate(parse(text) | {"simulation": {"duration": 3.0}})
+    assert not run.fully_identifiable
+    (verdict,) = run.info.identifiable
+    assert not verdict["right"]
+    assert verdict["left"]
+    assert verdict["reasons"] == [
+        "a false claim: the right width is 1, observer.right says 0 to 0.5"
+    ]
+    assert uz.simulate(parse(TEMPLATE)).fully_identifiable
