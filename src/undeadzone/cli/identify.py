@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
-from undeadzone.cli.log_table import columns_option
+from undeadzone.cli.log_table import columns_option, strict_option
 
 if TYPE_CHECKING:
     from undeadzone.identification.outputs import IdentifiedOutputs
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
 @columns_option
+@strict_option
 @common
 def identify(
     logs: tuple[Path, ...],

@@ -35,6 +35,7 @@ def identify(
     resample: float | None = None,
     integrators: int = 0,
     columns: str | None = None,
+    strict: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Identified | IdentifiedOutputs:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
@@ -61,6 +62,7 @@ def identify(
         integrators: how many poles of the plant are integrators: 1 where a motor's position is
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
         progress: called with the number of steps just done.
 
     Returns:
@@ -94,7 +96,7 @@ def identify(
         resample=resample,
         integrators=int(integrators),
     ).checked()
-    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns)]
+    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns, strict)]
     return _identified(logs, options, progress or _ignore)
 
 
@@ -117,7 +119,7 @@ def _ignore(done: int) -> None:
     """Nothing to report to."""
 
 
-def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
+def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -> list[Log]:
     """The logs that a user gave as files, frames or arrays. Raises InputError."""
     arrays = [value is not None for value in (t, u, y)]
     if log is None:
@@ -129,4 +131,4 @@ def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
         raise InputError("identify: the list of logs is empty")
-    return [read_log(source, columns) for source in sources]
+    return [read_log(source, columns, strict) for source in sources]

@@ -10,6 +10,7 @@ from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, NumericObserver, graph_of
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import Layout
+from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.scenario.problem import modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
@@ -20,7 +21,6 @@ from undeadzone.simulation.online import Online, built_for
 from undeadzone.support.arrays import Floats
 
 LIMIT = 1e12  # beyond this an estimate has diverged
-MOST_UNREADABLE = 0.5  # share of lines that may be unreadable
 
 
 class Follower:
