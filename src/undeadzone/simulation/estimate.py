@@ -14,7 +14,6 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
-from undeadzone.logs.range_ends import range_ends
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.observers import Kalman
@@ -79,23 +78,7 @@ def estimate(
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
     estimated, sides, B = follower.follow(regular, progress)
     smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
-    info = msgspec.structs.replace(known(), remarks=_remarks(follower, regular))
-    return _collected(regular, estimated, sides, B, info, smoothed)
-
-
-def _remarks(follower: Follower, regular: Regular) -> list[str]:
-    """That readings stick at the end of a range of which the scenario does not know."""
-    if follower.zone.limits is not None:
-        return []
-    remarks = []
-    for i, y in enumerate(regular.y.T):
-        ends = range_ends(y, np.isfinite(y))
-        if ends.found:
-            remarks.append(
-                f"{int(ends.at.sum())} readings of output {i} stick at an end of their range, "
-                f"where they only bound z: set sensor.range = {ends.text}"
-            )
-    return remarks
+    return _collected(regular, estimated, sides, B, known(), smoothed)
 
 
 Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
