@@ -59,8 +59,8 @@ class Follower:
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
-        undeclared = self.zone.limits is None
-        self._ends = [RunningEnds() for _ in range(self.model.p if undeclared else 0)]
+        undeclared = self.model.p if self.zone.limits is None else 0
+        self._ends = [RunningEnds() for _ in range(undeclared)]
         self._diverged = False
         self._last: Estimate | None = None
 
