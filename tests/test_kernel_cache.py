@@ -15,11 +15,13 @@ from undeadzone.engine import cache, cache_folder
 
 KINDS = ("float64", "float64*")
 SOURCE = """
-from numba import carray
-def block(value, result):
-    carray(result, (1,))[0] = {factor} * value
+define void @block(double %value, ptr %result) {{
+  %product = fmul double {factor:e}, %value
+  store double %product, ptr %result
+  ret void
+}}
 """
-PLANTED = -1.0  # what planted code gives, 6 what the source says
+PLANTED = -3.0  # what planted code gives, 6 what the source says
 
 
 @pytest.fixture

@@ -1,8 +1,4 @@
-"""Kernels compiled once per machine: files of machine code, named by a hash of what it depends on.
-
-A kernel is read back and called without numba, whose import and bookkeeping take longer than most
-runs.
-"""
+"""Kernels compiled once per machine: files of machine code, named by what it depends on."""
 
 from __future__ import annotations
 
@@ -16,6 +12,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.engine import cache_folder
+from undeadzone.engine.machine import here
 
 # ctypes of the numbers that a kernel takes.
 NUMBERS: Final[dict[str, Any]] = {
@@ -66,15 +63,15 @@ class Block(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def load(source: str, kinds: tuple[str, ...]) -> Block:
-    """The function `block` that a source defines, compiled now or taken from disk.
+    """The function `block` that LLVM's text defines, compiled now or taken from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
     compiled.
 
     Args:
-        source: Python that numba compiles; it must not allocate.
+        source: of a module that is compiled as it stands: nothing optimises it first.
         kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
-            which arrives as a pointer: `carray` gives it a shape.
+            which arrives as a pointer.
     """
     folder = cache_folder.chosen()
     if folder is None:
@@ -91,10 +88,10 @@ def load(source: str, kinds: tuple[str, ...]) -> Block:
 
 def _compiled_block(source: str, kinds: tuple[str, ...]) -> tuple[Block, Compiled]:
     """A source compiled now: ready to be called, and to be kept."""
-    compiled, text = _compiled(source, kinds)
+    compiled = _compiled(source)
     block = _linked(compiled, kinds)
     assert block is not None
-    return block._replace(text=text), compiled
+    return block._replace(text=source), compiled
 
 
 def _address(array: Any, kind: np.dtype[Any]) -> int:
@@ -111,11 +108,8 @@ def _machine() -> str:
     """What machine code depends on besides its source."""
     from importlib.metadata import version
 
-    from llvmlite import binding
-
-    versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "numba", "llvmlite"))
-    processor = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
-    return f"undeadzone {undeadzone.__version__} {versions} {processor}"
+    versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "llvmlite"))
+    return f"undeadzone {undeadzone.__version__} {versions} {' '.join(here())}"
 
 
 def _parsed(content: bytes | None) -> Compiled | None:
@@ -141,43 +135,15 @@ def _digest(content: bytes) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 
-def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
-    """The machine code of `block` as a C function of that name, and LLVM's text of it."""
-    from llvmlite import binding
-    from numba import cfunc
-
-    namespace: dict[str, Any] = {"__name__": "kernel"}
-    exec(compile(source, "<kernel>", "exec"), namespace)
-    arguments = ", ".join(map(_numba_type, kinds))
-    made = cfunc(f"void({arguments})", error_model="numpy")(namespace["block"])
-    module, target = binding.parse_assembly(made.inspect_llvm()), _target()
-    parts = [*module.functions, *module.global_variables]
-    for part in parts:
-        if part.name == made.native_name:
-            part.name = "block"
-        elif not part.is_declaration:
-            part.linkage = "internal"
-    _strip(module, target)
-    left = [*module.functions, *module.global_variables]
-    declared = [part.name for part in left if part.is_declaration]
-    return Compiled(_called(declared), target.emit_object(module)), str(module)
-
-
-def _numba_type(kind: str) -> str:
-    """The kind of an argument as numba names it."""
-    return f"CPointer({kind[:-1]})" if kind.endswith("*") else kind
-
-
-def _strip(module: Any, target: Any) -> None:
-    """Remove what would report to Python that something was raised: nothing is."""
+def _compiled(source: str) -> Compiled:
+    """The machine code of a source."""
     from llvmlite import binding
 
-    passes = binding.create_new_module_pass_manager()
-    passes.add_ipsccp_pass()
-    passes.add_simplify_cfg_pass()
-    passes.add_global_dead_code_eliminate_pass()
-    options = binding.create_pipeline_tuning_options(0)
-    passes.run(module, binding.create_pass_builder(target, options))
+    target = here().target()
+    module = binding.parse_assembly(source)
+    module.verify()
+    declared = [part.name for part in module.functions if part.is_declaration]
+    return Compiled(_called(declared), target.emit_object(module))
 
 
 def _called(declared: list[str]) -> list[str]:
@@ -200,33 +166,17 @@ def _library() -> ctypes.CDLL:
     return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
 
 
-def _target() -> Any:
-    """A compiler for this processor, of the same settings as numba's."""
-    from llvmlite import binding
-
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    target = binding.Target.from_triple(binding.get_process_triple())
-    cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    reloc = "static" if target.name.startswith("x86") else "default"
-    return target.create_target_machine(
-        cpu=cpu, features=features, opt=3, reloc=reloc, codemodel="jitdefault", jit=True
-    )
-
-
 def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
     """Machine code ready to be called.
 
-    None if something that it calls is missing from this process, at which LLVM would abort. It
-    calls the C library itself whether numba is there or not, which puts functions of its own, with
-    other NaNs, in its place.
+    None if something that it calls is missing from this process, at which LLVM would abort.
     """
     from llvmlite import binding
 
     library = _library()
     declarations = "\n".join(f"declare void @{name}()" for name in compiled.calls)
     names = binding.parse_assembly(declarations)
-    engine = binding.create_mcjit_compiler(names, _target())
+    engine = binding.create_mcjit_compiler(names, here().target())
     for name in compiled.calls:
         function = getattr(library, name, None)
         if function is not None:
