@@ -280,13 +280,13 @@ def _run_block(
     states_each, every = kernel.shape.sizes[0], schedule.every
     total, lanes = len(inputs.exogenous), len(inputs.states)
     end = min(start + width, lanes)
-    # Places beyond the last lane repeat it.
-    spread = np.minimum(np.arange(start, start + width), end - 1)
     steps = min(schedule.chunk, total)
     arrays = spare.pop() if spare else _arrays(kernel, width, steps)
-    arrays.work[:states_each] = inputs.states[spread].T
-    arrays.work[states_each:] = inputs.own_params[spread].T
-    own = inputs.supply(spread)
+    arrays.work[:states_each, : end - start] = inputs.states[start:end].T
+    arrays.work[states_each:, : end - start] = inputs.own_params[start:end].T
+    # Places beyond the last lane repeat it.
+    arrays.work[:, end - start :] = arrays.work[:, end - start - 1 : end - start]
+    own = inputs.supply(np.minimum(np.arange(start, start + width), end - 1))
     for first in range(0, total, schedule.chunk):
         count = min(schedule.chunk, total - first)
         kernel.block(

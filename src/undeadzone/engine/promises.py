@@ -26,11 +26,13 @@ class Edge(NamedTuple):
     param: int | None
     factor: float
 
-    def value(self, params: Floats) -> Floats:
-        """Its numbers for rows of params."""
+    def value(self, params: Floats, own: tuple[int, ...], rows: Floats) -> Floats:
+        """Its number in each lane, or the one of all lanes."""
         if self.param is None:
-            return np.full(len(params), self.factor)
-        return np.asarray(self.factor * params[:, self.param])
+            return np.array([self.factor])
+        if self.param in own:
+            return np.asarray(self.factor * rows[:, own.index(self.param)])
+        return np.asarray(self.factor * params[[self.param]])
 
 
 class Promise(NamedTuple):
@@ -79,18 +81,15 @@ def require(
     Raises:
         InputError: a promise is broken.
     """
-    if not promises:
-        return
-    all_params = np.tile(params, (len(rows), 1)) if own else params[None]
-    all_params[:, list(own)] = rows
-    for low, high in promises:
-        crossed = low.value(all_params) > high.value(all_params)
+    for promise in promises:
+        low, high = (edge.value(params, own, rows) for edge in promise)
+        crossed = low > high
         if crossed.any():
             lane = int(np.argmax(crossed))
-            at, above = (float(one.value(all_params)[lane]) for one in (high, low))
+            right, left = (float(np.resize(edges, lane + 1)[-1]) for edges in (high, low))
             raise InputError(
                 f"params: lane {lane}: expected edges of a zone that do not cross, "
-                f"found the right one at {at:g} and the left one at {above:g}"
+                f"found the right one at {right:g} and the left one at {left:g}"
             )
 
 
