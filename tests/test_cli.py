@@ -98,7 +98,7 @@ def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
         f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "heavy = 'llvmlite', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "heavy = 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import operator
 import os
 import re
@@ -549,15 +550,15 @@ def test_misuse_is_named() -> None:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.load.cache_clear()
+    cache.made.cache_clear()
     yield tmp_path / "kernels"
-    cache.load.cache_clear()
+    cache.made.cache_clear()
 
 
 def doubled(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
     a = ca.SX.sym("a")
-    cache.load.cache_clear()
+    cache.made.cache_clear()
     kernel = lanes.build(stateless([a], [a * factor]), width=8)
     outputs, _ = lanes.run(kernel, np.array([3.0]), np.empty((1, 0)), np.empty(0))
     return float(outputs[0, 0, 0]), not kernel.block.text
@@ -585,7 +586,9 @@ def test_a_damaged_file_costs_a_compilation_and_no_more(folder: Path) -> None:
     doubled()
     (kernel,) = folder.glob("*.kernel")
     whole = kernel.read_bytes()
-    rest = b"nowhere" + whole.partition(b"\n")[2]  # calls a function that is not there
+    head, _, code = whole.partition(b"\n")[2].partition(b"\n")
+    note, _ = json.loads(head)
+    rest = json.dumps([note, ["nowhere"]]).encode() + b"\n" + code  # calls what is not there
     missing = hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest
     turned = whole[:-1] + bytes([whole[-1] ^ 1])
     for damaged in (b"", whole[:100], whole[:-1], turned, b"no kernel", missing):

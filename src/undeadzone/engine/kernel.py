@@ -18,6 +18,7 @@ from undeadzone.engine.forms import ONE, Form, Shape
 from undeadzone.engine.lowering import lowered
 from undeadzone.engine.machine import Machine
 from undeadzone.engine.ops import LANES, SHARED, STEADY, Ops
+from undeadzone.engine.promises import Promise
 from undeadzone.engine.schedule import of_graph
 
 # Of the arguments of a kernel: steps, lanes, and flat arrays, the last one for its tables.
@@ -31,11 +32,13 @@ class Source(NamedTuple):
         text: LLVM's; it defines `block`.
         scratch: numbers of the array for its tables.
         form: how lanes are computed.
+        promises: what it takes for granted of params.
     """
 
     text: str
     scratch: int
     form: Form
+    promises: tuple[Promise, ...]
 
 
 class Graphs(NamedTuple):
@@ -106,14 +109,15 @@ def source(
             return LANES if place in shape.params else STEADY
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
-    usual = lowered(functions.usual, ops, level, fused)
-    parts = [lowered(part, ops, level, fused) for part in functions.rare]
+    promises: dict[Promise, None] = {}
+    usual = lowered(functions.usual, ops, level, fused, promises)
+    parts = [lowered(part, ops, level, fused, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.form(len(of_graph(results)), width)
     block = Block(shape, form, usual, parts)
     text, scratch = block.printed(name)
-    return Source(text, scratch, form)
+    return Source(text, scratch, form, tuple(promises))
 
 
 def _substituted(column: ca.SX, known: Mapping[int, float]) -> ca.SX:

@@ -78,6 +78,8 @@ def _held(inputs: Floats) -> Supply:
 
 def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:
     """Some steps of some lanes of an array (N x own inputs x lanes)."""
+    if not inputs.size:
+        return np.empty((count, 0, lanes.size))
     return inputs[first : first + count, :, lanes]
 
 

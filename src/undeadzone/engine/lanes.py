@@ -7,6 +7,7 @@ shared.
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -18,15 +19,17 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import cache
+from undeadzone.engine import cache, promises
 from undeadzone.engine.forms import Form, Shape
 from undeadzone.engine.kernel import KINDS, graphs, source
 from undeadzone.engine.lane_inputs import Inputs, Supply, checked
 from undeadzone.engine.machine import here
+from undeadzone.engine.promises import Promise
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
 WIDTH = 128
+WORTH = 45_000  # steps of the virtual machine that take as long as a compilation, of any graph
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
 BUFFER = 2**17
@@ -45,6 +48,7 @@ class Kernel(NamedTuple):
         form: how lanes are computed.
         scratch: numbers of the array for its tables.
         width: lanes of a block, at most.
+        promises: what it takes for granted of params.
     """
 
     block: Any
@@ -52,6 +56,7 @@ class Kernel(NamedTuple):
     form: Form
     scratch: int
     width: int
+    promises: tuple[Promise, ...]
 
 
 class _Schedule(NamedTuple):
@@ -80,6 +85,7 @@ def build(
     width: int | None = None,
     fused: bool = False,
     form: Form | None = None,
+    hurry: bool = True,
 ) -> Kernel:
     """Compile a step, or take it from disk if it was compiled before.
 
@@ -94,23 +100,71 @@ def build(
         width: lanes of a block, at most; 1 for a single run, without vectors; default: as suits
             caches.
         fused: multiply and add with one rounding: faster, within rounding of CasADi's virtual
-            machine where otherwise every bit agrees.
+            machine where otherwise every bit agrees. Right and left edges given by params are taken
+            not to cross.
         form: how lanes are computed; default: as suits this machine.
+        hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
+            once; the best one takes its place when a thread has it.
 
     Raises:
         InputError: an entry that is not there, or an instruction that cannot be compiled.
     """
+    wanted = _Wanted(tuple(exogenous), tuple(params), record, known_exogenous, known_params)
+    recipe, shape, width = _recipe(step, rare, wanted, width, fused, form)
+    return _kernel(cache.made(recipe, KINDS, hurry), shape, width)
+
+
+def kept(
+    step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
+) -> Kernel | None:
+    """The kernel that `build` would give with no other options, if it is on disk."""
+    recipe, shape, width = _recipe(step, rare, _Wanted((), (), None, {}, {}), width, False, None)
+    block = cache.kept(recipe, KINDS)
+    return None if block is None else _kernel(block, shape, width)
+
+
+class _Wanted(NamedTuple):
+    """Options of `build` that concern entries."""
+
+    exogenous: tuple[int, ...]
+    params: tuple[int, ...]
+    record: Sequence[int] | None
+    known_exogenous: Mapping[int, float]
+    known_params: Mapping[int, float]
+
+
+def _recipe(
+    step: ca.Function,
+    rare: Sequence[ca.Function],
+    wanted: _Wanted,
+    width: int | None,
+    fused: bool,
+    form: Form | None,
+) -> tuple[cache.Recipe, Shape, int]:
+    """How to make a kernel, what it is compiled for, and the lanes of a block."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     outputs = step.size1_out(1)
-    recorded = range(outputs) if record is None else record
-    _require_entries("exogenous", [*exogenous, *known_exogenous], sizes[1])
-    _require_entries("params", [*params, *known_params], sizes[2])
+    recorded = range(outputs) if wanted.record is None else wanted.record
+    _require_entries("exogenous", [*wanted.exogenous, *wanted.known_exogenous], sizes[1])
+    _require_entries("params", [*wanted.params, *wanted.known_params], sizes[2])
     _require_entries("record", recorded, outputs)
-    shape = Shape(sizes, tuple(exogenous), tuple(params), tuple(recorded))
-    functions = graphs(step, rare, shape, known_exogenous, known_params)
-    width = width or (WIDTH if shape.exogenous or shape.record else WIDE)
-    made = source(functions, shape, here(), fused, width, form)
-    return Kernel(cache.load(made.text, KINDS), shape, made.form, made.scratch, width)
+    shape = Shape(sizes, wanted.exogenous, wanted.params, tuple(recorded))
+    chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
+    functions = graphs(step, rare, shape, wanted.known_exogenous, wanted.known_params)
+    texts = [part.serialize() for part in (functions.usual, *functions.rare)]
+    key = "\n".join([*texts, repr((shape, fused, chosen, form))])
+
+    def make() -> cache.Made:
+        made = source(functions, shape, here(), fused, chosen, form)
+        return cache.Made(made.text, json.dumps([made.form, made.scratch, made.promises]))
+
+    return cache.Recipe(key, make), shape, chosen
+
+
+def _kernel(block: cache.Block, shape: Shape, width: int) -> Kernel:
+    """A compiled block with its note."""
+    form, scratch, granted = json.loads(block.note)
+    return Kernel(block, shape, Form(*form), scratch, width, promises.read(granted))
 
 
 def run(
@@ -144,9 +198,11 @@ def run(
 
     Raises:
         ShapeError: an array of another shape.
+        InputError: fused, and the edges of a zone cross.
     """
     shape = kernel.shape
     inputs = checked(shape, states, exogenous, params, lane_exogenous, lane_params)
+    promises.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
     total, lanes = len(inputs.exogenous), len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
     finals = np.empty((lanes, shape.sizes[0]))
@@ -224,13 +280,13 @@ def _run_block(
     states_each, every = kernel.shape.sizes[0], schedule.every
     total, lanes = len(inputs.exogenous), len(inputs.states)
     end = min(start + width, lanes)
-    # Places beyond the last lane repeat it.
-    spread = np.minimum(np.arange(start, start + width), end - 1)
     steps = min(schedule.chunk, total)
     arrays = spare.pop() if spare else _arrays(kernel, width, steps)
-    arrays.work[:states_each] = inputs.states[spread].T
-    arrays.work[states_each:] = inputs.own_params[spread].T
-    own = inputs.supply(spread)
+    arrays.work[:states_each, : end - start] = inputs.states[start:end].T
+    arrays.work[states_each:, : end - start] = inputs.own_params[start:end].T
+    # Places beyond the last lane repeat it.
+    arrays.work[:, end - start :] = arrays.work[:, end - start - 1 : end - start]
+    own = inputs.supply(np.minimum(np.arange(start, start + width), end - 1))
     for first in range(0, total, schedule.chunk):
         count = min(schedule.chunk, total - first)
         kernel.block(

@@ -13,9 +13,10 @@ from typing import Any, Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine import elementary, traced
+from undeadzone.engine import elementary, promises, traced
 from undeadzone.engine.graph import CONDITIONS, Graph, Node, listed, shortened
 from undeadzone.engine.ops import Op, Ops
+from undeadzone.engine.promises import Promise
 from undeadzone.engine.terms import SUMS, Counted, Term, counted, taken_in, terms
 from undeadzone.errors import InputError
 
@@ -59,7 +60,9 @@ _KNOWN: Final = {
 Levels = Callable[[str], int]  # how often an input, such as s3, is new
 
 
-def lowered(function: ca.Function, ops: Ops, levels: Levels, fused: bool) -> list[list[Op]]:
+def lowered(
+    function: ca.Function, ops: Ops, levels: Levels, fused: bool, granted: dict[Promise, None]
+) -> list[list[Op]]:
     """The results of a function as instructions.
 
     Args:
@@ -69,6 +72,7 @@ def lowered(function: ca.Function, ops: Ops, levels: Levels, fused: bool) -> lis
         fused: lower the graph `graph.shortened`, sums of products with one rounding per product
             (`fma`) and functions of `elementary`: faster, and rounded otherwise than on the virtual
             machine.
+        granted: promises that are taken for granted, which fused lanes do; grows.
 
     Raises:
         InputError: an instruction that the engine lacks; it names it.
@@ -79,7 +83,7 @@ def lowered(function: ca.Function, ops: Ops, levels: Levels, fused: bool) -> lis
     lines = counted(graph)
     taken = taken_in(lines) if fused else set()
     ours = traced.functions(elementary, ops) if fused else {}
-    lowering = _Lowering(lines, taken, ops, levels, ours, {}, {})
+    lowering = _Lowering(lines, taken, ops, levels, ours, granted if fused else None, {}, {})
     for k in range(len(graph.nodes)):
         if lines.uses[k] and k not in taken:
             lowering.lower(k, fused)
@@ -106,6 +110,7 @@ class _Lowering(NamedTuple):
         ops: where instructions are made.
         levels: of inputs.
         ours: functions that take the C library's place, by name.
+        granted: promises that are taken for granted; None if nothing may be.
         values: the number that each node is.
         truths: the truth of each condition.
     """
@@ -115,6 +120,7 @@ class _Lowering(NamedTuple):
     ops: Ops
     levels: Levels
     ours: dict[str, Any]
+    granted: dict[Promise, None] | None
     values: dict[int, Op]
     truths: dict[int, Op]
 
@@ -233,7 +239,17 @@ class _Lowering(NamedTuple):
         if op in (ca.OP_EQ, ca.OP_NE):
             return self._unequal(a, b, op == ca.OP_EQ)
         more, less = (b, a) if swapped else (a, b)
+        if op == ca.OP_LT and self._exclusive(more, less):
+            return more
         return ops.made("and" if op == ca.OP_LT else "or", more, ops.inverted(less))
+
+    def _exclusive(self, one: Op, other: Op) -> bool:
+        """Whether two conditions exclude each other, which may be a promise from now on."""
+        promise = promises.apart(one, other) or promises.apart(other, one)
+        if promise is None or self.granted is None:
+            return False
+        self.granted[promise] = None
+        return True
 
     def _sum(self, k: int) -> Op:
         """A sum, term by term.

@@ -36,7 +36,7 @@ class Machine(NamedTuple):
         lanes, registers = self.vector
         if instructions > LARGE or registers < 32 or width < 2 * lanes:
             return Form(lanes, 1, lanes == 8, 0, 0)
-        return Form(lanes, 2, lanes == 8, 13, 6 if lanes == 8 else 0)
+        return Form(lanes, 2, lanes == 8, 16, 6 if lanes == 8 else 0)
 
     def target(self, effort: int = 3) -> Any:
         """A compiler for it, of LLVM's effort 0 to 3."""
