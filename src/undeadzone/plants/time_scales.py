@@ -11,7 +11,9 @@ from undeadzone.linear.scaling import balancing, feedback_loops, similar
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 
-QUARTER = 50.0  # samples in a quarter period of a chain of integrators, which has no time of its own
+QUARTER = (
+    50.0  # samples in a quarter period of a chain of integrators, which has no time of its own
+)
 STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
