@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -180,6 +181,18 @@ def test_the_pace_of_a_plant_follows_its_unit_of_time(seed: int, n: int, decades
     assert pace(other) * time == pytest.approx(pace(usual), rel=1e-9)
     assert time_scale(other) / time == pytest.approx(time_scale(usual), rel=1e-9)
     assert state_units(other) * states == pytest.approx(state_units(usual), rel=1e-9)
+
+
+def test_the_scale_of_the_input_is_that_of_the_continuous_plant() -> None:
+    """However fast it is sampled; in a unit twice as large it is half the number."""
+    inputs = []
+    for step, u in ((1e-2, 1.0), (1e-3, 1.0), (1e-3, 0.5)):
+        given = scenario(1.0, 1.0, u, "kalman")
+        simulation = uz.Simulation(time="sampled", duration=3.0, step=step)
+        changed = msgspec.structs.replace(given, simulation=simulation)
+        inputs.append(plant_scales(resolve_scenario(changed)).input)
+    assert inputs[1] == pytest.approx(inputs[0], rel=0.05)
+    assert inputs[2] == pytest.approx(inputs[1] / 2, rel=1e-6)
 
 
 def test_a_pole_that_must_be_stabilised_counts_twice() -> None:
