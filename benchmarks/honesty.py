@@ -1,8 +1,8 @@
 """Whether shown intervals hold the truth where the world is as declared, and where it is not.
 
 `python -m benchmarks.honesty FOLDER` keeps every part in the folder and goes on where it stopped.
-With `--orders 3` it is done with that order alone: what others did for the other orders, in the same
-folder, joins it when all are asked for.
+With `--orders 3` that order alone is done; parts of all orders in one folder join when all are asked
+for.
 """
 
 from __future__ import annotations
@@ -93,7 +93,8 @@ def table(
             lines.append(row(kind, claims, *_cells(pooled)))
     rates = f"{RATES[0]:g} Hz to {RATES[1] / 1000:g} kHz"
     note = (
-        f"{count * len(orders)} problems of orders {tuple(orders)} a row, {SAMPLES} readings at {rates}. "
+        f"{count * len(orders)} problems of orders {tuple(orders)} a row, "
+        f"{SAMPLES} readings at {rates}. "
         "Told: true rms, and times, before what is wrong. Of runs that miss: the share of those "
         "with a miss among the five that then call themselves not consistent."
     )

@@ -189,7 +189,9 @@ def in_units(system: System, units: Floats) -> System:
         return lambda params, x, u: function(params, of(params) * x, u) / of(params)
 
     return system._replace(
-        params=system.params if system.nonlinear else Counted(*system.params, units),
+        params=system.params
+        if system.nonlinear
+        else Counted(**system.params._asdict(), units=units),
         move=counted(move),
         output=lambda params, x: output(params, of(params) * x),
         change=counted(change),
