@@ -1,8 +1,8 @@
 """Whether shown intervals hold the truth where the world is as declared, and where it is not.
 
 `python -m benchmarks.honesty FOLDER` keeps every part in the folder and goes on where it stopped.
-With `--orders 3` that order alone is done; parts of all orders in one folder join when all are asked
-for.
+With `--orders 3` that order alone is done; parts of all orders in one folder join when all are
+asked for.
 """
 
 from __future__ import annotations
