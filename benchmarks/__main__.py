@@ -24,6 +24,7 @@ NAMES = (
     "honesty",
     "ranges",
     "closed_loops",
+    "colours",
     "arm_coverage",
     "arm_operations",
     "certificates",
