@@ -6,6 +6,7 @@ import itertools
 from collections import Counter
 from typing import Final
 
+from undeadzone.engine.branches import Branch, gathered
 from undeadzone.engine.forms import Form, Shape
 from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, kept, once, plain
 from undeadzone.engine.ops import LANES, SHARED, STEADY, Op, needed, used
@@ -224,14 +225,18 @@ class Block:
     def _body(self) -> list[str]:
         """A step, and the rare parts' calls."""
         text = self._text("b")
+        text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
-        names = in_lanes(text, self.order, sources, self.slots)
+        order: list[Op | Branch] = list(self.order)
+        if self.form.branches and self.form.streams == 1:
+            order = gathered(self.order, self.results, self.form.branches)
+        names = in_lanes(text, order, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
             for i, op in enumerate(self.out):
                 text.store(names[u](op), f"%outputs{u}_{i}", vector=True)
         merged = [[[names[u](op) for op in self.following] for u in self.groups]]
-        came = ["time"]
+        came = [text.block]
         if self.flag:
             last, changed = self.rare.called(text, merged[0], self._flags(text, names))
             came.append(last)

@@ -32,6 +32,8 @@ class Form(NamedTuple):
             operand of its instruction (AVX-512).
         registers: numbers of a group that may wait for their use; 0 for the order of the graph.
         held: numbers that all lanes share and that stay in registers.
+        branches: instructions of one condition that are worth a branch, of groups that go alone; 0
+            for no branches.
     """
 
     lanes: int
@@ -39,6 +41,7 @@ class Form(NamedTuple):
     slots: bool
     registers: int
     held: int
+    branches: int = 0
 
 
-ONE: Final = Form(1, 1, False, 0, 0)  # for a single run
+ONE: Final = Form(1, 1, False, 0, 0, 60)  # for a single run
