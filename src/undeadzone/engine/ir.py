@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 from undeadzone.engine.branches import Branch
-from undeadzone.engine.ops import CONSTANT, LANES, Op, needed
+from undeadzone.engine.ops import CONSTANT, STILL, Op, needed
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil")
 _CONVERSIONS: Final = (
@@ -212,7 +212,7 @@ def in_lanes(
         if op.number in have[group]:
             return have[group][op.number]
         found = sources[group](op)
-        if op.level == LANES:
+        if op.level >= STILL:
             have[group][op.number] = found
         elif not every_use:
             for each in have:
