@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undeadzone.identification.result import Identified
-from undeadzone.identification.summary import HEADS, chance_in_words, rivals_in_words
+from undeadzone.identification.summary import HEADS, rivals_in_words
 from undeadzone.report.html import Html, page, paragraph, picture, section, table, tag
 from undeadzone.report.identify_figures import figures
 from undeadzone.report.style import write
@@ -95,10 +95,10 @@ def _rivals(found_log: Identified) -> list[Html]:
     residuals = evidence.residuals
     words = (
         f"A curve over z^ explains {100 * residuals.share:.1f} % of what the zone leaves"
-        f" ({chance_in_words(residuals.chance)}); one over its direction"
-        f" {100 * residuals.moving_share:.1f} % ({chance_in_words(residuals.moving_chance)})."
+        f" (p = {residuals.chance:.2g}); one over its direction"
+        f" {100 * residuals.moving_share:.1f} % (p = {residuals.moving_chance:.2g})."
         " A dead zone alone leaves 1 % or less. Test of no zone at all:"
-        f" {chance_in_words(evidence.no_zone.chance)}."
+        f" p = {evidence.no_zone.chance:.2g}."
     )
     rivals = rivals_in_words(found_log.answer)
     return [table(("instead of a dead zone", "behind, nats a sample"), rivals), paragraph(words)]
