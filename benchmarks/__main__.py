@@ -23,6 +23,7 @@ NAMES = (
     "glitches",
     "honesty",
     "ranges",
+    "smoothing",
     "closed_loops",
     "arm_coverage",
     "arm_operations",
