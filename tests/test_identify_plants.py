@@ -115,6 +115,18 @@ def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
     assert answer.right.half < 0.03
 
 
+def test_a_pole_that_no_plant_in_continuous_time_has_is_one_pole() -> None:
+    rng = np.random.default_rng(9)
+    u = np.repeat(rng.standard_normal(80), 5)
+    z = lfilter([0.0, 1.0], [1.0, 0.6], u) + 0.02 * rng.standard_normal(u.size)
+    y = np.maximum(z - 0.2, 0.0) + np.minimum(z + 0.1, 0.0)
+    answer = uz.identify(t=0.1, u=u, y=y, order=1)
+    poles = answer.summary()["plant"]
+    assert "+-" not in poles
+    assert f"{np.log(0.6) / 0.1:.1f}"[:4] in poles
+    assert "alternates from sample to sample" in poles
+
+
 def test_an_integrator_in_continuous_time_is_exact() -> None:
     layout = Simulator(small_data(), 2, 1).layout
     a, b = np.array([-0.8]), np.array([0.02, 0.015])

@@ -215,7 +215,9 @@ def _plant(answer: Answer) -> str:
     rate = "1/sample" if grid.counted else "1/s"
     shown = []
     for pole in answer.poles:
-        if pole.imag > 1e-12 * abs(pole):
+        if abs(abs(pole.imag) * grid.step - np.pi) < 1e-9:  # negative in sampled time
+            shown.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
+        elif pole.imag > 1e-12 * abs(pole):
             shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
         elif abs(pole.imag) <= 1e-12 * abs(pole):
             shown.append(f"{pole.real:.4g}")
