@@ -30,6 +30,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "identify_known",
     "damaged_logs",
     "firmware",
 )
