@@ -23,6 +23,7 @@ NAMES = (
     "glitches",
     "honesty",
     "ranges",
+    "smoothing",
     "closed_loops",
     "colours",
     "arm_coverage",
@@ -30,6 +31,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "identify_known",
     "damaged_logs",
     "firmware",
 )

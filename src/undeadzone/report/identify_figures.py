@@ -92,11 +92,15 @@ def _overview(found_log: Identified) -> Figure:
             transform=each.get_xaxis_transform(),
         )  # fmt: skip
     finish(axes, "Output and reading; shaded: held out", label("z, y", _unit(found_log)), "")
-    side = np.where(data.ok, data.side, np.nan)[part]
+    side, whose = data.side, "Side of the readings"
+    if answer.fit.objective.kind == "behind":  # where readings inside the zone are noise
+        z = answer.fit.z
+        side, whose = 1 * (z > answer.fit.right) - 1 * (z < -answer.fit.left), "Side of z^"
+    side = np.where(data.ok, side, np.nan)[part]
     panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
     panels["sides"].set_ylim(-1.3, 1.3)
-    finish(panels["sides"], "Side of the readings", "", _time(found_log), legend=0)
+    finish(panels["sides"], whose, "", _time(found_log), legend=0)
     return figure
 
 
