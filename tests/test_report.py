@@ -24,8 +24,9 @@ from undeadzone.report.arena_figures import cell, envelope
 from undeadzone.report.arm_figures import joint_rows, offset
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
-from undeadzone.report.figures import overview, plot, rows_below, rows_beside
+from undeadzone.report.figures import overview, rows_below, rows_beside
 from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table
+from undeadzone.report.plot import KINDS, plot
 from undeadzone.report.proof_figures import nyquist, proof_of
 from undeadzone.report.style import png, sheet, write
 from undeadzone.report.trade_figures import ELLIPSE, ellipse
@@ -225,9 +226,9 @@ def title(figure: Figure) -> str:
 def test_plot_writes_any_result(
     kind: str, suffix: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    result = request.getfixturevalue(kind)
-    path = plot(result, str(tmp_path / f"figure{suffix}"))
-    assert path == tmp_path / f"figure{suffix}"
+    path = tmp_path / f"figure{suffix}"
+    figure = request.getfixturevalue(kind).plot(str(path))
+    assert isinstance(figure, Figure)
     assert path.stat().st_size > 1000
 
 
@@ -267,8 +268,7 @@ def test_a_lost_ensemble_is_drawn_over_time_or_refused(ensemble: Ensemble) -> No
 
 @pytest.mark.parametrize("wrong", [None, "run.npz", 3.0, {"z": [1.0]}, np.zeros(3)])
 def test_plot_of_anything_else_says_what_it_expects(wrong: Any, tmp_path: Path) -> None:
-    kinds = "a Run, an Estimation, an Ensemble, a Design or a Tuned"
-    expected = f"expected {kinds}, found {type(wrong).__name__}"
+    expected = f"expected {KINDS}, found {type(wrong).__name__}"
     with pytest.raises(InputError, match=expected):
         plot(wrong, tmp_path / "figure.png")
     assert not list(tmp_path.iterdir())

@@ -9,13 +9,12 @@ import click
 
 from undeadzone.cli.common import (
     confined,
+    named_files,
     print_blocks,
     print_json,
-    print_table,
-    progress,
-    say,
     writable,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
@@ -141,7 +140,7 @@ def arena(
     if writes:
         (folder / "results.json.partial").unlink(missing_ok=True)
     if as_json:
-        print_json(contest.summary() | {"files": [str(path) for path in written]})
+        print_json(contest.summary(), written)
     else:
         _print(contest, written)
     return 0
@@ -203,7 +202,7 @@ def _tune(
     if as_json:
         import msgspec
 
-        print_json(msgspec.to_builtins(tuned) | {"files": [str(path)]})
+        print_json(msgspec.to_builtins(tuned), [path])
     else:
         _print_tuned(tuned, path)
     return 0
@@ -232,9 +231,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    print_blocks(contest.blocks())
-    if written:
-        say(f"written: {', '.join(map(str, written))}")
+    print_blocks(contest.blocks(), named_files(written))
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:
@@ -244,6 +241,4 @@ def _print_tuned(tuned: Tuned, path: Path) -> None:
         regret = f"{found.before:.3f} -> {found.regret:.3f}"
         knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
         rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
-    print_table(rows)
-    say()
-    say(f"written: {path}")
+    print_blocks([rows], named_files([path]))

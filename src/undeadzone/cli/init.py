@@ -27,7 +27,7 @@ def init(file: Path, force: bool, out: Path | None, as_json: bool, no_figures: b
         raise FileError(f"{path}: exists already; choose another name or add --force")
     write_text(files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8"), path)
     if as_json:
-        print_json({"files": [str(path)]})
+        print_json({}, [path])
     else:
         say(f"wrote {path}; next: undeadzone run {path}")
     return 0

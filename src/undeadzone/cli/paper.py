@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json, progress
+from undeadzone.cli.common import common, folder_for, print_json
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +18,7 @@ NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that ho
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
-@click.command(epilog="Example: undeadzone paper --out results && open results/report.html")
+@click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
 @common
 def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     """Run the paper's example as printed and repaired, and check every claim.

@@ -12,10 +12,10 @@ from undeadzone.cli.common import (
     confined,
     folder_for,
     named_files,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
@@ -124,9 +124,9 @@ def tune(
 
         written += write_figures(result, folder)
     if as_json:
-        print_json(result.summary() | {"files": [str(path) for path in written]})
+        print_json(result.summary(), written)
     else:
-        print_pairs(in_words(result.summary()) | named_files(written))
+        print_blocks([in_words(result.summary())], named_files(written))
     return 0 if result.improved and result.certified else 1
 
 

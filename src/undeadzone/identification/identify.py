@@ -13,6 +13,7 @@ from undeadzone.identification.options import Options
 from undeadzone.identification.outputs import IdentifiedOutputs
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.result import Identified
+from undeadzone.support.progress import in_notebook
 
 
 def identify(
@@ -61,7 +62,7 @@ def identify(
         integrators: how many poles of the plant are integrators: 1 where a motor's position is
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
-        progress: called with the number of steps just done.
+        progress: called with the number of steps just done; None: a bar in a notebook.
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
@@ -95,7 +96,8 @@ def identify(
         integrators=int(integrators),
     ).checked()
     logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns)]
-    return _identified(logs, options, progress or _ignore)
+    with in_notebook(progress, "identifying", None) as advance:
+        return _identified(logs, options, advance)
 
 
 def _identified(
@@ -111,10 +113,6 @@ def _identified(
         alone = [log.of_output(k) for log in logs]
         answers.append(identify_output(to_grid(alone, options.resample), options, advance))
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
-
-
-def _ignore(done: int) -> None:
-    """Nothing to report to."""
 
 
 def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:

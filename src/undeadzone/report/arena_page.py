@@ -91,7 +91,7 @@ def write_arena(contest: Contest, runs: Sequence[Trace], folder: Path) -> list[P
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """The figures by name; runs: of some methods, as `traces.traced` gives them."""
     drawn = {
-        "leaderboard": places(contest.rows, _runs(contest)),
+        "leaderboard": places(contest.rows, size_in_words(contest)),
         "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
     }
     if runs:
@@ -141,7 +141,7 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.3g}")
 
 
-def _runs(contest: Contest) -> str:
+def size_in_words(contest: Contest) -> str:
     """How many methods, scenarios and runs there are."""
     parts = [
         _count(len(contest.rows), "method"),
@@ -162,7 +162,7 @@ def _verdict(contest: Contest) -> Html:
         return paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
     regret = f"{first.median_regret:.3f} {_interval(first.median_interval)}"
-    text = f"{_runs(contest)}. Least median regret: {first.method}, {regret}"
+    text = f"{size_in_words(contest)}. Least median regret: {first.method}, {regret}"
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
         second = rest[0]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from undeadzone.ensemble.result import WIDTHS, Ensemble
+from undeadzone.ensemble.result import MAIN, WIDTHS, Ensemble
 from undeadzone.report.style import (
     ESTIMATE,
     PRINTED,
@@ -75,6 +75,13 @@ def distributions(result: Ensemble) -> Figure:
         finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
         finish(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
     return figure
+
+
+def distribution(axes: Axes, result: Ensemble) -> None:
+    """How the errors of the runs are distributed."""
+    _histogram(axes, np.sort(result.sample(MAIN)))
+    quantity = axis_label(WORDS[MAIN], result.unit(MAIN))
+    finish(axes, _runs(result), "share of runs in each bin [%]", quantity, legend=2)
 
 
 def _distributed(result: Ensemble) -> list[str]:

@@ -27,13 +27,16 @@ _TEST = (
 )
 
 
-def write_estimation(result: Estimation, folder: Path, figures: bool) -> list[Path]:
+def write_estimation(
+    result: Estimation, folder: Path, figures: bool, tables: bool = True
+) -> list[Path]:
     """Write the files of a log that was followed.
 
     Args:
         result: what the observer makes of it.
         folder: for the files; made if missing.
         figures: whether figure and page are wanted beside the signals.
+        tables: whether the signals are wanted as `.csv` too.
 
     Returns:
         The paths of the files.
@@ -41,7 +44,9 @@ def write_estimation(result: Estimation, folder: Path, figures: bool) -> list[Pa
     Raises:
         FileError: a file cannot be written.
     """
-    written = [result.save(folder / "estimate.npz"), result.save(folder / "estimate.csv")]
+    written = [result.save(folder / "estimate.npz")]
+    if tables:
+        written.append(result.save(folder / "estimate.csv"))
     if figures:
         figure = log_overview(result)
         written.append(write_figure(figure, folder / "figure.png"))

@@ -18,7 +18,9 @@ TIP = "The tip against its path, its distance from it, and the torques."
 PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
 
 
-def write_run(result: Run, folder: Path, figures: bool, rival: Run | None = None) -> list[Path]:
+def write_run(
+    result: Run, folder: Path, figures: bool, rival: Run | None = None, tables: bool = True
+) -> list[Path]:
     """Write the files of a run.
 
     Args:
@@ -26,6 +28,7 @@ def write_run(result: Run, folder: Path, figures: bool, rival: Run | None = None
         folder: for the files; made if missing.
         figures: whether figure and page are wanted beside the signals.
         rival: a run to be shown beside it.
+        tables: whether the signals are wanted as `.csv` too.
 
     Returns:
         The paths of the files.
@@ -33,7 +36,9 @@ def write_run(result: Run, folder: Path, figures: bool, rival: Run | None = None
     Raises:
         FileError: a file cannot be written.
     """
-    written = [result.save(folder / "run.npz"), result.save(folder / "run.csv")]
+    written = [result.save(folder / "run.npz")]
+    if tables:
+        written.append(result.save(folder / "run.csv"))
     if not figures:
         return written
     figure = overview(result)

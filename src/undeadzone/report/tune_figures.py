@@ -59,16 +59,21 @@ def history(result: Tuned) -> Figure:
     """Every candidate in order, and the scenario before and after on held-out runs."""
     rows = [["trials", "trials", "trials", "held_out"]]
     figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
-    _candidates(panels["trials"], result)
+    candidates(panels["trials"], result)
     words = _words(result)
-    finish(panels["trials"], "Candidates, on the runs tuned on", words, "candidate", legend=3)
     _compare(panels["held_out"], result)
     finish(panels["held_out"], "On held-out runs", words, "", legend=0)
     return figure
 
 
-def _candidates(axes: Axes, result: Tuned) -> None:
+def candidates(axes: Axes, result: Tuned) -> None:
     """The cost of every candidate by the stage that tried it, and the best so far."""
+    _costs(axes, result)
+    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+
+
+def _costs(axes: Axes, result: Tuned) -> None:
+    """Candidates as dots, those not certified as crosses, the best so far as a line."""
     cost = np.array([trial.cost for trial in result.trials])
     kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
     best = np.minimum.accumulate(np.where(kept, cost, np.inf))

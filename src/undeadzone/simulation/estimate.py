@@ -26,6 +26,7 @@ from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.progress import in_notebook
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 
@@ -56,7 +57,7 @@ def estimate(
         columns: which column is which where names do not say it: `y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
         smoothing: whether the filter `kalman` is smoothed too, with the whole log.
-        progress: called with the number of samples just done.
+        progress: called with the number of samples just done; None: a bar in a notebook.
 
     Returns:
         The estimates along the log, the final widths, and whether the record is consistent.
@@ -77,7 +78,8 @@ def estimate(
         raise InputError("estimate: expected a log or arrays, found both")
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
-    estimated, sides, B = follower.follow(regular, progress)
+    with in_notebook(progress, "estimating", len(regular.t)) as advance:
+        estimated, sides, B = follower.follow(regular, advance)
     smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
     info = msgspec.structs.replace(known(), remarks=_remarks(follower, regular))
     return _collected(regular, estimated, sides, B, info, smoothed)
