@@ -128,7 +128,7 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     done = undeadzone("run", scenario, "--out", out)
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in out.iterdir()) == [
-        "figure.png",
+        "figure.svg",
         "report.html",
         "run.csv",
         "run.npz",
@@ -137,7 +137,7 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     np.testing.assert_array_equal(Run.load(out / "run.csv").z, run.z)
     page = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=[\"']https?:", page)
-    assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "figure.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_init_does_not_overwrite(scenario: Path) -> None:

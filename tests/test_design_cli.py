@@ -202,11 +202,11 @@ def test_check_writes_a_verdict_figures_and_a_page(
     done = run("check", paper(observer=observed([12.0, 15.0], 2.0)), "--json", "--out", out)
     assert sorted(path.name for path in out.iterdir()) == [
         "check.json",
-        "ellipse.png",
-        "lyapunov.png",
-        "nyquist.png",
+        "ellipse.svg",
+        "lyapunov.svg",
+        "nyquist.svg",
         "report.html",
-        "root_locus.png",
+        "root_locus.svg",
     ]
     assert (
         json.loads((out / "check.json").read_text()) | {"files": done.found["files"]} == done.found
@@ -254,12 +254,12 @@ def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
     folder, done = knee
     names = [
         "design.toml",
-        "ellipse.png",
-        "front.png",
-        "lyapunov.png",
-        "nyquist.png",
+        "ellipse.svg",
+        "front.svg",
+        "lyapunov.svg",
+        "nyquist.svg",
         "report.html",
-        "root_locus.png",
+        "root_locus.svg",
     ]
     assert sorted(path.name for path in (folder / "out").iterdir()) == names
     assert Design.load(folder / "out" / "design.toml").L.tolist() == done.found["L"]

@@ -10,6 +10,7 @@ import click
 from undeadzone.cli.common import (
     confined,
     named_files,
+    origin,
     print_blocks,
     print_json,
     writable,
@@ -217,7 +218,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone.support.files import write_text
 
     written = [contest.save(folder / "results.json")]
-    written += write_arena(contest, traced(contest), folder)
+    written += write_arena(contest, traced(contest), folder, origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:

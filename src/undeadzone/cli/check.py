@@ -12,6 +12,7 @@ from undeadzone.cli.common import (
     folder_for,
     json_text,
     named_files,
+    origin,
     print_blocks,
     print_json,
     with_schema,
@@ -56,8 +57,11 @@ def check(
             from undeadzone.report.gains_page import write_gains
 
             attempts = attack(result.assessment)
+            seed = result.scenario.simulation.seed
             advance(1)
-            written += write_gains(result.assessment, attempts, folder)
+            written += write_gains(
+                result.assessment, attempts, folder, origin=origin(scenario, seed)
+            )
     if as_json:
         print_json(result.summary(), written)
     else:

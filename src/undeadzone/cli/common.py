@@ -5,17 +5,22 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from undeadzone.support.shown import Block
 from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import printable
+
+if TYPE_CHECKING:
+    from undeadzone.report.html import Origin
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
@@ -77,6 +82,23 @@ def confined(command: Command) -> Command:
         help="Refuse files that the scenario names outside of DIR, as a service should.",
     )
     return option(command)
+
+
+def origin(path: Path | None, seed: int | None = None) -> Origin:
+    """What it takes to get a result again, for its page: the command, and the scenario as given.
+
+    Args:
+        path: of the scenario; None: there is none.
+        seed: of every random number; None: there is none, or several.
+    """
+    from undeadzone.report.html import Origin
+    from undeadzone.support.files import read_text
+
+    text = ""
+    if path is not None:
+        with suppress(OSError, ValueError):  # it was there when the command began
+            text = read_text(path)
+    return Origin(shlex.join(["undeadzone", *sys.argv[1:]]), text, seed)
 
 
 def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:

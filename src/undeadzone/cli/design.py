@@ -12,6 +12,7 @@ from undeadzone.cli.common import (
     confined,
     folder_for,
     named_files,
+    origin,
     print_blocks,
     print_json,
 )
@@ -19,6 +20,7 @@ from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
+    from undeadzone.report.html import Origin
     from undeadzone.scenario.schema import Scenario
     from undeadzone.support.shown import Block
     from undeadzone.synthesis.check import Check
@@ -126,7 +128,11 @@ def design(
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
     designed = with_gains(planned, result)
     judged = assess_gains(designed)
-    written = [] if folder is None else _written(result, designed, folder, not no_figures)
+    written = (
+        []
+        if folder is None
+        else _written(result, designed, folder, not no_figures, origin(scenario, seed))
+    )
     if as_json:
         print_json(_numbers(result) | judged.summary(), written)
     else:
@@ -148,7 +154,9 @@ def _print_impossible(scenario: Scenario, path: Path, reason: str, as_json: bool
     print_blocks([words])
 
 
-def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:
+def _written(
+    design: Design, scenario: Scenario, folder: Path, figures: bool, again: Origin
+) -> list[Path]:
     """The files of a design: design.toml always, figures and page where wanted.
 
     Args:
@@ -156,6 +164,7 @@ def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) ->
         scenario: that has these gains.
         folder: for the files.
         figures: whether figures and page are wanted.
+        again: what it takes to get the same design.
     """
     written = [design.save(folder / "design.toml")]
     if figures:
@@ -165,7 +174,7 @@ def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) ->
 
         assessment = assess(resolve_scenario(scenario))
         attempts = attack(assessment, design.seed)
-        written += write_gains(assessment, attempts, folder, design)
+        written += write_gains(assessment, attempts, folder, design, again)
     return written
 
 

@@ -11,6 +11,7 @@ import click
 from undeadzone.cli.common import (
     common,
     confined,
+    origin,
     print_blocks,
     print_json,
     writable,
@@ -102,7 +103,7 @@ def ensemble(
     if not no_figures:
         from undeadzone.report.ensemble_page import write_ensemble
 
-        written += write_ensemble(result, summary, folder)
+        written += write_ensemble(result, summary, folder, origin(scenario, result.info.seed))
     if as_json:
         print_json(summary, written)
     else:

@@ -12,6 +12,7 @@ from undeadzone.cli.common import (
     csv_option,
     folder_for,
     named_files,
+    origin,
     print_blocks,
     print_json,
     wanted_table,
@@ -44,7 +45,7 @@ def estimate(
     A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
     Times must fit simulation.step. Prints the widths, what was missing, and whether the
     innovations are what the observer claims; writes estimate.npz, estimate.csv (if it has at most
-    10 MB), figure.png and report.html to DIR (default: LOG-estimate). The filter `kalman` is
+    10 MB), figure.svg and report.html to DIR (default: LOG-estimate). The filter `kalman` is
     smoothed too: what the whole log says of each sample. The scenario needs no [reference], no
     [controller], no widths. Exit code 1: the record is not consistent with what the observer
     claims.
@@ -60,7 +61,7 @@ def estimate(
     written: list[Path] = []
     tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
-        written = write_estimation(result, folder, not no_figures, tables)
+        written = write_estimation(result, folder, not no_figures, tables, origin(scenario))
     if as_json:
         print_json(result.summary(), written)
     else:

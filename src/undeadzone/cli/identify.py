@@ -11,6 +11,7 @@ from undeadzone.cli.common import (
     common,
     folder_for,
     named_files,
+    origin,
     print_blocks,
     print_json,
     writable,
@@ -103,7 +104,7 @@ def _pages(answer: Answers, folder: Path, source: str, figures: bool) -> list[Pa
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):
-        return written + write_identified(answer, folder, source)
+        return written + write_identified(answer, folder, source, origin(None))
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
-        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}")
+        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
     return written

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json
+from undeadzone.cli.common import common, folder_for, origin, print_json
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     with progress("auditing the paper", None) as advance:
         result = audit(progress=advance)
         if folder is not None:
-            written = write(result, folder, figures=not no_figures, progress=advance)
+            written = write(result, folder, not no_figures, progress=advance, origin=origin(None))
     summary = result.summary()
     if as_json:
         print_json(summary)

@@ -13,6 +13,7 @@ from undeadzone.cli.common import (
     csv_option,
     folder_for,
     named_files,
+    origin,
     print_blocks,
     print_json,
     wanted_table,
@@ -21,6 +22,7 @@ from undeadzone.cli.common import (
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
+    from undeadzone.report.html import Origin
     from undeadzone.scenario.schema import Scenario
     from undeadzone.simulation.run import Run
 
@@ -61,7 +63,7 @@ def run(
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
-    certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.png and report.html
+    certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.svg and report.html
     to DIR (default: NAME-results); with --no-figures and no --out it writes nothing. Exit code 1:
     it diverged, half the step changes it by more than 1 %, or its widths cannot be identified.
 
@@ -82,8 +84,10 @@ def run(
         result, rival = _simulated(scenario, animation is not None, confine)
     else:
         result, deviation = _replayed(scenario, replay, confine)
+    given = origin(scenario if replay is None else None, result.info.seed)
+    again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
-    written = _written(result, rival, folder, animation, not no_figures, tables)
+    written = _written(result, rival, folder, animation, not no_figures, tables, again)
     if as_json:
         summary = result.summary()
         if rival is not None:
@@ -168,13 +172,14 @@ def _written(
     animation: Path | None,
     figures: bool,
     tables: bool,
+    again: Origin,
 ) -> list[Path]:
     """The files of a run, once they are written."""
     written = []
     if folder is not None:
         from undeadzone.report.run_files import write_run
 
-        written += write_run(result, folder, figures, rival, tables)
+        written += write_run(result, folder, figures, rival, tables, again)
     if animation is not None:
         from undeadzone.report.animation import frames, movie
 

@@ -14,9 +14,9 @@ import numpy as np
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.errors import InputError
 from undeadzone.report.ensemble_figures import WORDS, distributions, over_time, words
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
+from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.sensitivity_figures import influence, tornado
-from undeadzone.report.style import write
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label
 
@@ -60,40 +60,45 @@ def first_of_ensemble(result: Ensemble) -> Figure:
     return figure
 
 
-def write_ensemble(result: Ensemble, summary: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder. Raises FileError.
+def write_ensemble(
+    result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: Origin | None = None
+) -> list[Path]:
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
         result: what is shown
         summary: the result's
         folder: where the files go; created if needed
+        origin: what it takes to get the same again; None: what the ensemble itself knows of it
 
     Returns:
         The paths of the files.
     """
-    written, images = [], {}
-    for name, figure in figures(result, summary).items():
-        path = write(figure, folder / f"{name}.png")
-        written.append(path)
-        images[name] = path.read_bytes()
-    text = ensemble_page(result, summary, images)
-    return [*written, write_text(text, folder / "report.html")]
+    written = write_figures(figures(result, summary), folder)
+    text = ensemble_page(result, summary, images_of(written), origin)
+    return [*written.values(), write_text(text, folder / "report.html")]
 
 
-def ensemble_page(result: Ensemble, summary: Mapping[str, Any], images: Mapping[str, bytes]) -> str:
-    """The page of an ensemble; images: PNGs by the names of `figures`."""
-    shown = dict.fromkeys(CAPTIONS, Html(""))
-    for name, image in images.items():
-        shown[name] = picture(image, CAPTIONS[name])
-    parts = [section("Distributions", *_distributions(result, summary), shown["distributions"])]
+def ensemble_page(
+    result: Ensemble,
+    summary: Mapping[str, Any],
+    images: Mapping[str, bytes],
+    origin: Origin | None = None,
+) -> str:
+    """The page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
+    shown = pictures(images, CAPTIONS)
+    distributed = [*_distributions(result, summary), *pick(shown, "distributions")]
+    parts = [section("Distributions", *distributed)]
     if "over_time" in images:
         parts.append(section("Over time", shown["over_time"]))
     if result.varied:
-        decisive = [*_sensitivities(summary), shown["tornado"], shown["influence"]]
+        decisive = [*_sensitivities(summary), *pick(shown, "tornado", "influence")]
         parts.append(section("What decides", *decisive))
     parts.append(section("The worst runs", *_worst(result, summary)))
     parts.append(section("What was asked", *_asked(result)))
-    return page(f"Ensemble: {result.info.title}", _verdict(result, summary), *parts)
+    own = Origin(scenario=result.info.scenario, seed=result.info.seed)
+    title = f"Ensemble: {result.info.title}"
+    return page(title, _verdict(result, summary), *parts, origin=origin or own)
 
 
 def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
@@ -229,7 +234,6 @@ def _asked(result: Ensemble) -> list[Html]:
             "settled",
             f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| for the last 2 s",
         ),
-        ("undeadzone", info.version),
     ]
     parts = [table(("what", "value"), lines)]
     if result.varied:
@@ -238,4 +242,4 @@ def _asked(result: Ensemble) -> list[Html]:
             ends = float(np.min(column)), float(np.max(column))
             ranges.append((label(name, result.unit(name)), *ends))
         parts.append(table(("varied", "least", "largest"), ranges))
-    return [*parts, folded("The scenario", tag("pre", info.scenario))]
+    return parts

@@ -152,7 +152,8 @@ def _residual_map(found_log: Identified) -> Figure:
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
-    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5)
+    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5,
+              rasterized=True)  # fmt: skip
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = 1.96 * residuals.std * scale
     axes.fill_between(x, curve - band, curve + band, color=PRINTED, alpha=0.25, linewidth=0)
@@ -161,7 +162,7 @@ def _residual_map(found_log: Identified) -> Figure:
     finish(axes, "Residual by z^", label("y - E[y | z^]", unit), label(r"$\hat z$", unit))
     axes = panels["static"]
     axes.plot((fit.z * scale)[ok], answer.evidence.grid.y[ok], ".", color=READING,
-              markersize=1.5, alpha=0.5, label="readings")  # fmt: skip
+              markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))

@@ -110,12 +110,13 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     innovation = result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
-        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2)
+        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2, rasterized=True)
         finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
         return
     normalised = innovation[used] / result.innovation_std[shown, i][used]
     limited = np.clip(normalised, -2 * FAR, 2 * FAR)
-    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label="innovation / its std")
+    name = "innovation / its std"
+    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
         axes.axhline(bound, color=REFERENCE, linewidth=0.8)
     _statistic(axes, t, result.B[shown, i])

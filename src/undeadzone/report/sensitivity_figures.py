@@ -185,7 +185,10 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
     shown, diverged = runs.shown, runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
-    axes.plot(x[shown], y[shown], ".", color=ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha)
+    axes.plot(
+        x[shown], y[shown], ".", color=ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
+        rasterized=True,
+    )  # fmt: skip
     _trend(axes, x[shown], y[shown])
     _mark(axes, x, y, runs)
     if diverged.size:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -20,7 +19,6 @@ from undeadzone.report.style import (
     finish,
     plain,
     sheet,
-    write,
 )
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.parameters import Parameter
@@ -35,14 +33,6 @@ COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "loc
 POINTS: Final = 25  # of a curve around the tuned numbers
 COLUMNS: Final = 3
 STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
-
-
-def write_figures(result: Tuned, folder: Path) -> list[Path]:
-    """Write history.png and around.png to a folder. Raises FileError."""
-    return [
-        write(history(result), folder / "history.png"),
-        write(around(result, slices(result)), folder / "around.png"),
-    ]
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
