@@ -134,7 +134,9 @@ def design(
         else _written(result, designed, folder, not no_figures, origin(scenario, seed))
     )
     if as_json:
-        print_json(_numbers(result) | judged.summary(), written)
+        known = judged.summary()
+        del known["nearest"]  # those found are certified
+        print_json(_numbers(result) | known, written)
     else:
         print_blocks(_words(result, judged), named_files(written))
     return 0

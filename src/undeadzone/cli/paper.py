@@ -29,14 +29,14 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     from undeadzone.paper import audit, write
 
     folder = folder_for(out, no_figures, "paper-results")
-    written = []
+    written: list[Path] = []
     with progress("auditing the paper", None) as advance:
         result = audit(progress=advance)
         if folder is not None:
             written = write(result, folder, not no_figures, progress=advance, origin=origin(None))
     summary = result.summary()
     if as_json:
-        print_json(summary)
+        print_json(summary, written)
     else:
         _print(summary, written)
     return 0

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 
 
-@click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
+@click.command(
+    epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
+    "type samples.csv | undeadzone watch mine.toml > estimates.csv"
+)
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."

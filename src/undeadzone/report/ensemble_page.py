@@ -13,10 +13,11 @@ import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.errors import InputError
-from undeadzone.report.ensemble_figures import WORDS, distributions, over_time, words
+from undeadzone.report.ensemble_figures import distributions, over_time, words
 from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
 from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.sensitivity_figures import influence, tornado
+from undeadzone.simulation.run import LAST
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label
 
@@ -115,7 +116,7 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
         parts.append(tag("span", f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
         worst = summary["metrics"][MAIN]["p99"]
-        limit = f"{WORDS[MAIN]} at most {worst['value']:.4g}"
+        limit = f"{words(MAIN, result.info.duration)} at most {worst['value']:.4g}"
         if result.unit(MAIN) != "1":
             limit += f" {result.unit(MAIN)}"
         parts.append(tag("span", f"{limit} in 99 % of the runs that did not diverge"))
@@ -141,7 +142,7 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     rows = []
     for name, values in summary["metrics"].items():
         if not name.startswith(("d_right[", "d_left[")):
-            rows.append(_distribution(name, values, result.unit(name)))
+            rows.append(_distribution(name, values, result.unit(name), result.info.duration))
     beyond = 100 * summary["metrics"][MAIN]["max"]["beyond"]
     note = (
         "In parentheses: 95 % intervals; a dash is a value that these runs do not bound. "
@@ -151,11 +152,13 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     return [table(("", *COLUMNS.values(), "largest"), rows), paragraph(note, "note")]
 
 
-def _distribution(name: str, values: Mapping[str, Any], unit: str) -> tuple[Any, ...]:
-    """The row of a metric."""
+def _distribution(
+    name: str, values: Mapping[str, Any], unit: str, duration: float
+) -> tuple[Any, ...]:
+    """The row of a metric of runs of some duration [s]."""
     cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
     largest = _bounded(name, values["max"], values["max"]["value"])
-    return (label(words(name), unit).replace(" ", "\u00a0"), *cells, largest)
+    return (label(words(name, duration), unit).replace(" ", "\u00a0"), *cells, largest)
 
 
 def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
@@ -188,7 +191,7 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
         "partial": "the same, others held",
         "first_order": "share of the variance, alone",
     }
-    note = f"On the {WORDS[MAIN]}, of the runs that did not diverge; 95 % intervals in parentheses."
+    note = f"On the {words(MAIN)}, of the runs that did not diverge; 95 % intervals in parentheses."
     if any(each["total_order"] is not None for each in sensitivities.values()):
         columns["total_order"] = "with interactions"
     else:
@@ -203,7 +206,7 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
 def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     """The worst runs, the one at the median, and the command that shows one of them."""
     units = [label(name, result.unit(name)) for name in result.varied]
-    head = ("run", label(WORDS[MAIN], result.unit(MAIN)), *units)
+    head = ("run", label(words(MAIN, result.info.duration), result.unit(MAIN)), *units)
     parts = [table(head, map(_run_row, summary["worst"]))]
     typical = summary["typical"]
     if typical is not None:
@@ -225,6 +228,7 @@ def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
 def _asked(result: Ensemble) -> list[Html]:
     """What was run, over which values, and the scenario."""
     info = result.info
+    lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     lines = [
         ("observer", info.method),
         ("time", f"{info.time}, step {info.step:g} s, {info.duration:g} s"),
@@ -232,7 +236,7 @@ def _asked(result: Ensemble) -> list[Html]:
         ("drawn by", f"{info.sampling}, seed {info.seed}"),
         (
             "settled",
-            f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| for the last 2 s",
+            f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}",
         ),
     ]
     parts = [table(("what", "value"), lines)]

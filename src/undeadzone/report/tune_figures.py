@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
-from undeadzone.report.ensemble_figures import WORDS
+from undeadzone.report.ensemble_figures import words
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -117,7 +117,7 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
 
 def _words(result: Tuned) -> str:
     """The statistic and the metric that were tuned for."""
-    return f"{result.what.statistic} {WORDS.get(result.what.metric, result.what.metric)}"
+    return f"{result.what.statistic} {words(result.what.metric)}"
 
 
 def _places(parameter: Parameter, value: float) -> Floats:

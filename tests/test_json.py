@@ -1,0 +1,152 @@
+"""docs/json.md is what the commands print: each key is documented, each documented key met."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from undeadzone.cli import group
+from undeadzone.cli.common import SCHEMA
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs/json.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
+SHORT = "duration = 1.0"
+COMMON = ("--json", "--no-figures")
+LOG = "examples/samples.csv"
+COMMANDS: dict[str, list[list[str]]] = {
+    "init": [["init", "new.toml", "--json"]],
+    "run": [
+        ["run", "examples/asymmetric_noise.toml", *COMMON],
+        ["run", "arm.toml", *COMMON],
+        ["run", "study/runs.npz", "--replay", "1", *COMMON],
+    ],
+    "check": [
+        ["check", "examples/paper_poles.toml", *COMMON],
+        ["check", "examples/paper_5sin.toml", *COMMON],
+    ],
+    "design": [["design", "examples/paper_5sin.toml", "--maximise", "rate", *COMMON]],
+    "ensemble": [
+        ["ensemble", "examples/ensemble.toml", "--runs", "256", "--out", "study", "--resume", *COMMON],
+    ],
+    "tune": [["tune", "examples/tune.toml", "--runs", "2", "--budget", "4", *COMMON]],
+    "arena": [
+        ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",
+         "--json"],
+    ],
+    "identify": [["identify", LOG, *COMMON]],
+    "estimate": [
+        ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
+        ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
+        ["estimate", "arm.toml", "arm/run.csv", *COMMON],
+    ],
+    "export": [["export", "examples/firmware.toml", "--out", "c", "--check", "--json"]],
+    "paper": [["paper", *COMMON]],
+}  # fmt: skip
+PREPARED = {"arm.toml": ("two_link.toml", {"duration = 20.0": SHORT})}
+BEFORE = {
+    "run": COMMANDS["ensemble"][0],
+    "estimate": ["run", "arm.toml", "--out", "arm", *COMMON],
+}  # what a command needs
+
+
+def patterns(section: str) -> list[re.Pattern[str]]:
+    """The documented keys of a section, each as a pattern of paths."""
+    words = re.sub(r"\n+", "\n", SECTIONS[section])
+    rows = re.findall(r"^\| (`.*?) \|", words, re.M)
+    found = []
+    for row in rows:
+        for key in re.findall(r"`([^`]+)`", row):
+            found.append(re.compile(pattern(key)))
+    return found
+
+
+def pattern(key: str) -> str:
+    """A key of the page as a regular expression: {a,b} is either, a word in capitals any name."""
+    parts = []
+    for part in re.split(r"(\{[^}]*\}|[A-Z]{2,}|\.)", key):
+        if part.startswith("{"):
+            parts.append(f"(?:{'|'.join(map(re.escape, part[1:-1].split(',')))})")
+        elif re.fullmatch("[A-Z]{2,}", part):
+            parts.append(".+")
+        else:
+            parts.append(re.escape(part))
+    return "".join(parts)
+
+
+def paths(value: Any, path: str = "") -> Iterator[str]:
+    """Where the values of an object stand; the entries of a list stand where it does."""
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from paths(inner, f"{path}.{key}" if path else key)
+    elif isinstance(value, list) and value:
+        for inner in value:
+            yield from paths(inner, path)
+    else:
+        yield path
+
+
+def is_documented(path: str, documented: list[re.Pattern[str]]) -> bool:
+    """Whether a path, or what would stand below it if there were something, is on the page."""
+    if any(each.fullmatch(path) for each in documented):
+        return True
+    below = re.compile(re.escape(path) + r"\\\.")
+    return any(below.match(each.pattern) for each in documented)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the examples."""
+    made = tmp_path_factory.mktemp("json")
+    (made / "examples").symlink_to(ROOT / "examples")
+    for name, (source, changes) in PREPARED.items():
+        text = (ROOT / "examples" / source).read_text()
+        for old, new in changes.items():
+            assert old in text
+            text = text.replace(old, new)
+        (made / name).write_text(text)
+    return made
+
+
+def asked(command: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What a command prints."""
+    group.main(command, standalone_mode=False)
+    return dict(json.loads(capsys.readouterr().out))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_page_lists_the_keys_of_a_command(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    if name in BEFORE:
+        asked(BEFORE[name], capsys)
+    documented, met = patterns(name), set[str]()
+    for command in COMMANDS[name]:
+        printed = asked(command, capsys)
+        assert next(iter(printed)) == "schema"
+        assert printed.pop("schema") == SCHEMA
+        met |= set(paths(printed))
+    assert sorted(path for path in met if not is_documented(path, documented)) == []
+    top = {each.pattern.partition(r"\.")[0] for each in documented}
+    seen = {path.partition(".")[0] for path in met}
+    assert sorted(key for key in top if not any(map(re.compile(key).fullmatch, seen))) == []
+
+
+def test_every_command_has_its_section() -> None:
+    options = {param.name for command in group.commands.values() for param in command.params}
+    assert "as_json" in options
+    assert sorted(SECTIONS) == sorted(group.commands)
+
+
+def test_watch_lists_the_keys_of_a_line() -> None:
+    from undeadzone.interfaces import COLUMNS
+
+    documented = patterns("watch")
+    names = ["t", *COLUMNS, "side"]
+    assert [name for name in names if not is_documented(name, documented)] == []
