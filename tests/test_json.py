@@ -19,6 +19,7 @@ SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
 SHORT = "duration = 1.0"
 COMMON = ("--json", "--no-figures")
 LOG = "examples/samples.csv"
+STUDY = ("--out", "study", *COMMON)
 COMMANDS: dict[str, list[list[str]]] = {
     "init": [["init", "new.toml", "--json"]],
     "run": [
@@ -32,7 +33,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     ],
     "design": [["design", "examples/paper_5sin.toml", "--maximise", "rate", *COMMON]],
     "ensemble": [
-        ["ensemble", "examples/ensemble.toml", "--runs", "256", "--out", "study", "--resume", *COMMON],
+        ["ensemble", "examples/ensemble.toml", "--runs", "256", "--resume", *STUDY],
     ],
     "tune": [["tune", "examples/tune.toml", "--runs", "2", "--budget", "4", *COMMON]],
     "arena": [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import undeadzone
 from scenes import scene
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.ensemble.result import Ensemble
@@ -25,7 +27,7 @@ from undeadzone.report.arm_figures import joint_rows, offset
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
 from undeadzone.report.figures import overview, rows_below, rows_beside
-from undeadzone.report.html import Html, html, page, paragraph, picture, section, table
+from undeadzone.report.html import Html, Origin, html, page, paragraph, picture, section, table
 from undeadzone.report.plot import KINDS, plot
 from undeadzone.report.proof_figures import nyquist, proof_of
 from undeadzone.report.run_page import run_page
@@ -33,6 +35,7 @@ from undeadzone.report.style import image, png, sheet, write
 from undeadzone.report.trade_figures import ELLIPSE, ellipse
 from undeadzone.report.tune_figures import history
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import read
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.files import write_text
@@ -115,6 +118,54 @@ def test_a_page_without_figures(two_outputs: Run) -> None:
     found = check_page(run_page(two_outputs, []))
     assert "img" not in found.tags
     assert found.tags.count("table") == 7  # numbers, widths, L, gamma, K, the same again, symbols
+
+
+def test_a_page_leads_to_its_sections_and_tells_how_to_repeat_it(run: Run) -> None:
+    origin = Origin("undeadzone run 'a <b>.toml'", "# as given\n[plant]\n", 7)
+    text = run_page(run, [image(overview(run), "svg")], origin=origin)
+    found = check_page(text)
+    anchors = [address[1:] for address in found.addresses if address.startswith("#")]
+    assert anchors == re.findall(r'<h2 id="([^"]+)">', text)
+    assert {"numbers", "widths", "gains", "the-same-again", "symbols"} <= set(anchors)
+    for words in (origin.command, "# as given", undeadzone.__version__):
+        assert words in found.text
+    assert re.search(r"seed\s*7", found.text)
+    for gain in run.info.gains["L"]:
+        assert f"{gain[0]:.4g}" in found.text
+
+
+def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
+    again = tmp_path / "again.toml"
+    again.write_text(run.info.scenario, encoding="utf-8")
+    np.testing.assert_array_equal(simulate(read(again), check_step=False).z, run.z)
+    assert run.info.version == undeadzone.__version__
+    own = simulate(
+        scene(simulation=SAMPLED), controller=lambda t, estimate, r: 3.0 * (r - estimate.z)
+    )
+    assert own.info.scenario == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("z^ and x~", "z\u0302 and x\u0303"),
+        ("d_r^ − d_l", "d\u0302<sub>r</sub> − d<sub>l</sub>"),
+        ("m/s^2, d_right, z^2, A_d_r", "m/s^2, d_right, z^2, A_d_r"),
+    ],
+)
+def test_symbols_are_those_of_the_figures(text: str, shown: str) -> None:
+    assert html(text) == shown
+
+
+def test_figures_on_a_page_stay_legible_on_a_phone(run: Run) -> None:
+    page_of_run = run_page(run, [image(overview(run), "svg")])
+    least = re.search(r"min-width:(\d+)px", page_of_run)
+    assert least is not None
+    assert int(least[1]) == 720  # of 10 inches: three quarters of them
+
+
+def test_the_same_figure_gives_the_same_svg(run: Run) -> None:
+    assert image(overview(run), "svg") == image(overview(run), "svg")
 
 
 def test_everything_that_is_not_html_is_escaped() -> None:

@@ -31,7 +31,12 @@ def on_terminal(arguments: list[str], columns: int, **variables: str) -> str:
     ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     plain = {name: value for name, value in os.environ.items() if name not in REMOVED}
     with subprocess.Popen(
-        [*COMMAND, *arguments], stdout=its, stderr=its, stdin=its, cwd=ROOT, env=plain | variables
+        [*COMMAND, *arguments],
+        stdout=its,
+        stderr=subprocess.DEVNULL,
+        stdin=its,
+        cwd=ROOT,
+        env=plain | variables,
     ) as process:
         os.close(its)
         shown_there = b""
@@ -60,7 +65,7 @@ def test_lines_fit_the_terminal(columns: int) -> None:
     assert max(map(len, lines)) <= columns
     assert "Two outputs, four widths" in text
     tables = [line for line in lines if re.match(r"output +rms z - r", line)]
-    assert len(tables) == (columns == 200)  # narrow ones have a line for each cell
+    assert len(tables) == (columns > 40)  # narrow ones have a line for each cell
     assert text.count("1.133e-06") == 1
 
 
@@ -88,8 +93,8 @@ def test_tables_fold_to_records() -> None:
     rows = [("output", "value"), ("q1", "right yes"), ("q2", "")]
     assert shown.text([rows], 80).splitlines()[0] == "output  value"
     assert shown.text([rows], 12) == "output  q1\nvalue   right yes\n\noutput  q2"
-    folded = shown.text([{"a": "one two three four five six seven"}], 20).splitlines()
-    assert folded == ["a  one two three four", "   five six seven"]
+    folded = shown.text([{"a": "one two three four five six seven eight"}], 30).splitlines()
+    assert folded == ["a  one two three four five six", "   seven eight"]
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     """
     from matplotlib.colors import LogNorm
 
-    width, height = max(5.0, 2.6 + 0.52 * len(scenarios)), 0.25 * len(rows) + 1.6
+    width, height = max(6.4, 2.6 + 0.52 * len(scenarios)), 0.25 * len(rows) + 1.6
     figure, panels = sheet([["all"]], "Regret by scenario", width=width, height=height)
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])

@@ -50,6 +50,8 @@ th, td { padding: .3rem .45rem; } }
 
 LONG: Final = 40  # characters of an interval at most
 _HAT: Final = "\u0302"
+_TILDE: Final = "\u0303"
+_ERRORS: Final = re.compile(r"\b([xyzd])~")
 _ESTIMATES: Final = re.compile(r"\b([xyzdwu])\^(?![\d(])")
 _EDGES: Final = re.compile(r"\bd_([rl])(\^?)(?!\w)")
 
@@ -83,8 +85,9 @@ def escaped(text: str) -> str:
 
 
 def symbols(text: str) -> str:
-    """Letters as in the figures: z^, d_r, d_l^ with hats and indices."""
+    """Letters as in the figures: z^, x~, d_r, d_l^ with hats, tildes and indices."""
     text = _ESTIMATES.sub(rf"\1{_HAT}", text)
+    text = _ERRORS.sub(rf"\1{_TILDE}", text)
     return _EDGES.sub(_edge, text)
 
 
@@ -247,6 +250,7 @@ _SYMBOLS: Final = (
     ("x, u", "state of the plant, its input"),
     ("d_r, d_l", "widths of the dead zone to the right and to the left: y = 0 for -d_l < z < d_r"),
     ("x^, z^, d_r^, d_l^", "estimates of the observer"),
+    ("x~, d~", "their errors, truth less estimate"),
     ("d_r + d_l, d_r − d_l", "the width of the whole zone; twice its centre"),
     ("L, γ, K", "gains of the observer for x^ and for the widths; of the controller, u = −K x^"),
     ("V", "storage (Lyapunov) function of the error; with a certificate it never rises"),
