@@ -17,7 +17,7 @@ from undeadzone.cli.common import (
     print_json,
     wanted_table,
 )
-from undeadzone.cli.log_table import columns_option, exit_code
+from undeadzone.cli.log_table import columns_option, exit_code, strict_option
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -25,7 +25,8 @@ from undeadzone.support.progress import on_terminal as progress
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
 @columns_option
-@click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+@strict_option
+@click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
 @csv_option
 @confined
 @common
@@ -34,6 +35,7 @@ def estimate(
     log: Path,
     columns: str | None,
     strict: bool,
+    causal: bool,
     as_csv: bool,
     confine: Path | None,
     out: Path | None,
@@ -45,10 +47,10 @@ def estimate(
     A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
     Times must fit simulation.step. Prints the widths, what was missing, and whether the
     innovations are what the observer claims; writes estimate.npz, estimate.csv (if it has at most
-    10 MB), figure.svg and report.html to DIR (default: LOG-estimate). The filter `kalman` is
-    smoothed too: what the whole log says of each sample. The scenario needs no [reference], no
-    [controller], no widths. Exit code 1: the record is not consistent with what the observer
-    claims.
+    10 MB), figure.svg and report.html to DIR (default: LOG-estimate). `kalman`, `censored`,
+    `extended` and `auto` are smoothed too: what the whole log says of each sample. The scenario
+    needs no [reference], no [controller], no widths. Exit code 1: the record is not consistent with
+    what the observer claims.
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
@@ -57,7 +59,14 @@ def estimate(
     folder = folder_for(out, no_figures, f"{log.stem}-estimate")
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None) as advance:
-        result = estimated(watched, log, columns=columns, strict=strict, progress=advance)
+        result = estimated(
+            watched,
+            log,
+            columns=columns,
+            strict=strict,
+            smoothing=not causal,
+            progress=advance,
+        )
     written: list[Path] = []
     tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:

@@ -12,6 +12,13 @@ if TYPE_CHECKING:
     from undeadzone.simulation.log_info import LogInfo
 
 
+def strict_option(command: Command) -> Command:
+    """Add --strict."""
+    return click.option(
+        "--strict", is_flag=True, help="Stop at the first line that cannot be read."
+    )(command)
+
+
 def columns_option(command: Command) -> Command:
     """Add --columns."""
     return click.option(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from undeadzone.logs.samples import counted_lines
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.run_columns import output_names
 from undeadzone.support.shown import Block, Rows
@@ -22,7 +23,7 @@ def in_words(info: LogInfo) -> list[Block]:
     if info.columns:
         shown["columns"] = info.columns
     if info.unreadable:
-        lines = "1 line" if info.unreadable == 1 else f"{info.unreadable} lines"
+        lines = counted_lines(info.unreadable)
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     if single:
         estimated = "" if info.adapts else " (not estimated)"

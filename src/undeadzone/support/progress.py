@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Advance = Callable[[int], None]  # called with the number of steps just done
 PATIENCE: Final = 2.0  # [s] before a bar appears
+SETTING_UP: Final = "setting up"  # what a bar says before the first step
 PAUSE: Final = 0.2  # [s] at least between two updates of a notebook
 OF_KERNEL: Final = "JPY_PARENT_PID"  # what a kernel's own commands inherit
 
@@ -81,25 +82,37 @@ class _Place(Protocol):
 
 @contextmanager
 def _shown(place: _Place, what: str, total: int | None, unit: str | None) -> Iterator[Advance]:
-    """A bar that appears once PATIENCE has passed; steps may be counted from several threads."""
+    """A bar that appears once PATIENCE has passed; steps may be counted from several threads.
+
+    Until the first step it says that something is set up.
+    """
     began, lock = time.monotonic(), threading.Lock()
     seen = 0
-    drawn = False
+    over = False
+
+    def begin() -> None:
+        with lock:
+            if not over and not seen:
+                place.draw(SETTING_UP, 0, total, "")
 
     def advance(done: int) -> None:
-        nonlocal seen, drawn
+        nonlocal seen
         with lock:
             seen += done
             elapsed = time.monotonic() - began
             if elapsed > PATIENCE:
                 rate = f"{seen / elapsed:,.0f} {unit}/s" if unit else ""
                 place.draw(what, seen, total, rate)
-                drawn = True
 
+    timer = threading.Timer(PATIENCE, begin)
+    timer.daemon = True
+    timer.start()
     try:
         yield advance
     finally:
-        if drawn:
+        timer.cancel()
+        with lock:
+            over = True
             place.clear()
 
 
@@ -116,7 +129,7 @@ class _Terminal:
             self._start(what, total)
         assert self._bar is not None
         assert self._task is not None
-        self._bar.update(self._task, completed=done, rate=rate)
+        self._bar.update(self._task, description=what, completed=done, rate=rate)
 
     def clear(self) -> None:
         """Take it away."""
@@ -170,7 +183,8 @@ class _Page:
 
     def clear(self) -> None:
         """Take it away."""
-        self._show({"text/plain": "", "text/html": ""})
+        if self._handle is not None:
+            self._show({"text/plain": "", "text/html": ""})
 
     def _show(self, shown: dict[str, str]) -> None:
         """Display, in the place of what was displayed before."""
