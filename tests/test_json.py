@@ -21,7 +21,8 @@ COMMON = ("--json", "--no-figures")
 LOG = "examples/samples.csv"
 STUDY = ("--out", "study", *COMMON)
 COMMANDS: dict[str, list[list[str]]] = {
-    "init": [["init", "new.toml", "--json"]],
+    "init": [["init", "new.toml", "--json"], ["init", "--list", "--json"]],
+    "arm": [["arm", "examples/ur5.urdf", "--out", "arm", "--json"]],
     "run": [
         ["run", "examples/asymmetric_noise.toml", *COMMON],
         ["run", "arm.toml", *COMMON],
