@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         | IdentifiedOutputs
     )  # fmt: skip
 
+NARROW = 2  # columns of a legend on axes of one's own
 KINDS = (
     "a Run, an Ensemble, an Estimation, a Check, a Design, a Tuned, a Contest or what identify "
     "returns"
@@ -77,6 +78,9 @@ def plot(
         figure = drawing.whole()
     else:
         drawing.panel(ax)
+        legend = ax.get_legend()
+        if legend is not None:
+            legend.set_ncols(NARROW)
         figure = ax.figure  # type: ignore[assignment]
     if path is not None:
         write(figure, Path(path))
