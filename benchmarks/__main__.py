@@ -34,6 +34,7 @@ NAMES = (
     "identify_known",
     "damaged_logs",
     "firmware",
+    "arena_effort",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
