@@ -31,7 +31,16 @@ PROJECT = (
     "mutants/RESULTS.md",
 )
 FIRST = {
-    "Start": ["index.md", "try.md", "install.md", "tour.md", "which.md", "glossary.md", "faq.md"],
+    "Start": [
+        "index.md",
+        "try.md",
+        "install.md",
+        "tour.md",
+        "command_line.md",
+        "which.md",
+        "glossary.md",
+        "faq.md",
+    ],
     "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
     "Proof and speed": ["certificate.md", "rates.md"],
     "Logs": ["identify.md", "watch.md", "filters.md"],
