@@ -488,9 +488,10 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
         )
         mean = share[at] @ x
         assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
-        assert mixed[at].x_std[0] ** 2 == pytest.approx(
-            share[at] @ (std**2 + (x - mean) ** 2), rel=0.01
-        )
+        narrow = share[at, 1] ** 2  # both of two levels that are drawn
+        within = (1 - narrow) * std[0] ** 2 + narrow * std[1] ** 2
+        variance = within + share[at] @ (x - mean) ** 2
+        assert mixed[at].x_std[0] ** 2 == pytest.approx(variance, rel=0.01)
 
 
 @given(st.floats(-3, 3), st.floats(0.05, 5))
