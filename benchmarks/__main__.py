@@ -25,6 +25,7 @@ NAMES = (
     "ranges",
     "smoothing",
     "closed_loops",
+    "colours",
     "arm_coverage",
     "arm_operations",
     "certificates",
@@ -33,6 +34,7 @@ NAMES = (
     "identify_known",
     "damaged_logs",
     "firmware",
+    "arena_effort",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
