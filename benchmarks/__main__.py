@@ -23,6 +23,7 @@ NAMES = (
     "glitches",
     "honesty",
     "ranges",
+    "smoothing",
     "closed_loops",
     "colours",
     "arm_coverage",
@@ -30,8 +31,10 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "identify_known",
     "damaged_logs",
     "firmware",
+    "arena_effort",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

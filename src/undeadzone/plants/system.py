@@ -182,6 +182,10 @@ def in_units(system: System, units: Floats) -> System:
     assert change is not None
     assert system.flow is not None
 
+    params = system.params
+    if not system.nonlinear:
+        params = Counted(params.A, params.B, params.C, units)
+
     def of(params: Any) -> Any:
         return units if system.nonlinear else params.units
 
@@ -189,9 +193,7 @@ def in_units(system: System, units: Floats) -> System:
         return lambda params, x, u: function(params, of(params) * x, u) / of(params)
 
     return system._replace(
-        params=system.params
-        if system.nonlinear
-        else Counted(**system.params._asdict(), units=units),
+        params=params,
         move=counted(move),
         output=lambda params, x: output(params, of(params) * x),
         change=counted(change),
