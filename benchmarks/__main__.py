@@ -25,14 +25,18 @@ NAMES = (
     "glitches",
     "honesty",
     "ranges",
+    "smoothing",
     "closed_loops",
+    "colours",
     "arm_coverage",
     "arm_operations",
     "certificates",
     "arms",
     "identify",
+    "identify_known",
     "damaged_logs",
     "firmware",
+    "arena_effort",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

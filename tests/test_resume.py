@@ -6,18 +6,25 @@ import functools
 import json
 import multiprocessing
 import random
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from tests.scenes import scene
 
 from undeadzone.arena.contest import run_contest
 from undeadzone.errors import FileError, InputError, Terminated
+from undeadzone.identification.identify import identify
+from undeadzone.identification.intervals import profile
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
@@ -174,3 +181,126 @@ def test_a_contest_that_is_killed_again_and_again_ends_the_same(tmp_path: Path) 
     for _ in range(3):
         killed(functools.partial(contest, path), path, rng)
     assert contest(path) == whole
+
+
+def logged() -> dict[str, np.ndarray | float]:
+    """A log of a first-order plant behind a dead zone."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(50), 10)
+    z = lfilter([0.0, 0.2], [1.0, -0.8], u) + 0.05 * rng.standard_normal(u.size)
+    return {"t": 0.1, "u": u, "y": np.maximum(z - 0.3, 0.0) + np.minimum(z + 0.2, 0.0)}
+
+
+def identified(keep: Path | None) -> str:
+    """All numbers that a log gives."""
+    found = identify(**logged(), order="1-2", keep=keep, resume=True)
+    return json.dumps(found.numbers())
+
+
+def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_path: Path) -> None:
+    whole, path, rng = identified(None), tmp_path / "identify.json.partial", random.Random(5)
+    sizes = []
+    for _ in range(4):
+        killed(functools.partial(identified, path), path, rng)
+        sizes.append(path.stat().st_size)
+    assert sizes == sorted(set(sizes))  # each goes on where the one before was killed
+    assert identified(path) == whole
+    kept = path.stat().st_size
+    assert identified(path) == whole
+    assert path.stat().st_size == kept  # nothing was climbed to again
+
+
+def test_what_is_asked_of_the_answer_later_is_computed(tmp_path: Path) -> None:
+    path = tmp_path / "identify.json.partial"
+    found = identify(**logged(), order=1, keep=path)
+    fall = profile(found.answer.fit, "right", np.array([found.answer.fit.right + 0.02]))
+    assert fall[0] < 0
+    again = identify(**logged(), order=1)
+    assert fall == profile(again.answer.fit, "right", np.array([again.answer.fit.right + 0.02]))
+
+
+def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
+    path, log = tmp_path / "identify.json.partial", logged()
+    with pytest.raises(InputError, match="no reading lies beyond"):
+        identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
+    assert not path.exists()
+    identify(**log, order=1, keep=path)
+    with pytest.raises(FileError, match="continue it with --resume"):
+        identify(**log, order=1, keep=path)
+    with pytest.raises(InputError, match=r"another problem \(options differ\)"):
+        identify(**log, order=2, keep=path, resume=True)
+
+
+# --- The command
+
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "arena"]
+METHODS = "luenberger,high_gain,certified,super_twisting"
+
+
+def arena(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """The command, to its end."""
+    command = [*COMMAND, str(scenario), "--methods", METHODS, "--out", str(out), *more]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def stopped(how: int, partial: Path, command: list[str], cwd: Path) -> tuple[int, str]:
+    """Exit code and messages of a command that is stopped once it has kept something."""
+    with subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=heard_signals,
+    ) as process:  # fmt: skip
+        while process.poll() is None and not (partial.exists() and _answers(partial) >= 1):
+            time.sleep(0.002)
+        process.send_signal(how)
+        _, said = process.communicate(timeout=60)
+        return process.returncode, said
+
+
+def _answers(partial: Path) -> int:
+    """How many lines follow the first one."""
+    return partial.read_bytes().count(b"\n") - 1
+
+
+def heard_signals() -> None:
+    """A background job ignores SIGINT unless it is told otherwise."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    return small().save(tmp_path / "mine.toml")
+
+
+def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
+    """Kill -9 leaves the file with what is done, and --resume ends as if nothing had happened."""
+    tuning = ("--tune", "--budget", "6", "--processes", "1")
+    whole = arena(mine, tmp_path / "whole", *tuning)
+    assert whole.returncode == 0, whole.stderr
+    assert "3 methods x 1 scenario x 6 candidates = 18 runs" in whole.stderr
+    out = tmp_path / "killed"
+    command = [*COMMAND, str(mine), "--methods", METHODS, "--out", str(out), *tuning]
+    code, _ = stopped(signal.SIGKILL, out / "tuned.toml.partial", command, tmp_path)
+    assert code == -signal.SIGKILL
+    assert not (out / "tuned.toml").exists()
+    refused = arena(mine, out, *tuning)
+    assert refused.returncode == 2
+    assert "--resume" in refused.stderr
+    resumed = arena(mine, out, *tuning, "--resume")
+    assert resumed.returncode == 0, resumed.stderr
+    assert (out / "tuned.toml").read_text() == (tmp_path / "whole/tuned.toml").read_text()
+    assert not (out / "tuned.toml.partial").exists()
+
+
+def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
+    command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "2"]
+    partial = tmp_path / "arena-results/results.json.partial"
+    code, said = stopped(signal.SIGINT, partial, command, tmp_path)
+    assert code == 130, said
+    assert "6 methods x 1 scenario x 2 seeds = 12 runs; less than a minute" in said
+    assert "continue with --resume" in said
+    done = subprocess.run(
+        [*command, "--resume"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "high_gain" in done.stdout
+    assert not partial.parent.exists()

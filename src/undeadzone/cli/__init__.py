@@ -10,6 +10,7 @@ import click
 
 import undeadzone
 from undeadzone.cli.arena import arena
+from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import ended
@@ -23,8 +24,27 @@ from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 
+OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class Commands(click.Group):
+    """The commands, which say what may be meant by a name that is none of them."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command, and its arguments. Raises UsageError."""
+        name = args[0]
+        if name in OTHER_NAMES:
+            ctx.fail(f"No such command {name!r}. Did you mean {OTHER_NAMES[name]!r}?")
+        if name.endswith(".toml"):
+            ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:
     """See through a sensor's dead zone.
@@ -40,7 +60,8 @@ def group() -> None:
     undeadzone arena mine.toml        compare all methods on it
     undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone estimate mine.toml log.csv  let its observer follow a recorded log
-    undeadzone watch mine.toml < log  estimate from samples as they come
+    undeadzone watch mine.toml        estimate from samples as they come on stdin
+    undeadzone arm robot.urdf         show the arm in a URDF file, and write a scenario for it
     undeadzone export mine.toml       write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
@@ -60,6 +81,7 @@ COMMANDS = (
     identify,
     estimate,
     watch,
+    arm,
     export,
 )
 for command in COMMANDS:

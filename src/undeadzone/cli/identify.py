@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
-from undeadzone.cli.log_table import columns_option
+from undeadzone.cli.common import (
+    common,
+    folder_for,
+    named_files,
+    origin,
+    print_blocks,
+    print_json,
+    writable,
+)
+from undeadzone.cli.log_table import columns_option, strict_option
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.identification.outputs import IdentifiedOutputs
@@ -35,12 +44,17 @@ if TYPE_CHECKING:
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
 @columns_option
+@strict_option
+@click.option(
+    "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
+)
 @common
 def identify(
     logs: tuple[Path, ...],
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    resume: bool,
     **options: Any,
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
@@ -49,16 +63,21 @@ def identify(
     records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
     intervals, the plant, and how it does on held-out data. Writes NAME.toml, a scenario for run,
     check, design and watch, and identify.json, figures and report.html to DIR (default:
-    NAME-identify). With --no-figures and no --out it writes the scenario alone. Exit code 1: no
-    dead zone of the sensor, or nothing can be said.
+    NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
+    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no dead zone
+    of the sensor, or nothing can be said.
     """
     from undeadzone.identification.identify import identify as identified
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
     writable(out or Path())
+    keep = None if folder is None else folder / "identify.json.partial"
+    if resume and keep is None:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     with progress("identifying", None) as advance:
-        answer = identified([str(path) for path in logs], progress=advance, **options)
+        names = [str(path) for path in logs]
+        answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
         is_found = answer.verdict in ("dead_zone", options["kind"])
         written: list[Path] = []
         reason = None
@@ -67,10 +86,13 @@ def identify(
             written, reason = _scenario(answer, path)
         if folder is not None:
             written += _pages(answer, folder, first.name, not no_figures)
+    if keep is not None:
+        keep.unlink(missing_ok=True)
     if as_json:
-        print_json(answer.numbers() | {"files": [str(path) for path in written]})
+        print_json(answer.numbers(), written)
     else:
-        print_pairs(_lines(answer, [str(path) for path in written], reason))
+        why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
+        print_blocks(answer.blocks(), why | named_files(written))
     return 0 if is_found else 1
 
 
@@ -94,17 +116,7 @@ def _pages(answer: Answers, folder: Path, source: str, figures: bool) -> list[Pa
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):
-        return written + write_identified(answer, folder, source)
+        return written + write_identified(answer, folder, source, origin(None))
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
-        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}")
+        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
     return written
-
-
-def _lines(answer: Answers, written: list[str], reason: str | None) -> dict[str, Any]:
-    """The lines of the answer, and what was written."""
-    lines = answer.summary()
-    if reason is not None:
-        lines["no scenario"] = reason.removeprefix("scenario: ")
-    if written:
-        lines["written"] = ", ".join(written)
-    return lines

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from undeadzone.errors import InputError
+from undeadzone.identification.climb import KeptClimbs
 from undeadzone.identification.grid import to_grid
 from undeadzone.identification.log import Log
 from undeadzone.identification.one_output import identify_output
@@ -13,6 +18,8 @@ from undeadzone.identification.options import Options
 from undeadzone.identification.outputs import IdentifiedOutputs
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.result import Identified
+from undeadzone.support.answers import Answers
+from undeadzone.support.progress import in_notebook
 
 
 def identify(
@@ -35,7 +42,10 @@ def identify(
     resample: float | None = None,
     integrators: int = 0,
     columns: str | None = None,
+    strict: bool = False,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Identified | IdentifiedOutputs:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
@@ -61,14 +71,17 @@ def identify(
         integrators: how many poles of the plant are integrators: 1 where a motor's position is
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
-        progress: called with the number of steps just done.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
+        progress: called with the number of steps just done; None: a bar in a notebook.
+        keep: file that keeps what was fitted, to be deleted once the answer is; None: none.
+        resume: take up what a stopped call left in `keep`.
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
         answer each.
 
     Raises:
-        FileError: a log that cannot be read.
+        FileError: a log that cannot be read, or `keep`.
         InputError: a log from which nothing can be learnt, or an option that cannot be used.
     """
     words = {
@@ -94,12 +107,48 @@ def identify(
         resample=resample,
         integrators=int(integrators),
     ).checked()
-    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns)]
-    return _identified(logs, options, progress or _ignore)
+    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns, strict)]
+    with in_notebook(progress, "identifying", None) as advance:
+        if keep is None:
+            return _identified(logs, options, advance)
+        return _kept(logs, options, advance, keep, resume)
+
+
+def _kept(
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    keep: Path,
+    resume: bool,
+) -> Identified | IdentifiedOutputs:
+    """The answer; what was fitted is kept in a file. Raises InputError."""
+    answers = Answers(keep, _problem(logs, options), "fits", resume)
+    climbs = KeptClimbs(answers)
+    with answers.kept():
+        try:
+            return _identified(logs, options, advance, climbs)
+        except InputError as error:  # nothing was stopped
+            refused = error
+        finally:
+            climbs.close()
+    keep.unlink(missing_ok=True)
+    raise refused
+
+
+def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
+    """Everything that a fit depends on."""
+    digests = []
+    for log in logs:
+        sums = [hashlib.blake2b(part.tobytes(), digest_size=16) for part in (log.t, log.u, log.y)]
+        digests.append([one.hexdigest() for one in sums])
+    return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
 def _identified(
-    logs: list[Log], options: Options, advance: Callable[[int], None]
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None = None,
 ) -> Identified | IdentifiedOutputs:
     """The answer of one output, or of each of several. Raises InputError."""
     names = logs[0].outputs
@@ -109,15 +158,11 @@ def _identified(
     answers = []
     for k in range(len(names)):
         alone = [log.of_output(k) for log in logs]
-        answers.append(identify_output(to_grid(alone, options.resample), options, advance))
+        answers.append(identify_output(to_grid(alone, options.resample), options, advance, climbs))
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 
-def _ignore(done: int) -> None:
-    """Nothing to report to."""
-
-
-def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
+def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -> list[Log]:
     """The logs that a user gave as files, frames or arrays. Raises InputError."""
     arrays = [value is not None for value in (t, u, y)]
     if log is None:
@@ -129,4 +174,4 @@ def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
         raise InputError("identify: the list of logs is empty")
-    return [read_log(source, columns) for source in sources]
+    return [read_log(source, columns, strict) for source in sources]

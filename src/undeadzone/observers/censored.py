@@ -30,7 +30,8 @@ from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
-FALL = 4.0  # from one level of the disturbance to the next
+FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
+LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
 class Censored(
@@ -50,8 +51,9 @@ class Censored(
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
             [s]; default none.
-        levels: how many rms of the disturbance are weighed by what the readings say, each a quarter
-            of the one before (1 to 10); 1 takes the claimed one.
+        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): the
+            claimed one, and each a quarter of the one before; if none is claimed, from four times
+            the default to an eighth of it. 1 takes the claim or default as it is.
         silence: false ignores the silent samples, and the ranges but as a prior.
     """
 
@@ -112,9 +114,15 @@ class Censored(
             careful=careful,
         )
         if self.levels > 1 and rms.any():
-            member = bank(member, [partial(weakened, level) for level in range(self.levels)])
+            member = bank(member, [partial(scaled, factor) for factor in self._factors()])
         traits = claimed_traits(prior, self.x_std)
         return shown_states(judged(member, even, glitches > 0, traits), units)
+
+    def _factors(self) -> Floats:
+        """The levels of the disturbance, in its claimed or default rms."""
+        if self.disturbance is None:
+            return np.geomspace(LARGEST, LEAST, self.levels)
+        return FALL ** -np.arange(self.levels)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""
@@ -135,7 +143,7 @@ def _per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
     return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
 
 
-def weakened(level: int, q: Params) -> Params:
-    """The numbers of the filter with the disturbance at that level."""
-    variance = q.augmentation.variance / FALL ** (2 * level)
+def scaled(factor: float, q: Params) -> Params:
+    """The numbers of the filter with the rms of the disturbance times a factor."""
+    variance = q.augmentation.variance * factor**2
     return q._replace(augmentation=q.augmentation._replace(variance=variance))

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import Certificate, margin
+from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, pattern
@@ -74,6 +75,7 @@ def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
     """Poles (factors x poles) coloured by the factor of a gain, and those of a silent sensor."""
     factors = np.repeat(FACTORS, poles.shape[1])
     dots = axes.scatter(poles.real, poles.imag, c=factors, s=3, cmap="viridis", linewidths=0)
+    dots.set_rasterized(True)  # thousands
     without, chosen = poles[0], poles[CHOSEN]
     axes.plot(
         silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent"

@@ -18,6 +18,7 @@ from undeadzone.plants.region import box
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario import reference_path as paths
+from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.time_step import (
     checked_time,
@@ -71,6 +72,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     Raises:
         InputError: or a subclass, naming the key, what was found and what to do.
     """
+    if not isinstance(scenario, Scenario):
+        raise InputError(
+            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}; a file is read "
+            'by uz.read("mine.toml")'
+        )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
@@ -99,7 +105,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if scenario.region is not None:
         box(scenario.region, model)
     return Problem(
-        scenario,
+        with_units(scenario, true),
         plant,
         model,
         flow,

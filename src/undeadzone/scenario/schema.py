@@ -17,11 +17,12 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region
 from undeadzone.scenario.changes import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.kinds import CURES, require_kinds
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.scenario.unnamed import usual_controller, usual_observer
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Disturbance, Signal
-from undeadzone.support import toml
+from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Array
 from undeadzone.support.files import write_text
 
@@ -98,11 +99,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         disturbance: a signal added to the input; default: none.
         tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
-        units: names of units for labels and columns.
+        units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
         declared: claims that the methods of `undeadzone arena` get.
-        compare: another observer, whose run `undeadzone run` shows beside the first.
+        compare: another observer, whose run `undeadzone run` shows beside the first. With
+            `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
     """
@@ -125,7 +127,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     title: str = "Untitled"
 
     def __post_init__(self) -> None:
-        """Put the usual observer and controller where none is named."""
+        """Put the usual observer and controller where none is named. Raises InputError."""
+        require_kinds({name: getattr(self, name) for name in CURES})
         if self.observer is UNNAMED:
             observer = usual_observer(self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)
@@ -179,3 +182,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             return toml.dumps(self)
         except InputError:
             return repr(self)
+
+    def _repr_html_(self) -> str:
+        """The same, for a notebook."""
+        return shown.source(str(self))

@@ -7,18 +7,24 @@ from typing import Any
 
 import numpy as np
 
+import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.analysis.side_schedule import recorded
+from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.arm_cure import with_cures
+from undeadzone.simulation.false_claims import with_false_claims
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.verdicts import by_claims, constant_inputs, linear_verdicts
+from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
 
 
@@ -32,10 +38,11 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.nonlinear:
-        return _verdicts_along(problem, signal)
+        return with_false_claims(problem, _verdicts_along(problem, signal))
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
-    return linear_verdicts(problem, schedule, np.ones(problem.model.p))
+    found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
+    return with_false_claims(problem, found)
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
@@ -60,11 +67,11 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             centre_std,
         )
 
-    alone = told(None, None)
-    if traits.start_std is None and traits.centre_std is None:
-        return alone
-    claimed = told(traits.start_std, traits.centre_std)
-    return [by_claims(traits, *pair) for pair in zip(alone, claimed, strict=True)]
+    found = told(None, None)
+    if traits.start_std is not None or traits.centre_std is not None:
+        claimed = told(traits.start_std, traits.centre_std)
+        found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
+    return with_cures(problem, found, signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
@@ -215,7 +222,26 @@ def _info(
         uncertain={name: _parameter(plant, name) for name in traits.uncertain},
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
+        scenario=_text(scenario),
+        version=undeadzone.__version__,
+        seed=scenario.simulation.seed,
+        gains=_gains(problem),
     )
+
+
+def _text(scenario: Scenario) -> str:
+    """The scenario as TOML; empty where it holds a function of Python."""
+    try:
+        return toml.dumps(scenario)
+    except InputError:
+        return ""
+
+
+def _gains(problem: Problem) -> dict[str, list[Any]]:
+    """The constant gains of observer and controller, by name."""
+    traits = problem.observer.traits
+    gains = {"L": traits.L, "gamma": traits.gamma, "K": problem.controller.K}
+    return {name: np.asarray(gain).tolist() for name, gain in gains.items() if gain is not None}
 
 
 def _parameter(plant: System, name: str) -> float:

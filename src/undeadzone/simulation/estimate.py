@@ -7,17 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate
+from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
-from undeadzone.logs.range_ends import range_ends
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
-from undeadzone.observers import Kalman
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.estimation import Estimation
@@ -26,6 +23,7 @@ from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.progress import in_notebook
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 
@@ -55,8 +53,9 @@ def estimate(
         y: readings (N) or (N x p), NaN where one is missing.
         columns: which column is which where names do not say it: `y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
-        smoothing: whether the filter `kalman` is smoothed too, with the whole log.
-        progress: called with the number of samples just done.
+        smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
+            whole log.
+        progress: called with the number of samples just done; None: a bar in a notebook.
 
     Returns:
         The estimates along the log, the final widths, and whether the record is consistent.
@@ -77,25 +76,10 @@ def estimate(
         raise InputError("estimate: expected a log or arrays, found both")
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
-    estimated, sides, B = follower.follow(regular, progress)
-    smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
-    info = msgspec.structs.replace(known(), remarks=_remarks(follower, regular))
-    return _collected(regular, estimated, sides, B, info, smoothed)
-
-
-def _remarks(follower: Follower, regular: Regular) -> list[str]:
-    """That readings stick at the end of a range of which the scenario does not know."""
-    if follower.zone.limits is not None:
-        return []
-    remarks = []
-    for i, y in enumerate(regular.y.T):
-        ends = range_ends(y, np.isfinite(y))
-        if ends.found:
-            remarks.append(
-                f"{int(ends.at.sum())} readings of output {i} stick at an end of their range, "
-                f"where they only bound z: set sensor.range = {ends.text}"
-            )
-    return remarks
+    with in_notebook(progress, "estimating", None) as advance:
+        estimated, sides, B = follower.follow(regular, advance)
+        smoothed = _smoothed(follower, regular, advance) if smoothing else {}
+    return _collected(regular, estimated, sides, B, known(), smoothed)
 
 
 Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
@@ -154,21 +138,13 @@ def _limited(regular: Regular, source: str) -> Regular:
 
 
 def _smoothed(
-    scenario: Scenario, follower: Follower, regular: Regular, estimated: Estimate
+    follower: Follower, regular: Regular, progress: Callable[[int], None] | None
 ) -> dict[str, Floats]:
-    """The smoothed signals by name; none where the method has no smoother.
-
-    The readings that the filter refused are missing to the smoother.
-    """
-    options, model = scenario.observer, follower.model
-    if not isinstance(options, Kalman) or model.nonlinear or not regular.t.size:
+    """The smoothed signals by name; none where the method has no smoother."""
+    observer = follower.observer
+    if not isinstance(observer, Observer) or observer.smoothing is None or not regular.t.size:
         return {}
-    plain = msgspec.structs.replace(options, glitches=0.0).build(model, follower.zone)
-    y = regular.y
-    if estimated.refused.size:
-        refused = np.diff(estimated.refused, axis=0, prepend=0.0) > 0
-        y = np.where(refused, np.nan, y)
-    smoothed = smooth(model, plain, follower.zone, y, regular.u)
+    smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,
