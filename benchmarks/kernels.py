@@ -49,7 +49,7 @@ LOOPS = (
 )
 
 
-def table(rounds: int = 15) -> str:
+def table(rounds: int = 40) -> str:
     """The table of kernels."""
     columns = ("loop", "C", "C, grouped", "kernel", "`lanes.run` / kernel")
     lines = ["## Kernels\n", NOTE, *head(*columns)]

@@ -1,8 +1,8 @@
 """Elementary functions as plain arithmetic, which LLVM vectorises over lanes.
 
-They are sin, cos, exp, log, erf and tanh of a number. numba compiles this text together with
-`select`, `fma`, `bits`, `number` and `polynomial` of `emit`; there is no branch and no call in it,
-and every operation rounds once by IEEE 754, so that all processors and lane widths give the same
+They are sin, cos, exp, log, erf and tanh of a number. `traced` calls these functions with its own
+`select`, `fma`, `bits`, `number` and `polynomial`; there is no branch and no call in them, and
+every operation rounds once by IEEE 754, so that all processors and lane widths give the same
 bits. Errors stay below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and subnormal
 numbers mean what they mean in C. The polynomials are of least largest error, by Remez's exchange in
 60 digits, with the weight that is named for each.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:  # from `emit`
+if TYPE_CHECKING:  # from `traced`
 
     def select(condition: Any, yes: Any, no: Any) -> Any:
         """Yes where the condition holds, else no."""
@@ -33,7 +33,6 @@ if TYPE_CHECKING:  # from `emit`
 
 
 FUNCTIONS = ("sin", "cos", "exp", "log", "erf", "tanh")
-COMPILED = ("power", "turned", "raised", "lost", "signed", *FUNCTIONS)
 
 # A number to which it is added becomes an integer, in two's complement in the last bits of the sum.
 SHIFT = 1.5 * 2.0**52

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-LARGE: Final = 800  # instructions beyond which groups go alone, in the order of the graph
+# Instructions of a step beyond which groups go alone, and beyond which in the order of the graph.
+PAIRED: Final = 350
+LARGE: Final = 700
 
 
 class Shape(NamedTuple):

@@ -6,7 +6,7 @@ import functools
 import sys
 from typing import Any, Final, NamedTuple
 
-from undeadzone.engine.forms import LARGE, Form
+from undeadzone.engine.forms import LARGE, PAIRED, Form
 
 SMALL_STACK: Final = 2**20
 LARGE_STACK: Final = 2**23
@@ -38,9 +38,12 @@ class Machine(NamedTuple):
     def form(self, instructions: int, width: int) -> Form:
         """The form of a kernel of so many instructions of a lane, for blocks of so many lanes."""
         lanes, registers = self.vector
-        if instructions > LARGE or registers < 32 or width < 2 * lanes:
-            return Form(lanes, 1, lanes == 8, 0, 300)
-        return Form(lanes, 2, lanes == 8, 20)
+        slots = lanes == 8
+        if registers < 32 or instructions > LARGE:
+            return Form(lanes, 1, slots, 0, 300)
+        if instructions > PAIRED or width < 2 * lanes:
+            return Form(lanes, 1, slots, 26)
+        return Form(lanes, 2, slots, 20)
 
     def target(self, effort: int = 3) -> Any:
         """A compiler for it, of LLVM's effort 0 to 3."""

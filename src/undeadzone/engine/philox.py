@@ -1,8 +1,8 @@
 """Standard normal numbers from counters: the same bits from NumPy arrays and from compiled lanes.
 
 Only sums, products, square roots, selections and operations on bits, each rounded once by IEEE 754:
-no elementary function of a library. Numbers are arrays, or scalars where `normal` compiles the text
-of this module with another `select`.
+no elementary function of a library. Numbers are arrays, or values of `traced` with another
+`select`.
 """
 
 from __future__ import annotations
