@@ -16,7 +16,7 @@ FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
 FLOORS = (
     ("errors",),
     ("support",),
-    ("engine", "limits", "linear", "logs", "numerics", "statistics"),
+    ("engine", "limits", "linear", "logs", "numerics", "play", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),

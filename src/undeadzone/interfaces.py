@@ -24,11 +24,15 @@ class Reading(NamedTuple):
             limit of the range, where y only bounds what the sensor reads.
         x: true state (n), which only a simulation has, for the reference line `full_state`;
             None elsewhere.
+        level: reading from which silence is measured (p): 0 of a dead zone, y itself of a play.
+        rms: of what y is off by (p) [y], where the reading itself tells it; None: the sensor's.
     """
 
     y: Any
     side: Any
     x: Any = None
+    level: Any = 0.0
+    rms: Any = None
 
 
 def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
@@ -94,6 +98,7 @@ class Estimate(NamedTuple):
         consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
+        contact: the side of a play that the observer made out itself (p).
     """
 
     x: Any
@@ -113,6 +118,7 @@ class Estimate(NamedTuple):
     consistent: Any = NONE
     refused: Any = NONE
     restarts: Any = NONE
+    contact: Any = NONE
 
 
 _COLUMNS = {
@@ -299,7 +305,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 6,
+        *[none] * 7,
     )
 
 

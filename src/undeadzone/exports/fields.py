@@ -112,6 +112,7 @@ def estimate_meanings(units: Units) -> dict[str, str]:
         "consistent": "1 where the readings of late fit the claims, else 0",
         "refused": "readings taken for wrong so far",
         "restarts": "how often the observer lost its state and began anew",
+        "contact": "side of the play that the readings are on: 1 right, -1 left, 0 neither",
     }
 
 

@@ -17,6 +17,7 @@ from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
@@ -114,7 +115,8 @@ class Censored(
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])
         traits = claimed_traits(prior, self.x_std)
-        return shown_states(judged(member, even, glitches > 0, traits), units)
+        observer = shown_states(judged(member, even, glitches > 0, traits), units)
+        return heard_by_motion(observer, model, sensor)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

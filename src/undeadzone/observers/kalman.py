@@ -15,6 +15,7 @@ from undeadzone.observers.parts.even_states import counted_prior, even_units, sh
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
@@ -97,4 +98,5 @@ class Kalman(
             even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
         )
         traits = claimed_traits(prior, self.x_std)
-        return shown_states(judged(member, even, glitches > 0, traits, recovers=False), units)
+        observer = judged(member, even, glitches > 0, traits, recovers=False)
+        return heard_by_motion(shown_states(observer, units), model, sensor)

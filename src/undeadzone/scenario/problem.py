@@ -12,6 +12,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.linear.structure import require_structure
 from undeadzone.observers import NumericObserver, Observer
+from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
@@ -90,6 +91,12 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
         )
+    elif sensor.kind == "play":
+        raise InputError(
+            "sensor.kind: a play shows its side from one reading to the next; set "
+            'simulation.time = "sampled"'
+        )
+    require_hearer(scenario.observer, sensor.kind)
     observer = scenario.observer.build(model, sensor)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)

@@ -55,7 +55,10 @@ def close(
     """
     params = numbers(plant, sensor, observer, controller, step)
     state = State(
-        np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params)
+        plant=np.zeros(plant.n),
+        observer=observer.init(observer.params),
+        controller=controller.init(controller.params),
+        sensor=sensor.start if sensor.kind == "play" else np.zeros(0),
     )
     instant = _instant(plant, controller, tracked)
     p_column, p = tree.symbols(params, "p")

@@ -177,7 +177,7 @@ def _storage(
     gamma = problem.observer.traits.gamma
     if proof is None or not proof.certified or gamma is None:
         return None
-    if problem.sensor.kind == "deadzone":
+    if problem.sensor.kind != "jump":
         d_error = _true_widths(problem) - d_hat
     else:
         d_error = np.zeros_like(d_hat)
@@ -215,6 +215,7 @@ def _info(
         uncertain={name: _parameter(plant, name) for name in traits.uncertain},
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
+        sensor=problem.sensor.kind,
     )
 
 

@@ -161,8 +161,10 @@ def _smoothed(
     The readings that the filter refused are missing to the smoother.
     """
     options, model = scenario.observer, follower.model
-    if not isinstance(options, Kalman) or model.nonlinear or not regular.t.size:
+    known = isinstance(options, Kalman) and follower.zone.kind != "play"
+    if not known or model.nonlinear or not regular.t.size:
         return {}
+    assert isinstance(options, Kalman)
     plain = msgspec.structs.replace(options, glitches=0.0).build(model, follower.zone)
     y = regular.y
     if estimated.refused.size:

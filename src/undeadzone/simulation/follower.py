@@ -193,6 +193,7 @@ class Follower:
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
+            sensor=self.zone.kind,
         )
 
 

@@ -92,11 +92,12 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The loop's state: that of each of its parts."""
+    """The loop's state: that of each of its parts; the sensor's is the level of a play (p) [z]."""
 
     plant: Any
     observer: Any
     controller: Any
+    sensor: Any
 
 
 class Outputs(NamedTuple):

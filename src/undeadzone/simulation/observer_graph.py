@@ -47,7 +47,8 @@ def observer_graph(
     used = ca.if_else(present(u), u, held)
     reading = received(y, *levels)
     after, estimate = observer.step(params, s, used, reading)
-    out = Out(estimate, reading.side, ca.mmin(present(y)) == 0)
+    side = estimate.contact if estimate.contact.shape[0] else reading.side
+    out = Out(estimate, side, ca.mmin(present(y)) == 0)
     function = ca.Function(
         "live",
         [s_column, ca.vertcat(y, u), column],

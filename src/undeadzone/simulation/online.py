@@ -11,6 +11,7 @@ from undeadzone.engine.interpret import Stepper
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
 from undeadzone.observers import ObserverOptions
+from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -192,6 +193,7 @@ def built_for(
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
     zone = resolve(sensor, model.p, Ts, pace(system.linear))
+    require_hearer(observer, zone.kind)
     built = observer.build(model, zone)
     require_bounded_error(model, built, Ts)
     return model, zone, built

@@ -48,6 +48,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         adapts: whether the observer estimates the widths.
         listens: share of an error of the model that z^ follows, of each output; None where it
             cannot be told; empty: not measured (`simulation.listening`).
+        sensor: its kind.
     """
 
     title: str
@@ -69,3 +70,4 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     integration_share: float | None = None
     scales: list[float] = []
     listens: list[float | None] = []
+    sensor: str = "deadzone"

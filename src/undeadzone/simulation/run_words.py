@@ -48,7 +48,8 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, An
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
         shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"
-    shown["silent"] = f"{100 * summary['silent_fraction']:.1f} % of the time"
+    quiet = "holding" if info.sensor == "play" else "silent"
+    shown[quiet] = f"{100 * summary['silent_fraction']:.1f} % of the time"
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     return shown

@@ -51,6 +51,7 @@ def run_sample_by_sample(
     r = tree.slices(loop.instant).target.r
     n, m = problem.plant.n, problem.plant.m
     estimated = slice(n, n + tree.size(loop.state.observer))
+    driving = slice(estimated.stop, estimated.stop + tree.size(loop.state.controller))
     outputs = np.empty((exogenous.shape[0], tree.size(loop.outputs)))
     state = None if numeric is None else numeric.start(problem.scenario.simulation.seed)
     for k, row in enumerate(exogenous):
@@ -64,7 +65,7 @@ def run_sample_by_sample(
             before[estimated] = tree.pack(tuple(estimate))
         if law is not None:
             t = k * problem.scenario.simulation.step
-            before[estimated.stop :] = _input(law(t, estimate, row[r].copy()), m, t)
+            before[driving] = _input(law(t, estimate, row[r].copy()), m, t)
         stepper.state[:] = before
         stepper()
         outputs[k] = stepper.out

@@ -11,6 +11,7 @@ from undeadzone.interfaces import Controller, Observer, Reading
 from undeadzone.limits import at_limit
 from undeadzone.numerics.event_location import Levels
 from undeadzone.plants.system import System
+from undeadzone.play import contact, held
 from undeadzone.sensor import branch, edges, quantised, side, zone
 from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
 from undeadzone.support import tree
@@ -96,7 +97,11 @@ class Wiring(NamedTuple):
     def move(self, s: State, w: Exogenous, mode: Mode) -> tuple[State, Outputs]:
         """The state's derivative (or next value) and the outputs, on a given branch."""
         z = self.plant.output(self.p.plant, s.plant)
-        reading = self._read(z, s, w, mode)
+        level = s.sensor
+        if self.kind == "play":
+            level = held(ca, z, s.sensor, *self.widths(w))
+            mode = Mode(mode.zone, contact(level, s.sensor))
+        reading = self._read(z, level, s, w, mode)
         unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
         _, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
@@ -105,11 +110,20 @@ class Wiring(NamedTuple):
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
         plant = self.plant.move(self.p.plant, s.plant, u + w.w)
         outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
-        return State(plant, observer, controller), outputs
+        return State(plant, observer, controller, level), outputs
 
-    def _read(self, z: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
-        """What the sensor gives of an output z (p) on a given branch."""
+    def _read(self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
+        """What the sensor gives of an output z (p) on a given branch; level: of a play."""
         sensor = self.p.sensor
+        if self.kind == "play":
+            y = sensor.slope * level + w.after
+            if sensor.quantum.numel():
+                y = quantised(y, sensor.quantum)
+            y = self._within_range(y)
+            if sensor.limits is None:
+                return Reading(y, mode.side, s.plant)
+            end = at_limit(y, sensor.limits)
+            return Reading(y, ca.if_else(end != 0, 2 * end, mode.side), s.plant)
         exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
         y = exact + w.after
         if sensor.quantum.numel():

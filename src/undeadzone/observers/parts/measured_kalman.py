@@ -83,7 +83,7 @@ def measured_filter(
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        each, waits = np.zeros(p), np.zeros(4 * p if setup.ends else 2 * p)
+        each, waits = np.zeros(p), np.zeros(4 * p if setup.limited else 2 * p)
         return State(q.mean, q.cov, each, each, waits, np.zeros(m), patient(p))
 
     params = filter_numbers(model, sensor, prior, augmentation)
@@ -98,11 +98,11 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     y = ca.if_else(seen, reading.y, 0.0)
     side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
-    corrected = correct(setup, q, before, y, side)
+    corrected = correct(setup, q, before, y, side, variances(q, reading))
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
         heard = with_bounds(setup, q, s, heard, reading, y, side)
-    if setup.ends:
+    if setup.limited:
         heard = heard._replace(trust=distrusted(heard.trust, reading))
     shown, fits = shown_belief(setup, q, heard.belief)
     e, std = corrected.e, corrected.std
@@ -123,6 +123,13 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     )
 
 
+def variances(q: Params, reading: Reading) -> Any:
+    """Variances of the readings (p) [z^2]: the filter's, unless a reading tells its own."""
+    if reading.rms is None:
+        return q.R
+    return ca.if_else(reading.rms > 0, (reading.rms / q.slope) ** 2, q.R)
+
+
 def with_bounds(
     setup: Setup, q: Params, s: State, heard: Heard, reading: Reading, y: Any, side: Any
 ) -> Heard:
@@ -137,9 +144,11 @@ def with_bounds(
         y: reading, 0 where it is missing (p) [y].
         side: the sides that are sure (p).
     """
-    silent = ca.logic_and(present(reading.y), ca.fabs(y) <= q.gate)
-    if not setup.ends:
-        return use_bounds(setup, q, heard, silent, side)
+    silent = present(reading.y)
+    if not setup.play:
+        silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
+    if not setup.limited:
+        return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
     silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
@@ -158,8 +167,9 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
     """
     if setup.blind:
         return seen
-    side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
-    if setup.ends:
+    shown = setup.jump or setup.play
+    side = reading.side if shown else sure_side(y, s.last, s.previous, q.gate)
+    if setup.limited:
         exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
     if not setup.doubts:
