@@ -304,6 +304,13 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     assert done.passed
 
 
+def test_the_oracle_of_an_ensemble_knows_the_gap_of_each_run() -> None:
+    vary = {"runs": 6, "sensor.right": {"uniform": [0.3, 1.5]}}
+    oracle = {"method": "oracle", "L": [1.0, 1.5]}
+    result = run_ensemble(slow({"noise": 0.01}, oracle, ensemble=vary))
+    assert result.column("rms_estimation").max() < 0.1
+
+
 def test_an_ensemble_varies_the_gaps() -> None:
     vary = {"runs": 6, "sensor.right": {"uniform": [0.3, 1.5]}}
     result = run_ensemble(slow({"noise": 0.01}, CERTIFIED, ensemble=vary))

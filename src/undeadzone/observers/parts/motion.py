@@ -21,6 +21,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
+from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 ROUNDING = 1e-12  # share of a reading by which it may change without motion
@@ -38,12 +39,10 @@ HEARERS = (
 )
 
 
-class Numbers(NamedTuple):
-    """Numbers of the rules, and those of the observer.
+class Motion(NamedTuple):
+    """Numbers of the rules, the last field of those of the observer.
 
     Attributes:
-        observer: the observer's.
-        model: the model's.
         slope: m (p) [y/z].
         quantum: of the readings (p) [y].
         threshold: change over the window that counts as motion (p) [y].
@@ -51,8 +50,6 @@ class Numbers(NamedTuple):
         gains: of the fading line, on level and slope (2).
     """
 
-    observer: Any
-    model: Any
     slope: Floats
     quantum: Floats
     threshold: Floats
@@ -99,25 +96,24 @@ def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer
             'simulation.time = "sampled"'
         )
     fade = fading(sensor.window)
-    q = Numbers(
-        observer=observer.params,
-        model=model.params,
+    numbers = Motion(
         slope=sensor.slope,
         quantum=sensor.quantum,
         threshold=sensor.threshold,
         window=np.float64(sensor.window),
         gains=np.array([1 - fade**2, (1 - fade) ** 2]),
     )
-    none = np.zeros(model.p)
+    none, kind = np.zeros(model.p), type(observer.params)
 
-    def init(q: Numbers) -> State:
-        return State(observer.init(q.observer), none, none, none, none, none)
+    def init(q: Any) -> State:
+        return State(observer.init(kind(*q[:-1])), none, none, none, none, none)
 
-    def project(q: Numbers, s: State) -> State:
-        return s._replace(observer=observer.project(q.observer, s.observer))
+    def project(q: Any, s: State) -> State:
+        return s._replace(observer=observer.project(kind(*q[:-1]), s.observer))
 
     step = partial(step_by_motion, observer, model, sensor)
-    return Observer(q, init, step, project, observer.traits)
+    params = tree.joined(observer.params, "motion", numbers)
+    return Observer(params, init, step, project, observer.traits)
 
 
 def fading(window: int) -> float:
@@ -131,27 +127,28 @@ def fading(window: int) -> float:
 
 
 def step_by_motion(
-    observer: Observer, model: System, sensor: Zone, q: Numbers, s: State, u: Any, reading: Reading
+    observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """One sample of the observer with the side of its readings."""
+    """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
+    inner, motion = type(observer.params)(*q[:-1]), q.motion
     at_limit = ca.fabs(reading.side) > 1
     y = ca.if_else(at_limit, np.nan, reading.y)
     seen = present(y)
-    side, heard, rms = sided(sensor, q, s, y)
+    side, heard, rms = sided(sensor, motion, s, y)
     taken = Reading(heard, ca.if_else(seen, side, 0.0), reading.x, heard, rms)
-    inner, estimate = observer.step(q.observer, s.observer, u, taken)
-    ahead = model.output(q.model, model.move(q.model, estimate.x, u)) - estimate.z
+    moved, estimate = observer.step(inner, s.observer, u, taken)
+    ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
     refused, regular = s.refused, seen
     if estimate.refused.shape[0]:
         refused = estimate.refused
         regular = ca.logic_and(seen, refused == s.refused)
-    level, slope = followed(sensor, q, s, y, regular)
+    level, slope = followed(sensor, motion, s, y, regular)
     # what is missing, or was refused, tells nothing of the motion after it
-    after = State(inner, level, slope, ca.if_else(regular, 1.0, 0.0), ahead, refused)
+    after = State(moved, level, slope, ca.if_else(regular, 1.0, 0.0), ahead, refused)
     return after, estimate._replace(contact=taken.side)
 
 
-def sided(sensor: Zone, q: Numbers, s: State, y: Any) -> tuple[Any, Any, Any]:
+def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
     """(sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
     parts = []
     for i in range(sensor.slope.size):
@@ -163,14 +160,14 @@ def sided(sensor: Zone, q: Numbers, s: State, y: Any) -> tuple[Any, Any, Any]:
     return ca.if_else(s.known, side, 0.0), heard, rms
 
 
-def by_change(q: Numbers, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     """Output i by the sign of its change."""
     change = y[i] - s.level[i]
     least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
     return signs(change, least), y[i], 0.0
 
 
-def by_tick(q: Numbers, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     """Output i by its ticks: z has just passed the boundary between two multiples of the quantum.
 
     By how much, at most, is how far z^ moves in a step.
@@ -184,13 +181,13 @@ def by_tick(q: Numbers, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     return tick, at_boundary, ca.if_else(tick != 0, spread, held)
 
 
-def by_line(q: Numbers, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     """Output i by the slope of the readings before, if z^ moves the same way."""
     side = signs(s.slope[i] * q.window, q.threshold[i])
     return ca.if_else(side * s.ahead[i] > 0, side, 0.0), y[i], 0.0
 
 
-def followed(sensor: Zone, q: Numbers, s: State, y: Any, regular: Any) -> tuple[Any, Any]:
+def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any]:
     """(level, slope) of the readings so far (p each); a new beginning where none was known."""
     expected = s.level + s.slope
     residual = y - expected
