@@ -16,11 +16,11 @@ FILES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
 FLOORS = (
     ("errors",),
     ("support",),
-    ("engine", "limits", "linear", "logs", "numerics", "play", "statistics"),
+    ("actuator", "engine", "limits", "linear", "logs", "numerics", "play", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),
-    ("controllers", "observers"),
+    ("compensators", "controllers", "observers"),
     ("scenario",),
     ("simulation",),
     ("arena", "ensemble", "exports", "identification", "synthesis"),

@@ -32,8 +32,8 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Attributes:
         right, left: widths b_r, b_l of the dead zone (m) [u].
-        slope: [m_r, m_l], input of the plant per command beyond the zone (1), one pair, or one per
-            input (m x 2).
+        slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per
+            input (m x 2); default 1.
         limit: [lo, hi], between which the command stays [u], one pair, or one per input; default
             none.
         rate: [falling, rising], largest rates of the command [u/s], one pair, or one per input;
@@ -42,7 +42,7 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     right: Array = 0.0
     left: Array = 0.0
-    slope: Pairs = [1.0, 1.0]
+    slope: Pairs | None = None
     limit: Pairs | None = None
     rate: Pairs | None = None
 
@@ -151,8 +151,17 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
         raise InputError(
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
-    ends = np.clip(low, -LARGEST, None), np.clip(high, None, LARGEST)
-    return Drive(right, left, *slopes.T, *ends, *np.minimum(rates, LARGEST).T)
+    rates = np.minimum(rates, LARGEST)
+    return Drive(
+        right=right,
+        left=left,
+        slope_right=slopes[:, 0],
+        slope_left=slopes[:, 1],
+        low=np.maximum(low, -LARGEST),
+        high=np.minimum(high, LARGEST),
+        fall=rates[:, 0],
+        rise=rates[:, 1],
+    )
 
 
 def believed(model: ActuatorModel | None, actuator: Actuator | None, m: int) -> Belief | None:

@@ -99,6 +99,8 @@ class Estimate(NamedTuple):
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
         contact: the side of a play that the observer made out itself (p).
+        actuator_right, actuator_left: widths b_r^, b_l^ of the actuators (m).
+        actuator_right_std, actuator_left_std: their standard deviations (m).
     """
 
     x: Any
@@ -119,6 +121,10 @@ class Estimate(NamedTuple):
     refused: Any = NONE
     restarts: Any = NONE
     contact: Any = NONE
+    actuator_right: Any = NONE
+    actuator_left: Any = NONE
+    actuator_right_std: Any = NONE
+    actuator_left_std: Any = NONE
 
 
 _COLUMNS = {
@@ -248,6 +254,21 @@ class Controller(NamedTuple):
         return 0 if self.plan is None else self.plan.size
 
 
+class Compensator(NamedTuple):
+    """What makes the command of an actuator, as pure functions on CasADi expressions.
+
+    Attributes:
+        params: tree of NumPy arrays.
+        init: init(params) is the state at t = 0; None: no state.
+        step: step(params, state, v, estimate, reading) is (the state at the next sample, the
+            command u (m)), v what should enter the plant (m).
+    """
+
+    params: Any
+    init: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any, Estimate, Reading], tuple[Any, Any]]
+
+
 def estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
@@ -305,7 +326,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 7,
+        *[none] * 11,
     )
 
 

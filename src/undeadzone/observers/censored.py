@@ -19,6 +19,7 @@ from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.observers.parts.unknown_actuator import zones_of
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
@@ -111,6 +112,7 @@ class Censored(
             glitches=glitches,
             claimed=self.disturbance is not None,
             careful=careful,
+            zones=zones_of(model.actuator),
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(weakened, level) for level in range(self.levels)])

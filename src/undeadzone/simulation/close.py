@@ -5,8 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from undeadzone.actuator import Drive
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Observer
+from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.numerics.event_location import StepAttempt
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
@@ -35,6 +36,8 @@ def close(
     step: float,
     located: bool = True,
     order: int = RUNGE_KUTTA,
+    compensator: Compensator | None = None,
+    actuator: Drive | None = None,
 ) -> Loop:
     """The closed loop of a plant.
 
@@ -49,21 +52,29 @@ def close(
             reads its own side.
         order: 4 for RK4, more for Taylor series (`dense_output.taylor`), whose exogenous inputs
             are `order` coefficients of a step in place of three instants.
+        compensator: what makes the actuator's command of the controller's input; None: nothing.
+        actuator: ahead of the plant; None: there is none.
 
     Raises:
         InputError: a Taylor series was asked for, and the loop is not linear on its branches.
     """
     params = numbers(plant, sensor, observer, controller, step)
+    if compensator is not None:
+        params = params._replace(compensator=compensator.params)
+    params = params._replace(actuator=actuator)
+    rated = actuator is not None and actuator.rated
     state = State(
         plant=np.zeros(plant.n),
         observer=observer.init(observer.params),
         controller=controller.init(controller.params),
         sensor=sensor.start if sensor.kind == "play" else np.zeros(0),
+        compensator=None if compensator is None else compensator.init(compensator.params),
+        actuator=np.zeros(plant.m if rated else 0),
     )
     instant = _instant(plant, controller, tracked)
     p_column, p = tree.symbols(params, "p")
     s_column, s = tree.symbols(state, "s")
-    wiring = Wiring(plant, sensor.kind, observer, controller, p)
+    wiring = Wiring(plant, sensor.kind, observer, controller, p, compensator)
     columns = _exogenous_columns(plant, instant, order)
     w = wiring.exogenous(instant, columns[0])
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))

@@ -111,7 +111,16 @@ def _loop_around(problem: Problem, observer: Observer | NumericObserver) -> Loop
     graph = relay(observer, problem.plant.p) if isinstance(observer, NumericObserver) else observer
     outputs_tracked = len(problem.tracked)
     step = problem.scenario.simulation.step
-    return close(problem.plant, problem.sensor, graph, problem.controller, outputs_tracked, step)
+    return close(
+        problem.plant,
+        problem.sensor,
+        graph,
+        problem.controller,
+        outputs_tracked,
+        step,
+        compensator=problem.compensator,
+        actuator=problem.actuator,
+    )
 
 
 def relay(observer: NumericObserver, p: int) -> Observer:

@@ -17,8 +17,8 @@ from undeadzone.support.arrays import Floats
 
 def joined(tree: Any, name: str, value: Any) -> Any:
     """The named tuple with one more field, the last one."""
-    fields: Any = (*tree._fields, name)
-    return namedtuple("Joined", fields)._make((*tree, value))  # type: ignore[misc]
+    make: Any = namedtuple  # of names that are known at run time
+    return make("Joined", [*tree._fields, name])(*tree, value)
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -5,6 +5,7 @@ The mathematics is in docs/filters.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -38,6 +39,13 @@ from undeadzone.observers.parts.member import Member, Step, likelihood
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
+from undeadzone.observers.parts.unknown_actuator import (
+    SAME,
+    Zones,
+    entering,
+    with_actuator,
+    with_widths,
+)
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
 
@@ -75,8 +83,10 @@ def measured_filter(
     glitches: float = 0.0,
     claimed: bool = True,
     careful: bool = False,
+    zones: Zones | None = None,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
+    augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     setup = Setup(model, sensor, augmentation, entries, bounds, order, blind, doubts, careful)
@@ -88,7 +98,9 @@ def measured_filter(
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
-    params = params._replace(lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior))
+    params = params._replace(
+        lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior), zones=zones
+    )
     return Member(params, init, partial(filter_step, setup))
 
 
@@ -108,6 +120,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
+    estimated = with_actuator(q.zones, estimated, shown)
     mean, cov, restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience)
     if setup.doubts:
@@ -204,19 +217,22 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
     """The belief at the next sample."""
     augmentation = setup.augmentation
-    change, Q = motion(setup.model, q, augmentation, belief, u)
+    drive, doubt = entering(q.zones, belief, u)
+    if doubt is not None:
+        doubt = SAME * doubt
+    change, Q = motion(setup.model, q, augmentation, belief, drive, doubt)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return advance(belief, change, Q, slope)
-    bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
+    bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, drive)
     return predict(belief, change, Q, q.lasting, bend)
 
 
-def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:
+def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> tuple[Any, Any]:
     """(G, b) of the augmentation with the rows of all of X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
-    G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], u)
+    G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
     return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
 
 
