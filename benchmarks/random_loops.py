@@ -25,6 +25,8 @@ class Loops(NamedTuple):
         stds: claimed deviations of the same (K x 2), or without columns.
         width_std: that of their sum (K), or empty.
         width: true sum of the widths (K).
+        actuator: errors of the actuator's widths in the end (K x 2), or without columns.
+        actuator_stds: claimed deviations of the same.
     """
 
     rms: Floats
@@ -33,6 +35,14 @@ class Loops(NamedTuple):
     stds: Floats
     width_std: Floats
     width: Floats
+    actuator: Floats
+    actuator_stds: Floats
+
+    def actuator_covered(self) -> str:
+        """The share of the actuator's widths that claimed intervals hold; nothing if none are."""
+        if not self.actuator_stds.size:
+            return ""
+        return f"{np.mean(np.abs(self.actuator) <= 1.96 * self.actuator_stds):.2f}"
 
     def covered(self) -> str:
         """The share of the widths that claimed 95 % intervals hold; nothing if none is claimed."""
@@ -71,6 +81,11 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     widths = np.concatenate([out[:, -1, estimate.right], out[:, -1, estimate.left]], 1)
     stds = np.concatenate([out[:, -1, estimate.right_std], out[:, -1, estimate.left_std]], 1)
     true = np.stack([[problem.sensor.right[0], problem.sensor.left[0]] for problem in each])
+    b_stds = [out[:, -1, estimate.actuator_right_std], out[:, -1, estimate.actuator_left_std]]
+    b = [out[:, -1, estimate.actuator_right], out[:, -1, estimate.actuator_left]]
+    drives = [problem.actuator for problem in each]
+    b_true = np.array([[*drive.right, *drive.left] for drive in drives if drive is not None])
+    wrong = np.concatenate(b, 1) - b_true if len(b_true) else np.zeros((len(each), 0))
     return Loops(
         rms=_rms(z - r[:, judged]),
         hidden=_rms(z - out[:, judged, estimate.z][..., 0]),
@@ -78,6 +93,8 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
         stds=stds,
         width_std=out[:, -1, estimate.width_std].ravel(),
         width=true.sum(axis=1),
+        actuator=wrong,
+        actuator_stds=np.concatenate(b_stds, 1),
     )
 
 
