@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
+from undeadzone.analysis.identifiability.both_ends import BothEnds, both_ends, modes_visited
 from undeadzone.analysis.identifiability.linear import Verdict
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
@@ -35,7 +36,26 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         return _verdicts_along(problem, signal)
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
+    if actuator_unknown(problem):
+        return _both_ends(problem, signal, schedule).outputs
     return linear_verdicts(problem, schedule, np.ones(problem.model.p))
+
+
+def actuator_unknown(problem: Problem) -> bool:
+    """Whether the actuator's widths are to be estimated, of a linear plant."""
+    belief = problem.belief
+    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
+
+
+def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> BothEnds:
+    """What a run's readings tell of the widths of sensor and actuator."""
+    linear, belief = problem.model.linear, problem.belief
+    assert belief is not None
+    drive = belief.drive if problem.actuator is None else problem.actuator
+    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
+    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
+    bias = constant_inputs(problem, linear.B)
+    return both_ends(linear, schedule, modes, drive, bias)
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
