@@ -4,7 +4,7 @@ BIN = .venv/bin
 FUZZ_SECONDS ?= 600
 MUTANTS ?= 300
 
-.PHONY: paper test tools bench docs fuzz mutants coverage clean
+.PHONY: paper test test-wheel tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -14,6 +14,9 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadfile
+
+test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
+	$(BIN)/python tests/packed.py -n 2 --dist loadfile
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
 	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from undeadzone.cli import common
 from undeadzone.simulation.run import Run
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -348,3 +351,75 @@ def test_watch_wrong_input(scenario: Path, stdin: str, words: str) -> None:
     done = undeadzone("watch", scenario, stdin=stdin)
     assert done.returncode == 2
     assert words in done.stderr
+
+
+def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
+    listed = undeadzone("init", "--list").stdout
+    for path in EXAMPLES.glob("*.*"):
+        name = path.stem if path.suffix in (".toml", ".urdf") else path.name
+        assert f"\n{name} " in listed
+    done = undeadzone("init", "--example", "ur5", "deep/mine.toml", "--out", "out", cwd=tmp_path)
+    assert "next: undeadzone run out/deep/mine.toml" in done.stdout
+    for name, written in (("ur5.toml", "mine.toml"), ("ur5.urdf", "ur5.urdf")):
+        kept = (EXAMPLES / name).read_bytes()
+        assert (tmp_path / "out" / "deep" / written).read_bytes() == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--example", "two_lnk"], "did you mean 'two_link'?"),
+        (["--example", "../secret"], "--list shows all"),
+        (["--example", ""], "--list shows all"),
+    ],
+)
+def test_init_knows_no_other_example(words: list[str], told: str, tmp_path: Path) -> None:
+    done = undeadzone("init", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_init_replaces_no_file_of_an_example(tmp_path: Path) -> None:
+    (tmp_path / "ur5.urdf").write_text("mine")
+    done = undeadzone("init", "--example", "ur5", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "ur5.urdf: exists already" in done.stderr
+    assert not (tmp_path / "ur5.toml").exists()
+
+
+class Terminal(io.StringIO):
+    """A terminal that keeps what it shows."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(terminal: Terminal, word: str) -> bool:
+    """Whether a terminal shows a word within seconds."""
+    for _ in range(200):
+        if word in terminal.getvalue():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(common, "PATIENCE", 0.01)
+    with common.progress("simulating", 10) as advance:
+        assert shown(terminal, "setting up")
+        advance(4)
+        advance(3)
+        assert shown(terminal, "7/10")
+        assert "simulating" in terminal.getvalue()
+
+
+def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(common, "PATIENCE", 60.0)
+    with common.progress("simulating", 10) as advance:
+        advance(10)
+    assert terminal.getvalue() == ""

@@ -33,6 +33,7 @@ from undeadzone.report import animation, arm_figures
 from undeadzone.report.figures import overview
 from undeadzone.report.run_files import write_run as write
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import quantised, side
 from undeadzone.simulation.compare import labels as _told_apart
@@ -564,3 +565,59 @@ def test_observers_are_told_apart_by_method_or_by_what_differs() -> None:
     )
     assert names(FILTER, {"method": "kalman", "right": [0.0, 0.1]}) == ("extended", "kalman")
     assert names(FILTER, FILTER) == ("extended", "extended")
+
+
+SWING = """
+[plant.arm]
+kind = "one_link"
+reference = -1.2
+[plant]
+x0 = [-1.57, 0.0]
+[sensor]
+right = 0.1
+left = 0.05
+noise = 0.001
+[reference]
+kind = "sine"
+amplitude = 0.3
+frequency = 0.5
+offset = -1.57
+[observer]
+method = "extended"
+right = [0.0, 0.3]
+start = [-1.57, 0.0]
+x_std = 0.01
+noise = 0.002
+[simulation]
+time = "sampled"
+duration = 4.0
+step = 0.005
+substeps = 1
+"""
+
+
+def told_by(scenario: Scenario) -> tuple[bool, str]:
+    """Whether a run tells the widths, and why not."""
+    run = simulate(scenario)
+    return run.fully_identifiable, " ".join(run.info.identifiable[0]["reasons"])
+
+
+def test_a_verdict_names_the_position_at_which_both_edges_are_reached() -> None:
+    scenario = parse(SWING)
+    known, why = told_by(scenario)
+    assert not known
+    found = re.search(r"plant\.arm\.reference = (\S+) would do, as any from (\S+) to (\S+):", why)
+    assert found is not None
+    for reference in map(float, found.groups()):
+        known, why = told_by(scenario.replace("plant.arm.reference", reference))
+        assert known, why
+    least, most = float(found[2]), float(found[3])
+    for reference in (least - 0.04, most + 0.04):
+        assert not told_by(scenario.replace("plant.arm.reference", reference))[0]
+
+
+def test_a_verdict_says_where_no_position_helps() -> None:
+    scenario = parse(SWING) | {"sensor": {"right": 0.5, "left": 0.4}}
+    known, why = told_by(scenario | {"observer": {"right": [0.0, 1.0]}})
+    assert not known
+    assert "whatever plant.arm.reference is: move further" in why

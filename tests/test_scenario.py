@@ -6,6 +6,7 @@ And a fuzz that lets nothing else out.
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import tomli_w
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -31,6 +33,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
+from undeadzone.support.toml import tables
 
 SAMPLED = """
 # What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, an inexact model.
@@ -841,3 +844,43 @@ def test_only_undeadzone_errors_come_out_of_a_short_run(data: dict[str, Any]) ->
 def test_only_undeadzone_errors_come_out_of_any_text(text: str) -> None:
     with suppress(UndeadzoneError):
         resolve_scenario(parse(text))
+
+
+OBSERVED = """
+[observer]
+method = "extended"
+right = [0.0, 2.0]
+noise = 0.02
+"""
+
+
+def with_compare(compare: str, observed: str = OBSERVED) -> str:
+    """A scenario with an observer and a [compare] table."""
+    plain = tomli_w.dumps({key: value for key, value in table().items() if key != "observer"})
+    return f"{plain}\n{observed}\n[compare]\n{compare}\n"
+
+
+def test_a_rival_may_be_like_the_observer() -> None:
+    scenario = parse(with_compare('like = "observer"\nblind = true'))
+    own = tables(scenario.observer)
+    assert own["noise"] == 0.02
+    assert scenario.compare is not None
+    assert tables(scenario.compare) == own | {"blind": True}
+    assert str(parse(str(scenario))) == str(scenario)
+    other = scenario | {"observer": {"noise": 0.5}, "compare": {"like": "observer", "x_std": 0.1}}
+    assert other.compare is not None
+    assert tables(other.compare) == own | {"noise": 0.5, "x_std": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("compare", "observed", "told"),
+    [
+        ('like = "controller"', OBSERVED, 'compare.like: expected "observer"'),
+        ('like = "observer"\nmethod = "kalman"', OBSERVED, "leave out like, or compare.method"),
+        ('like = "observer"\nblind = true', "", "no [observer]"),
+        ('like = "observer"\nblnd = true', OBSERVED, "compare.blnd"),
+    ],
+)
+def test_a_rival_is_like_nothing_else(compare: str, observed: str, told: str) -> None:
+    with pytest.raises(InputError, match=re.escape(told)):
+        parse(with_compare(compare, observed))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain, ParticleFilter, TaylorResidual
 from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.scenario.reader import convert, read
+from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
@@ -40,6 +41,7 @@ from undeadzone.tuning.search import FORBIDDEN, REACH, Evaluation, _penalised, g
 from undeadzone.tuning.sweep import sweep
 from undeadzone.tuning.tune import tune
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
 GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
 
@@ -428,3 +430,26 @@ def test_a_tuned_scenario_finds_its_files(tmp_path: Path) -> None:
     found = tune(scenario, Tune(entries=GAMMA, runs=2, held_out=2, budget=4))
     path = found.save(tmp_path / "there" / "deep" / "tuned.toml")
     assert resolve_scenario(read(path)).reference is not None
+
+
+def example_of_the_help() -> str:
+    """The table [tune] that `undeadzone tune --help` shows."""
+    text = group.commands["tune"].help or ""
+    return textwrap.dedent(text.split("\b")[1].split("\n\n")[0].strip("\n"))
+
+
+@pytest.mark.parametrize("certified_gains", ["", "L = [2.0, 1.0, 40.0]"])
+def test_the_example_of_the_help_tunes_a_third_order_plant(certified_gains: str) -> None:
+    """Gains that the scenario leaves to the method are tuned from the method's own."""
+    text = (EXAMPLES / "third_order.toml").read_text(encoding="utf-8")
+    text = text.replace('method = "certified" ', f'{certified_gains}\nmethod = "certified" ')
+    scenario = parse(text + "\n" + example_of_the_help()) | {"simulation": {"duration": 2.0}}
+    assert scenario.tune is not None
+    small = msgspec.structs.replace(scenario.tune, runs=4, held_out=4, budget=12)
+    tuned = tune(scenario, small, threads=1)
+    names = ["observer.gamma", "observer.L[0]", "observer.L[1]", "observer.L[2]"]
+    assert [parameter.name for parameter in tuned.parameters] == names
+    for parameter, value in zip(tuned.parameters, tuned.values, strict=True):
+        assert parameter.low <= value <= parameter.high
+    assert tuned.margin is not None
+    assert tuned.margin > 0

@@ -2,68 +2,86 @@
 
 from __future__ import annotations
 
+import ast
+import email
 import json
-import shutil
-import subprocess
-import sys
-import sysconfig
+import re
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-QUIET = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps"]
+from packed import ROOT, environment, run
+from packed import wheel as built
 
-
-def run(*words: str | Path, cwd: Path) -> str:
-    """What a command prints. It must not fail, and sees no checkout."""
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(cwd), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [str(word) for word in words],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
-    return done.stdout
+LARGEST = 2**20  # [bytes]
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of this checkout, built elsewhere."""
-    pytest.importorskip("setuptools", "77")
-    source = tmp_path_factory.mktemp("source") / "undeadzone"
-    shutil.copytree(ROOT / "src", source / "src", ignore=shutil.ignore_patterns("*.egg-info"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source / name)
-    out = source.parent / "wheels"
-    build = ["wheel", *QUIET, "--no-build-isolation", "--wheel-dir", out, "."]
-    run(sys.executable, "-m", "pip", *build, cwd=source)
-    (path,) = out.glob("*.whl")
-    return path
+    pytest.importorskip("hatchling")
+    pytest.importorskip("hatch_fancy_pypi_readme")
+    return built(tmp_path_factory.mktemp("wheels"))
 
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment with the wheel; its dependencies are those of this one."""
-    folder = tmp_path_factory.mktemp("environment") / "venv"
-    run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder.parent)
-    python = folder / "bin" / "python"
-    install = ["--python", python, "install", *QUIET, "--no-warn-script-location", wheel]
-    run(sys.executable, "-m", "pip", *install, cwd=folder.parent)
-    (packages,) = folder.glob("lib/python*/site-packages")
-    (packages / "others.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
-    return folder / "bin"
+    return environment(wheel, tmp_path_factory.mktemp("environment") / "venv")
 
 
-def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
+def text_in(wheel: Path, name: str) -> str:
+    """A file of the wheel's metadata."""
+    with zipfile.ZipFile(wheel) as archive:
+        (path,) = [path for path in archive.namelist() if path.endswith(f".dist-info/{name}")]
+        return archive.read(path).decode("utf-8")
+
+
+def test_the_wheel_holds_every_file_of_the_package_and_the_examples(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "src" / "undeadzone").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
             assert str(path.relative_to(ROOT / "src")) in held
+    for path in (ROOT / "examples").glob("*.*"):
+        assert f"undeadzone/examples/{path.name}" in held
+
+
+def test_the_wheel_is_small(wheel: Path) -> None:
+    assert wheel.stat().st_size < LARGEST
+
+
+def test_the_version_stands_in_one_place(wheel: Path) -> None:
+    found = []
+    tree = ast.parse((ROOT / "src/undeadzone/__init__.py").read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__version__":
+            found.append(ast.literal_eval(node.value))
+    (version,) = found
+    assert email.message_from_string(text_in(wheel, "METADATA"))["Version"] == version
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert "version" not in project
+    assert "\nversion:" not in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:
+    """Files of the repository have no address there: links are text, images are left out."""
+    shown = email.message_from_string(text_in(wheel, "METADATA")).get_payload()
+    assert shown.startswith("# undeadzone\n")
+    assert not re.findall(r"\]\((?!https?:)", shown)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for code in re.findall(r"```python\n.*?```", readme, re.S):
+        assert code in shown
+    for heading in re.findall(r"^## .*$", readme, re.M):
+        assert heading in shown
+
+
+def test_every_extra_is_explained() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
+    explained = re.findall(r"^\| `(\w+)` \|", page, re.M)
+    assert sorted(explained) == sorted(project["optional-dependencies"])
 
 
 def test_commands_run_from_the_wheel(installed: Path, tmp_path: Path) -> None:
@@ -76,3 +94,26 @@ def test_commands_run_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
     arena = ["arena", "mine.toml", "--methods", "certified", "--seeds", "1", "--processes", "1"]
     assert "full_state" in run(command, *arena, cwd=tmp_path)
+
+
+def test_every_example_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:
+    command = installed / "undeadzone"
+    names = json.loads(run(command, "init", "--list", "--json", cwd=tmp_path))["examples"]
+    for name in names:
+        run(command, "init", "--example", name, cwd=tmp_path)
+    written = {path.name: path.read_bytes() for path in tmp_path.glob("*.*")}
+    kept = {path.name: path.read_bytes() for path in (ROOT / "examples").glob("*.*")}
+    assert written == kept
+    run(command, "run", "paper_5sin.toml", "--no-figures", cwd=tmp_path)
+
+
+def test_types_reach_a_program_that_uses_the_package(installed: Path, tmp_path: Path) -> None:
+    """mypy sees the types of the installed package, and so the mistake."""
+    right = "import undeadzone as uz\n\nrun = uz.simulate(uz.read('mine.toml'))\n"
+    right += "error: float = run.rms_estimation\n"
+    (tmp_path / "right.py").write_text(right)
+    (tmp_path / "wrong.py").write_text(right.replace("float", "str"))
+    mypy = [installed / "python", "-m", "mypy", "--strict"]
+    assert "Success" in run(*mypy, "right.py", cwd=tmp_path)
+    with pytest.raises(AssertionError, match='has type "float", variable has type "str"'):
+        run(*mypy, "wrong.py", cwd=tmp_path)

@@ -31,7 +31,7 @@ PROJECT = (
     "mutants/RESULTS.md",
 )
 FIRST = {
-    "Start": ["index.md", "tour.md", "which.md", "glossary.md", "faq.md"],
+    "Start": ["index.md", "install.md", "tour.md", "which.md", "glossary.md", "faq.md"],
     "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
     "Proof and speed": ["certificate.md", "rates.md"],
     "Logs": ["identify.md", "watch.md", "filters.md"],

@@ -10,6 +10,7 @@ import click
 
 import undeadzone
 from undeadzone.cli.arena import arena
+from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import ended
@@ -41,6 +42,7 @@ def group() -> None:
     undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone estimate mine.toml log.csv  let its observer follow a recorded log
     undeadzone watch mine.toml < log  estimate from samples as they come
+    undeadzone arm robot.urdf         show the arm in a URDF file, and write a scenario for it
     undeadzone export mine.toml       write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
@@ -60,6 +62,7 @@ COMMANDS = (
     identify,
     estimate,
     watch,
+    arm,
     export,
 )
 for command in COMMANDS:

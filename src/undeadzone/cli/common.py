@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 PATIENCE = 2.0  # [s] before a progress bar appears
+SETTING_UP = "setting up"  # what it says before the first step
 
 
 def common(command: Command) -> Command:
@@ -137,7 +139,8 @@ def progress(
 ) -> Iterator[Callable[[int], None]]:
     """A function to call with the steps just done.
 
-    A bar appears on stderr once 2 s have passed, if stderr is a terminal.
+    A bar appears on stderr once 2 s have passed, if stderr is a terminal. Until the first step it
+    says that something is set up.
 
     Args:
         what: words in front of the bar.
@@ -155,32 +158,33 @@ def progress(
 
 
 class _Bar:
-    """A progress bar that appears once PATIENCE has passed."""
+    """A progress bar that appears once PATIENCE has passed, even if no step is done by then."""
 
     def __init__(self, what: str, total: int | None, unit: str | None) -> None:
         self._what, self._total, self._unit = what, total, unit
         self._began = time.monotonic()
         self._seen = 0  # steps done
-        self._waiting = 0  # of them, those that the bar does not show yet
         self._bar: Progress | None = None
         self._task: TaskID | None = None
+        self._stopped = False
+        self._lock = threading.Lock()  # steps are told from several threads, the bar starts in one
+        self._timer = threading.Timer(PATIENCE, self._start)
+        self._timer.daemon = True
+        self._timer.start()
 
     def advance(self, done: int) -> None:
         """Show that so many steps more are done."""
-        self._waiting += done
-        self._seen += done
-        elapsed = time.monotonic() - self._began
-        if self._bar is None and elapsed > PATIENCE:
-            self._start()
-        if self._bar is not None and self._task is not None:
-            rate = f"{self._seen / elapsed:,.0f} {self._unit}/s" if self._unit else ""
-            self._bar.update(self._task, advance=self._waiting, rate=rate)
-            self._waiting = 0
+        with self._lock:
+            self._seen += done
+            self._show()
 
     def stop(self) -> None:
         """Take the bar away."""
-        if self._bar is not None:
-            self._bar.stop()
+        self._timer.cancel()
+        with self._lock:
+            if self._bar is not None:
+                self._bar.stop()
+            self._stopped = True
 
     def _start(self) -> None:
         """Draw the bar."""
@@ -200,6 +204,18 @@ class _Bar:
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
         )
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-        self._bar.start()
-        self._task = self._bar.add_task(self._what, total=self._total, rate="")
+        with self._lock:
+            if self._stopped:
+                return
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(SETTING_UP, total=self._total, rate="")
+            self._show()
+            self._bar.start()
+
+    def _show(self) -> None:
+        """Bring the bar up to date, if there is one; the lock is held."""
+        if self._bar is None or self._task is None or not self._seen:
+            return
+        elapsed = time.monotonic() - self._began
+        rate = f"{self._seen / elapsed:,.0f} {self._unit}/s" if self._unit else ""
+        self._bar.update(self._task, description=self._what, completed=self._seen, rate=rate)

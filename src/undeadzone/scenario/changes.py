@@ -20,6 +20,7 @@ from undeadzone.support.arrays import decode
 from undeadzone.support.toml import tables
 
 S = TypeVar("S", bound=msgspec.Struct)
+LAST = "compare"  # changed after [observer], whose keys it may take
 ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
 
 
@@ -61,15 +62,45 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
     """
     hints = typing.get_type_hints(type(scenario))
     fields: dict[str, Any] = {}
-    for name, change in changes.items():
+    for name, change in sorted(changes.items(), key=lambda item: item[0] == LAST):
         if name not in hints:
             near = difflib.get_close_matches(name, hints, 1) or sorted(hints)
             raise InputError(f"{name}: unknown key; did you mean {', '.join(near)}?")
         if isinstance(change, msgspec.Struct) or change is None:
             fields[name] = change
+        elif name == LAST and isinstance(change, Mapping) and "like" in change:
+            observer: Any = fields.get("observer", _child(scenario, "observer"))
+            whole = alike(change, tables(observer))
+            fields[name] = _converted(None, name, whole, hints[name], type(scenario))
         else:
-            fields[name] = _converted(scenario, name, change, hints[name])
+            before = _child(scenario, name)
+            fields[name] = _converted(before, name, change, hints[name], type(scenario))
     return msgspec.structs.replace(scenario, **fields)
+
+
+def alike(compare: Any, observer: Any) -> Any:
+    """The table [compare], in place of `like = "observer"` all keys of [observer] that it lacks.
+
+    Args:
+        compare: the table as TOML gives it.
+        observer: [observer], likewise; None: left out.
+
+    Raises:
+        InputError: `like` is something else, there is no [observer], or it has another method.
+    """
+    if not isinstance(compare, Mapping) or "like" not in compare:
+        return compare
+    if compare["like"] != "observer":
+        raise InputError(f'compare.like: expected "observer", found {compare["like"]!r:.40}')
+    if not isinstance(observer, Mapping):
+        raise InputError("compare.like: this scenario has no [observer] whose keys could be taken")
+    own = {key: value for key, value in compare.items() if key != "like"}
+    if _is_another(observer, own):
+        raise InputError(
+            f"compare.like: takes the keys of [observer], method {observer.get('method')!r}, which "
+            f"{own.get('method')!r} need not have; leave out like, or compare.method"
+        )
+    return {**observer, **own}
 
 
 def require_finite(value: Any, key: str) -> None:
@@ -111,9 +142,19 @@ def _child(parent: Any, name: str) -> Any:
     return getattr(parent, name, None)
 
 
-def _converted(scenario: msgspec.Struct, name: str, change: Any, annotation: Any) -> Any:
-    """A top-level table merged with a change and checked. Raises InputError."""
-    before = getattr(scenario, name)
+def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
+    """A top-level table merged with a change and checked.
+
+    Args:
+        before: the table so far.
+        name: of the table.
+        change: tables and values in its place.
+        annotation: its type.
+        kind: of the whole scenario, for messages.
+
+    Raises:
+        InputError: a key or a value that it cannot have.
+    """
     after = _merged(before, change)
     require_finite(after, name)
     try:
@@ -127,7 +168,7 @@ def _converted(scenario: msgspec.Struct, name: str, change: Any, annotation: Any
             message = message.replace(" - at `$", f" - at `$.{name}", 1)
         else:
             message += f" - at `$.{name}`"
-        raise InputError(explain(message, {name: after}, type(scenario))) from None
+        raise InputError(explain(message, {name: after}, kind)) from None
 
 
 def _merged(before: Any, change: Any) -> Any:

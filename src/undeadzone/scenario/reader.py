@@ -15,7 +15,7 @@ import msgspec
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
-from undeadzone.scenario.changes import require_finite
+from undeadzone.scenario.changes import alike, require_finite
 from undeadzone.scenario.messages import explain, invalid_toml
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import decode
@@ -147,6 +147,8 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         for table in (vary.TABLE, tuning.TABLE):
             if table.name in data:
                 data[table.name] = table.decoded(data[table.name])
+        if "compare" in data:
+            data["compare"] = alike(data["compare"], data.get("observer"))
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None

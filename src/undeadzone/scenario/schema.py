@@ -106,7 +106,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
         declared: claims that the methods of `undeadzone arena` get.
-        compare: another observer, whose run `undeadzone run` shows beside the first.
+        compare: another observer, whose run `undeadzone run` shows beside the first. With
+            `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
         actuator: what stands between the controller and the plant; default: nothing.

@@ -19,7 +19,7 @@ class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         between: [low, high], the bounds of the number.
         log: search on a logarithmic scale, for gains.
         start: first number of the search; default: the number in the scenario; where the scenario
-            leaves it to the method, the middle of the range.
+            leaves it to the method, the middle of the range, for `observer.L` the method's gains.
     """
 
     between: tuple[float, float]

@@ -15,6 +15,7 @@ from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
+from undeadzone.simulation.arm_cure import with_cures
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
@@ -80,11 +81,11 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             centre_std,
         )
 
-    alone = told(None, None)
-    if traits.start_std is None and traits.centre_std is None:
-        return alone
-    claimed = told(traits.start_std, traits.centre_std)
-    return [by_claims(traits, *pair) for pair in zip(alone, claimed, strict=True)]
+    found = told(None, None)
+    if traits.start_std is not None or traits.centre_std is not None:
+        claimed = told(traits.start_std, traits.centre_std)
+        found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
+    return with_cures(problem, found, signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:

@@ -10,8 +10,9 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.ensemble.addresses import stem
 from undeadzone.errors import InputError, StructureError, UndeadzoneError
-from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import TABLE, Tune
@@ -19,9 +20,11 @@ from undeadzone.support import toml
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, scalar
 from undeadzone.tuning.objective import Frame, certified_margin, objective
-from undeadzone.tuning.parameters import Parameter, numbers, parameters, with_numbers
+from undeadzone.tuning.parameters import Parameter, named, numbers, parameters, with_numbers
 from undeadzone.tuning.result import Tuned, validate
 from undeadzone.tuning.search import Search, values_at
+
+GAINS = "observer.L"  # the one array that an observer has by default
 
 
 def tune(
@@ -60,6 +63,7 @@ def tune(
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
     what = _checked(scenarios, what)
+    scenarios = tuple([_with_gains(scenario, what) for scenario in scenarios])
     frames = _checked_frames(scenarios, frames)
     seed = _seed(scenarios[0], what)
     tuned = _parameters(what, scenarios)
@@ -147,6 +151,31 @@ def _seed(scenario: Scenario, what: Tune) -> int:
     if not 0 <= seed < 2**63 - 1:
         raise InputError(f"tune.seed: expected a whole number, 0 or more, found {seed}")
     return seed
+
+
+def _with_gains(scenario: Scenario, what: Tune) -> Scenario:
+    """The scenario with its observer's default L, where L is tuned but left to the method.
+
+    What is tuned of it is moved into its bounds.
+    """
+    named_gains = [address for address in what.entries if stem(address) == GAINS]
+    if not named_gains or getattr(scenario.observer, "L", 0.0) is not None:
+        return scenario
+    problem = resolve_scenario(scenario)
+    gains = constant_gains(problem.observer, problem.model)
+    if gains is None or getattr(scenario.observer, "design", None) is not None:
+        return scenario
+    L = gains[0].ravel() if problem.model.p == 1 else gains[0]
+    observer: Any = scenario.observer
+    scenario = msgspec.structs.replace(scenario, observer=msgspec.structs.replace(observer, L=L))
+    known, moved = numbers(scenario), {}
+    for address in named_gains:
+        low, high = what.entries[address].between
+        for name in named(address, known):
+            value = known[name].value
+            assert value is not None
+            moved[name] = min(max(value, low), high)
+    return with_numbers(scenario, moved)
 
 
 def _parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:

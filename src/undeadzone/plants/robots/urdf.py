@@ -98,7 +98,7 @@ def _selected(
         raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest(tip, robot.links)}")
     moved = movable if joints is None else joints
     if tip is None:
-        tip = _end(robot, moved)
+        tip = end(robot, moved)
     way = [joint.name for joint in robot.way(tip)]
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
@@ -143,7 +143,7 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
             )
 
 
-def _end(robot: Robot, moved: Sequence[str]) -> str:
+def end(robot: Robot, moved: Sequence[str]) -> str:
     """The one link without children to which all of these joints lead."""
     parents = {joint.parent for joint in robot.joints}
     ends = []
@@ -153,12 +153,29 @@ def _end(robot: Robot, moved: Sequence[str]) -> str:
             ends.append(link)
     if not ends:
         raise InputError(
-            "plant.arm.tip: the movable joints branch: the arm must be a serial chain; "
-            "name the link in which it ends (joints elsewhere are fixed at 0)"
+            f"plant.arm.tip: the movable joints branch at {_parting(robot, moved)!r}: the arm must "
+            "be a serial chain; name the link in which it ends, such as that one (joints elsewhere "
+            "are fixed at 0)"
         )
     if len(ends) > 1:
         raise InputError(f"plant.arm.tip: the arm ends in {', '.join(ends)}: name one of them")
     return ends[0]
+
+
+def _parting(robot: Robot, moved: Sequence[str]) -> str:
+    """The link at which the ways to these joints part."""
+    joints = {joint.name: joint for joint in robot.joints}
+    ways = [robot.way(joints[name].child) for name in moved]
+    above: set[str] = set()
+    for way in ways:
+        above.update(joint.name for joint in way[:-1])
+    last = [way[:-1] for way in ways if way[-1].name not in above]
+    link = next(name for name in robot.links if not robot.way(name))
+    for together in zip(*last, strict=False):
+        if len({joint.name for joint in together}) > 1:
+            break
+        link = together[0].child
+    return link
 
 
 class _Functions(NamedTuple):

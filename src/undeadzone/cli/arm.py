@@ -1,0 +1,190 @@
+"""undeadzone arm ROBOT.urdf"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import common, folder_for, print_json, print_pairs, print_table, say
+
+if TYPE_CHECKING:
+    from undeadzone.plants.robots.survey import Survey
+
+HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", "carries")
+
+
+@click.command(epilog="Example: undeadzone arm panda.urdf --tip panda_hand --out panda")
+@click.argument("robot", type=click.Path(path_type=Path), metavar="ROBOT.urdf")
+@click.option("--tip", default=None, metavar="LINK", help="Link in which the arm ends.")
+@click.option(
+    "--joints",
+    default=None,
+    metavar="NAME,...",
+    help="Joints that move, from base to tip (default: all; the others are fixed at 0).",
+)
+@click.option(
+    "--at",
+    default=None,
+    metavar="Q1,...",
+    help="Posture [rad or m] (default: 0, or the middle between limits).",
+)
+@common
+def arm(
+    robot: Path,
+    tip: str | None,
+    joints: str | None,
+    at: str | None,
+    out: Path | None,
+    as_json: bool,
+    no_figures: bool,
+) -> int:
+    """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
+
+    With --out it writes NAME.toml to DIR, a scenario to start from: every joint swings about the
+    posture, behind gear play. Exit code 1: its motors cannot hold the arm in this posture.
+    """
+    from undeadzone.plants.robots.survey import survey
+
+    folder = folder_for(out, True, "")
+    names = None if joints is None else [name.strip() for name in joints.split(",")]
+    found = survey(robot, names, tip, None if at is None else _numbers(at))
+    written = [] if folder is None else [_started(found, robot, folder)]
+    weak = _weak(found)
+    if as_json:
+        print_json(_in_numbers(found) | {"files": [str(path) for path in written]})
+    else:
+        print_pairs(_in_words(found, robot))
+        say()
+        print_table([HEAD, *_rows(found)])
+        say()
+        say(_advice(found, weak, written, robot))
+    return 1 if weak else 0
+
+
+def _numbers(text: str) -> list[float]:
+    """The numbers of an option. Raises InputError."""
+    from undeadzone.errors import InputError
+
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError(
+            f"at: expected numbers with commas between, such as 0,-1.57,1.57, found {text!r:.60}"
+        ) from None
+
+
+def _started(found: Survey, robot: Path, folder: Path) -> Path:
+    """The scenario that was written. Raises FileError where there is one already."""
+    from undeadzone.errors import FileError
+    from undeadzone.scenario.urdf_start import starting_scenario
+    from undeadzone.support.files import write_text
+
+    path = folder / f"{robot.stem}.toml"
+    if path.exists():
+        raise FileError(f"{path}: exists already; choose another --out")
+    relative = Path(os.path.relpath(robot, folder)).as_posix()
+    return write_text(starting_scenario(found, relative), path)
+
+
+def _weak(found: Survey) -> list[str]:
+    """Names of the joints whose motors cannot hold the arm."""
+    limits = found.body.chain.torque
+    pairs = zip(found.joints, abs(found.holding) > limits, strict=True)
+    return [joint.name for joint, over in pairs if over]
+
+
+def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
+    """What the file says, a line each."""
+    tree = found.robot
+    place = ", ".join(f"{value:.4g}" for value in found.place)
+    reach = "no limit: a sliding joint has none"
+    if found.reach is not None:
+        reach = f"{found.reach:.4g} m from {found.joints[0].name} to the tip at most"
+    shown: dict[str, Any] = {
+        "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
+        "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
+        "posture": f"q = ({', '.join(f'{value:.4g}' for value in found.q)}) [rad or m]",
+        "tip": f"({place}) m there, seen from the base",
+        "reach": reach,
+    }
+    if found.fixed:
+        shown["fixed at 0"] = ", ".join(found.fixed)
+    return shown
+
+
+def _rows(found: Survey) -> list[list[str]]:
+    """A row for each joint."""
+    rows = []
+    least = 1e-9 * max(abs(found.holding), default=0.0)  # what is left of 0 by rounding
+    for joint, mass, torque in zip(found.joints, found.masses, found.holding, strict=True):
+        holding = 0.0 if abs(torque) <= least else torque
+        slides = joint.kind == "prismatic"
+        unit, force = ("m", "N") if slides else ("rad", "N m")
+        low, high = joint.limits
+        rows.append(
+            [
+                joint.name,
+                "slides" if slides else "turns",
+                _limit(low, unit),
+                _limit(high, unit),
+                _limit(joint.velocity, f"{unit}/s"),
+                _limit(joint.effort, force),
+                f"{holding:.3g} {force}",
+                f"{joint.friction[0]:.3g}",
+                f"{joint.friction[1]:.3g}",
+                f"{mass:.4g} kg",
+            ]
+        )
+    return rows
+
+
+def _limit(value: float, unit: str) -> str:
+    """A limit with its unit; a file need not have it."""
+    return f"{value:.4g} {unit}" if abs(value) < float("inf") else "none"
+
+
+def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) -> str:
+    """What to do next."""
+    if weak:
+        return f"NO: the motors of {', '.join(weak)} cannot hold the arm there; try another --at"
+    if written:
+        return f"wrote {written[0]}; next: undeadzone run {written[0]}"
+    missing = []
+    if not any(any(joint.friction) for joint in found.joints):
+        missing.append("friction (plant.parameters b1, f1, ...)")
+    missing.append("the play of each gear (sensor.right, sensor.left)")
+    return (
+        f"the file does not know {' and '.join(missing)}; "
+        f"a scenario to start from: undeadzone arm {robot} --out ."
+    )
+
+
+def _in_numbers(found: Survey) -> dict[str, Any]:
+    """What the file says, for JSON."""
+    joints = []
+    for joint, mass, holding in zip(found.joints, found.masses, found.holding, strict=True):
+        joints.append(
+            {
+                "name": joint.name,
+                "kind": joint.kind,
+                "limits": list(joint.limits),
+                "velocity": joint.velocity,
+                "effort": joint.effort,
+                "holding": float(holding),
+                "viscous": joint.friction[0],
+                "coulomb": joint.friction[1],
+                "mass": float(mass),
+            }
+        )
+    return {
+        "base": found.base,
+        "tip": found.tip,
+        "joints": joints,
+        "fixed": found.fixed,
+        "at": found.q.tolist(),
+        "place": found.place.tolist(),
+        "reach": found.reach,
+    }

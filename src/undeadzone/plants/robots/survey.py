@@ -1,0 +1,150 @@
+"""What a URDF file says of an arm: its joints, its reach, and the torques that hold it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.plants.robots import urdf
+from undeadzone.plants.robots.arm import Arm, arm, evaluate_rows
+from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint
+from undeadzone.plants.robots.urdf_file import Robot, read
+from undeadzone.support.arrays import Array, Floats, vector
+
+POSTURES = 4096  # random ones, from the best of which the reach is climbed
+CLIMBS = 8
+NEAR = 0.1  # of the range between two limits: a joint that stands closer to one stands at it
+
+
+class Survey(NamedTuple):
+    """An arm of N joints in one posture.
+
+    Attributes:
+        body: the arm.
+        robot: the whole tree of the file.
+        base, tip: links in which the arm begins and ends.
+        joints: the moving joints, from base to tip (N).
+        fixed: names of joints that could move and are fixed at 0.
+        masses: of what moves with each joint up to the next (N) [kg].
+        q: the posture (N) [rad or m].
+        place: of the tip there (3) [m].
+        holding: torques that hold the arm there (N) [N m or N].
+        reach: greatest distance of the tip from the first joint within the limits [m]; None where a
+            sliding joint has no limits.
+    """
+
+    body: Arm
+    robot: Robot
+    base: str
+    tip: str
+    joints: list[Joint]
+    fixed: list[str]
+    masses: Floats
+    q: Floats
+    place: Floats
+    holding: Floats
+    reach: float | None
+
+
+def survey(
+    path: str | os.PathLike[str],
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
+    at: Array | None = None,
+) -> Survey:
+    """What a URDF file says of an arm.
+
+    Args:
+        path: the file.
+        joints: names of the joints that move (N), as in `plant.arm.joints`.
+        tip: the link in which the arm ends, as in `plant.arm.tip`.
+        at: the posture (N) [rad or m]; default 0, or, where that is near a limit or beyond
+            it, the middle.
+
+    Raises:
+        FileError: the file, or its contents.
+        InputError: joints, tip, at; or adam-robotics is missing.
+    """
+    body = arm(urdf.chain(path, joints, tip))
+    robot = read(Path(path))
+    known = {joint.name: joint for joint in robot.joints}
+    moving = [known[name] for name in body.chain.joints]
+    limits = body.chain.limits
+    q = _posture(limits) if at is None else vector("at", at, body.size, "one per moving joint")
+    _require_within(moving, q)
+    movable = [joint.name for joint in robot.joints if joint.kind in MOVABLE]
+    return Survey(
+        body=body,
+        robot=robot,
+        base=moving[0].parent,
+        tip=tip or urdf.end(robot, joints or movable),
+        joints=moving,
+        fixed=[name for name in movable if name not in body.chain.joints],
+        masses=body.values[: body.size],
+        q=q,
+        place=body.points(body.values, q).full()[-1],
+        holding=body.bias(body.values, q, np.zeros(body.size)).full().ravel(),
+        reach=_reach(body, moving),
+    )
+
+
+def _posture(limits: Floats) -> Floats:
+    """0, or the middle between two limits, one of which is near 0 or beyond it."""
+    q = np.zeros(len(limits))
+    for i, (low, high) in enumerate(limits):
+        room = NEAR * (high - low)
+        if np.isfinite(room) and not low + room <= 0 <= high - room:
+            q[i] = (low + high) / 2
+        elif not low < 0 < high:
+            q[i] = low + 1 if np.isfinite(low) else high - 1
+    return q
+
+
+def _require_within(moving: list[Joint], q: Floats) -> None:
+    """Raise InputError where a posture lies beyond the limits."""
+    for i, (joint, value) in enumerate(zip(moving, q, strict=True)):
+        low, high = joint.limits
+        if not low <= value <= high:
+            raise InputError(
+                f"at[{i}]: {joint.name} moves from {low:g} to {high:g}, found {value:g}"
+            )
+
+
+def _reach(body: Arm, moving: list[Joint]) -> float | None:
+    """The greatest distance of the tip from the first joint: climbed from the best postures."""
+    from scipy.optimize import minimize
+
+    low, high = body.chain.limits.T.copy()
+    for i, joint in enumerate(moving):
+        if joint.kind != "prismatic":
+            low[i], high[i] = max(low[i], -np.pi), min(high[i], np.pi)
+            if low[i] >= high[i]:  # limits beyond half a turn to one side
+                low[i], high[i] = joint.limits
+    if not np.isfinite([low, high]).all():
+        return None
+    postures = np.random.default_rng(0).uniform(low, high, (POSTURES, body.size))
+    distances = _distances(evaluate_rows(body.points, body.values, postures))
+    best = postures[np.argsort(distances)[-CLIMBS:]]
+    q = ca.SX.sym("q", body.size)
+    points = body.points(ca.SX(body.values), q)
+    squared = -ca.sumsqr(points[-1, :] - points[1, :])
+    slope = ca.Function("slope", [q], [squared, ca.gradient(squared, q)])
+
+    def value(at: Floats) -> tuple[float, Floats]:
+        found, gradient = slope(at)
+        return float(found), gradient.full().ravel()
+
+    bounds = list(zip(low, high, strict=True))
+    tops = [minimize(value, start, jac=True, bounds=bounds).fun for start in best]
+    return float(np.sqrt(max(0.0, -min(tops))))
+
+
+def _distances(points: Floats) -> Floats:
+    """Of the tip from the first joint (N) for N chains of points (N x K x 3)."""
+    return np.linalg.norm(points[:, -1] - points[:, 1], axis=1)

@@ -1,0 +1,153 @@
+"""A scenario to start from for an arm of a URDF file, ready to run and to change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from undeadzone.plants.robots.survey import Survey
+from undeadzone.plants.robots.urdf_elements import Joint
+from undeadzone.support.arrays import Floats
+from undeadzone.support.text import json_line
+
+SWING = {"revolute": 0.3, "continuous": 0.3, "prismatic": 0.05}  # [rad or m] to each side
+SHARE = 0.8  # of the way to a limit, and of the greatest speed
+PERIOD = 4.0  # [s] of the motion
+FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
+PLAY = 6.0  # swings to one side in a width
+SENSOR = """
+[sensor]                        # gear play: the truth; the observer is not told
+right = {right}
+left = {left}
+noise = {noise}
+
+[reference]                     # through these positions, again and again
+kind = "quintic"
+points = [{points}]
+times = [0.0, {first}, {second}, {period}]   # s
+repeat = true
+"""
+PARAMETERS = """
+[plant.parameters]              # the truth; the file's numbers where they are left out
+payload = 0.0                   # kg at the tip
+# b1 = 0.5                      # N m s/rad, viscous friction of the first joint
+# f1 = 2.0                      # N m, Coulomb friction
+
+# [model.parameters]            # what observer and controller believe instead
+# payload = 0.0
+"""
+OBSERVER = """
+[observer]
+method = "extended"             # the whole arm at once; joints = "separate" is cheaper
+right = [{ranges}]  # claimed ranges of both widths
+start = {start}
+x_std = {x_std}
+
+[controller]
+method = "computed_torque"
+bandwidth = 10.0                # rad/s
+
+[compare]                       # the same filter, to which every reading is the truth
+like = "observer"
+blind = true
+
+[simulation]
+time = "sampled"
+duration = {duration}
+step = 0.002
+substeps = 1
+"""
+
+
+def starting_scenario(found: Survey, path: str) -> str:
+    """A scenario as TOML text: every joint swings about the arm's posture, behind gear play.
+
+    Args:
+        found: what the file says.
+        path: of the file, relative to the scenario's.
+    """
+    pairs = zip(found.joints, found.q, strict=True)
+    swing = np.array([_swing(joint, float(q)) for joint, q in pairs])
+    widths = swing / PLAY
+    start = _listed(np.r_[found.q, np.zeros(found.q.size)])
+    points = (found.q, found.q + swing, found.q - swing, found.q)
+    sensor = SENSOR.format(
+        right=_listed(widths),
+        left=_listed(widths / 2),
+        noise=_listed(widths / 50),
+        points=", ".join(map(_listed, points)),
+        first=PERIOD / 4,
+        second=3 * PERIOD / 4,
+        period=PERIOD,
+    )
+    observer = OBSERVER.format(
+        ranges=", ".join(map(_range, widths)),
+        start=start,
+        x_std=_listed(np.r_[widths / 5, widths]),
+        duration=2 * PERIOD,
+    )
+    return _arm(found, path, start) + PARAMETERS + sensor + observer + _units(found.joints)
+
+
+def _arm(found: Survey, path: str, start: str) -> str:
+    """The arm, and where it starts."""
+    lines = [
+        f"title = {_text(f'Arm of {Path(path).name}')}",
+        "",
+        "[plant.arm]",
+        'kind = "urdf"',
+        f"path = {_text(path)}",
+        f"joints = {_texts(found.body.chain.joints)}",
+        f"tip = {_text(found.tip)}",
+        f"reference = {_listed(found.q)}  # where each sensor reads 0",
+        "",
+        "[plant]",
+        f"x0 = {start}  # positions, then speeds",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _swing(joint: Joint, q: float) -> float:
+    """How far a joint swings to each side of a position [rad or m]."""
+    low, high = joint.limits
+    return min(SWING[joint.kind], SHARE * min(q - low, high - q, joint.velocity / FASTEST))
+
+
+def _units(joints: list[Joint]) -> str:
+    """The names of the units."""
+    slides = [joint.kind == "prismatic" for joint in joints]
+    units = list(np.where(slides, "m", "rad"))
+    speeds = [f"{unit}/s" for unit in units]
+    both = len(set(slides)) == 2
+    output, force = ("m", "N") if slides[0] else ("rad", "N m")
+    lines = [
+        "",
+        "[units]",
+        f"output = {_text('rad or m' if both else output)}",
+        f"input = {_text('N m or N' if both else force)}",
+        f"state = {_texts([*units, *speeds])}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _text(words: str) -> str:
+    """A text in TOML."""
+    return json_line(json.dumps(words, ensure_ascii=False))
+
+
+def _texts(many: Sequence[str]) -> str:
+    """Texts as a list in TOML."""
+    return f"[{', '.join(map(_text, many))}]"
+
+
+def _range(width: float) -> str:
+    """A range that is claimed of a width."""
+    return f"[0.0, {3 * width:.3g}]"
+
+
+def _listed(values: Floats) -> str:
+    """Numbers as a list in TOML, to six digits."""
+    return str([float(f"{value:.6g}") for value in values])

@@ -1,0 +1,75 @@
+"""The wheel of this checkout in an environment of its own, which sees no checkout.
+
+`python tests/packed.py` runs the tests there; its arguments go to pytest.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
+QUIET = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps"]
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    """What a command prints. It must not fail, and sees no checkout."""
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(cwd), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
+    return done.stdout
+
+
+def wheel(folder: Path) -> Path:
+    """The wheel, built in a folder from a copy of what it is made of."""
+    source = folder / "undeadzone"
+    unwanted = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    for name in ("src", "examples"):
+        shutil.copytree(ROOT / name, source / name, ignore=unwanted)
+    for name in SOURCES:
+        shutil.copy(ROOT / name, source / name)
+    build = ["wheel", *QUIET, "--no-build-isolation", "--wheel-dir", folder, "."]
+    run(sys.executable, "-m", "pip", *build, cwd=source)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+def environment(packed: Path, folder: Path) -> Path:
+    """The programs of an environment in a folder, with a wheel.
+
+    Its dependencies are those of this environment, so that nothing is fetched.
+    """
+    run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder.parent)
+    python = folder / "bin" / "python"
+    install = ["--python", python, "install", *QUIET, "--no-warn-script-location", packed]
+    run(sys.executable, "-m", "pip", *install, cwd=folder.parent)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    (packages / "others.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    return folder / "bin"
+
+
+def main() -> int:
+    """Run pytest on this checkout's tests with the wheel in place of src."""
+    with tempfile.TemporaryDirectory() as folder:
+        programs = environment(wheel(Path(folder)), Path(folder) / "venv")
+        others = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        where = [programs / "python", "-c", "import undeadzone; print(undeadzone.__file__)"]
+        print("testing", run(*where, cwd=Path(folder)), end="", flush=True)  # noqa: T201
+        tests = [str(programs / "python"), "-m", "pytest", *sys.argv[1:]]
+        return subprocess.run(tests, cwd=ROOT, env=others, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
