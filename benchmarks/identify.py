@@ -1,9 +1,10 @@
 """Coverage and errors of `uz.identify` over random plants, and its verdicts on other maps.
 
 Every answer is kept in build/identify.jsonl as soon as there is one, and not computed again: a
-study of hours can be done in parts. IDENTIFY_SEEDS: logs a family (10). IDENTIFY_MINUTES: stop
-after so many and print what there is. IDENTIFY_ONLY: families, with commas between. Remove the file
-to begin anew, as after a change of the estimator.
+study of hours can be done in parts, and by several processes at once. IDENTIFY_SEEDS: logs a family
+(10), IDENTIFY_FIRST: the first of them (100). IDENTIFY_MINUTES: stop after so many and print what
+there is. IDENTIFY_ONLY: families, with commas between. Remove the file to begin anew, as after a
+change of the estimator.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import random
 import time
 from pathlib import Path
 from typing import Any
@@ -37,17 +39,29 @@ def outcomes() -> list[Outcome]:
     """Every answer that there is, after as many new ones as the time allows."""
     KEPT.parent.mkdir(exist_ok=True)
     KEPT.touch()
-    kept = [json.loads(line) for line in KEPT.read_text().splitlines()]
-    done = {(one["family"], one["seed"]) for one in kept}
     ends = time.monotonic() + 60 * float(os.environ.get("IDENTIFY_MINUTES", "inf"))
-    for seed in range(int(os.environ.get("IDENTIFY_SEEDS", "10"))):
-        for family in families():
-            if (family, seed) in done or time.monotonic() > ends:
+    first = int(os.environ.get("IDENTIFY_FIRST", "100"))
+    for seed in range(first, first + int(os.environ.get("IDENTIFY_SEEDS", "10"))):
+        wanted = list(families())
+        random.shuffle(wanted)  # so that two processes seldom take the same one
+        for family in wanted:
+            if (family, seed) in answers() or time.monotonic() > ends:
                 continue
             outcome = outcome_of(family, seed)
             with KEPT.open("a") as file:
                 file.write(json.dumps(outcome) + "\n")
-            kept.append(outcome)
+    return list(answers().values())
+
+
+def answers() -> dict[tuple[str, int], Outcome]:
+    """The answers that are kept, by family and seed; a torn line is none."""
+    kept = {}
+    for line in KEPT.read_text().splitlines():
+        try:
+            one = json.loads(line)
+        except ValueError:
+            continue
+        kept[one["family"], one["seed"]] = one
     return kept
 
 

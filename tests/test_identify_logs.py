@@ -122,7 +122,37 @@ def test_what_is_wrong_with_a_file(tmp_path: Path, text: str, message: str) -> N
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(FileError, match=message):
+        read_log(path, strict=True)
+
+
+def test_lines_that_cannot_be_read_count_as_missing(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = text_of(np.column_stack([0.5 * np.arange(8), np.arange(8), ROWS[:, 2][[0] * 8]]))
+    lines = rows.splitlines()
+    lines[3], lines[6] = "1,x2,3", "2.5,5"
+    path.write_text("\n".join(lines))
+    log = read_log(path)
+    assert log.remarks == (
+        f"{path}: 2 lines cannot be read and count as missing; line 4: expected a number or"
+        " nothing, found 'x2'",
+    )
+    grid = to_grid([log])
+    assert grid.ok.tolist() == [True, True, False, True, True, False, True, True]
+    assert grid.u[:, 0].tolist() == [0, 1, 1, 3, 4, 4, 6, 7]  # held
+    assert grid.remarks[0] == log.remarks[0]
+    with pytest.raises(FileError, match="line 4: expected a number"):
+        read_log(path, strict=True)
+    path.write_text("\n".join([*lines[:3], "1,x", "y,2", "oops", *lines[3:5]]))
+    with pytest.raises(FileError, match="4 lines of 7 cannot be read; line 4"):
         read_log(path)
+
+
+def test_the_command_stops_at_the_first_line_if_told_so(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,u,y\n0,1,2\n1,x,3\n2,1,2\n")
+    result = CliRunner().invoke(group, ["identify", str(path), "--strict"])
+    assert isinstance(result.exception, FileError)
+    assert "line 3: expected a number" in str(result.exception)
 
 
 def test_files_of_arrays(tmp_path: Path) -> None:

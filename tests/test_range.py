@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
@@ -17,6 +18,7 @@ import undeadzone as uz
 from scenes import on_numbers, scene
 from test_engines import OBSERVERS, distance, parts, small
 from undeadzone.analysis.side_schedule import planned
+from undeadzone.cli import group
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
@@ -26,7 +28,7 @@ from undeadzone.identification.options import Options
 from undeadzone.identification.prepare import prepare
 from undeadzone.interfaces import Reading, graph_of, received
 from undeadzone.limits import Limits
-from undeadzone.logs.range_ends import range_ends
+from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.observers import Estimate, MovingHorizon, ParticleFilter
 from undeadzone.observers.parts import measured_side
 from undeadzone.observers.parts.limited_reading import Ends, surely_exact
@@ -470,10 +472,16 @@ SHAKY = SINE + 0.01 * np.random.default_rng(0).normal(size=SINE.size)
 def test_readings_that_stick_on_their_way_show_a_range(
     y: Floats, quantum: float, limits: tuple[float, float]
 ) -> None:
-    ends = range_ends(y, np.isfinite(y), quantum)
+    ok = np.isfinite(y)
+    ends = range_ends(y, ok, quantum)
     assert (ends.low, ends.high) == limits
-    assert ends.found == bool(ends.at.any())
-    assert ends.at.sum() == ((y == ends.low) | (y == ends.high)).sum()
+    assert ends.found == bool(ends.at(y, ok).any())
+    assert ends.number == ends.at(y, ok).sum() == ((y == ends.low) | (y == ends.high)).sum()
+    draw = np.random.default_rng(1)
+    running = RunningEnds()  # as a log that is watched comes in
+    for block in np.split(np.arange(y.size), np.sort(draw.integers(0, y.size, 300))):
+        running.add(y[block], ok[block])
+    assert running.ends(quantum) == ends
 
 
 def test_identify_takes_them_for_missing_and_says_so() -> None:
@@ -495,3 +503,15 @@ def test_estimate_asks_for_the_range() -> None:
         told = uz.estimate(scenario, t=run.t, y=run.y, u=run.u, smoothing=False).info
         assert len(told.remarks) == remarks
     assert "sensor.range = [-0.4, 0.6]" in told.remarks[0]
+
+
+def test_watch_asks_for_the_range(tmp_path: Path) -> None:
+    y = np.clip(SINE, -0.4, 0.6)
+    lines = ["t,y,u", *(f"{t!r},{r!r},0" for t, r in zip(TIMES.tolist(), y.tolist(), strict=True))]
+    path = tmp_path / "watched.toml"
+    path.write_text(
+        '[plant]\nA = [[-1.0]]\nB = [[1.0]]\nC = [[1.0]]\n[observer]\nmethod = "kalman"\n'
+        'right = [0.0, 1.0]\n[simulation]\nstep = 0.01\ntime = "sampled"\n'
+    )
+    result = CliRunner().invoke(group, ["watch", str(path)], input="\n".join(lines) + "\n")
+    assert "sensor.range = [-0.4, 0.6]" in result.stderr

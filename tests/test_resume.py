@@ -11,13 +11,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from tests.scenes import scene
 
 from undeadzone.arena.contest import run_contest
 from undeadzone.errors import FileError, InputError, Terminated
+from undeadzone.identification.identify import identify
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
@@ -174,3 +177,42 @@ def test_a_contest_that_is_killed_again_and_again_ends_the_same(tmp_path: Path) 
     for _ in range(3):
         killed(functools.partial(contest, path), path, rng)
     assert contest(path) == whole
+
+
+def logged() -> dict[str, np.ndarray | float]:
+    """A log of a first-order plant behind a dead zone."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(50), 10)
+    z = lfilter([0.0, 0.2], [1.0, -0.8], u) + 0.05 * rng.standard_normal(u.size)
+    return {"t": 0.1, "u": u, "y": np.maximum(z - 0.3, 0.0) + np.minimum(z + 0.2, 0.0)}
+
+
+def identified(keep: Path | None) -> str:
+    """All numbers that a log gives."""
+    found = identify(**logged(), order="1-2", keep=keep, resume=True)
+    return json.dumps(found.numbers())
+
+
+def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_path: Path) -> None:
+    whole, path, rng = identified(None), tmp_path / "identify.json.partial", random.Random(5)
+    sizes = []
+    for _ in range(4):
+        killed(functools.partial(identified, path), path, rng)
+        sizes.append(path.stat().st_size)
+    assert sizes == sorted(set(sizes))  # each goes on where the one before was killed
+    assert identified(path) == whole
+    kept = path.stat().st_size
+    assert identified(path) == whole
+    assert path.stat().st_size == kept  # nothing was climbed to again
+
+
+def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
+    path, log = tmp_path / "identify.json.partial", logged()
+    with pytest.raises(InputError, match="no reading lies beyond"):
+        identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
+    assert not path.exists()
+    identify(**log, order=1, keep=path)
+    with pytest.raises(FileError, match="continue it with --resume"):
+        identify(**log, order=1, keep=path)
+    with pytest.raises(InputError, match=r"another problem \(options differ\)"):
+        identify(**log, order=2, keep=path, resume=True)

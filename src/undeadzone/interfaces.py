@@ -184,6 +184,8 @@ class Observer(NamedTuple):
         project: project(params, state) is the nearest admissible state; init gives one, and so
             does step when the model is sampled.
         traits: what checks, certificates and figures ask.
+        smoothing: what a smoother of a whole log asks, `observers.parts.smoothing.Smoothing`; None:
+            nothing smooths it.
     """
 
     params: Any
@@ -191,6 +193,7 @@ class Observer(NamedTuple):
     step: Callable[[Any, Any, Any, Reading], tuple[Any, Estimate]]
     project: Callable[[Any, Any], Any] = lambda params, state: state
     traits: Traits = Traits()
+    smoothing: Any = None
 
 
 class NumericObserver(NamedTuple):

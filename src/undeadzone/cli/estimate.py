@@ -15,14 +15,14 @@ from undeadzone.cli.common import (
     print_pairs,
     progress,
 )
-from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
+from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, strict_option
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
 @columns_option
-@click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+@strict_option
 @confined
 @common
 def estimate(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
-from undeadzone.cli.log_table import columns_option
+from undeadzone.cli.log_table import columns_option, strict_option
 
 if TYPE_CHECKING:
     from undeadzone.identification.outputs import IdentifiedOutputs
@@ -35,12 +35,17 @@ if TYPE_CHECKING:
 @click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
 @click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
 @columns_option
+@strict_option
+@click.option(
+    "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
+)
 @common
 def identify(
     logs: tuple[Path, ...],
     out: Path | None,
     as_json: bool,
     no_figures: bool,
+    resume: bool,
     **options: Any,
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
@@ -49,16 +54,21 @@ def identify(
     records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
     intervals, the plant, and how it does on held-out data. Writes NAME.toml, a scenario for run,
     check, design and watch, and identify.json, figures and report.html to DIR (default:
-    NAME-identify). With --no-figures and no --out it writes the scenario alone. Exit code 1: no
-    dead zone of the sensor, or nothing can be said.
+    NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
+    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no dead zone
+    of the sensor, or nothing can be said.
     """
     from undeadzone.identification.identify import identify as identified
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
     writable(out or Path())
+    keep = None if folder is None else folder / "identify.json.partial"
+    if resume and keep is None:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     with progress("identifying", None) as advance:
-        answer = identified([str(path) for path in logs], progress=advance, **options)
+        names = [str(path) for path in logs]
+        answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
         is_found = answer.verdict in ("dead_zone", options["kind"])
         written: list[Path] = []
         reason = None
@@ -67,6 +77,8 @@ def identify(
             written, reason = _scenario(answer, path)
         if folder is not None:
             written += _pages(answer, folder, first.name, not no_figures)
+    if keep is not None:
+        keep.unlink(missing_ok=True)
     if as_json:
         print_json(answer.numbers() | {"files": [str(path) for path in written]})
     else:

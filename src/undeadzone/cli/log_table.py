@@ -12,6 +12,13 @@ if TYPE_CHECKING:
     from undeadzone.simulation.log_info import LogInfo
 
 
+def strict_option(command: Command) -> Command:
+    """Add --strict."""
+    return click.option(
+        "--strict", is_flag=True, help="Stop at the first line that cannot be read."
+    )(command)
+
+
 def columns_option(command: Command) -> Command:
     """Add --columns."""
     return click.option(
@@ -24,6 +31,8 @@ def columns_option(command: Command) -> Command:
 
 def log_pairs(info: LogInfo) -> dict[str, Any]:
     """The table of a log, for `print_pairs`."""
+    from undeadzone.logs.samples import counted_lines
+
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, step {info.step:g} s",
@@ -32,7 +41,7 @@ def log_pairs(info: LogInfo) -> dict[str, Any]:
     if info.columns:
         shown["columns"] = info.columns
     if info.unreadable:
-        lines = "1 line" if info.unreadable == 1 else f"{info.unreadable} lines"
+        lines = counted_lines(info.unreadable)
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     widths = "" if info.adapts else " (not estimated)"
     shown["d_right"] = _width(info, info.d_right, info.d_right_std) + widths

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import confined, print_pairs
-from undeadzone.cli.log_table import columns_option, exit_code, log_pairs
+from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, strict_option
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
 )
 @columns_option
-@click.option("--strict", is_flag=True, help="Stop at the first line that cannot be read.")
+@strict_option
 @confined
 def watch(
     scenario: Path, as_json: bool, columns: str | None, strict: bool, confine: Path | None

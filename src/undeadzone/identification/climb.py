@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+import hashlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, Integers
 
 Quadratic = Callable[[Floats], tuple[float, Floats, Floats]]
@@ -20,6 +23,35 @@ class Top(NamedTuple):
     steps: int
 
 
+class KeptClimbs:
+    """Tops of climbs on disk: a log that is identified once more climbs to none of them again.
+
+    Args:
+        answers: the file; a log asks for its climbs in the same order each time.
+    """
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
+        self._count = 0
+
+    def top(self, start: Floats, compute: Callable[[], Top]) -> Top:
+        """The top of the next climb, from the file or computed and kept.
+
+        Args:
+            start: where the climb begins (P).
+            compute: climbs.
+        """
+        self._count += 1
+        question = [self._count, hashlib.blake2b(start.tobytes(), digest_size=16).hexdigest()]
+
+        def answer(missing: list[int]) -> Iterator[tuple[int, Any]]:
+            top = compute()
+            yield 0, [top.theta.tolist(), float(top.value), top.steps]
+
+        theta, value, steps = self._answers.of([question], answer)[0]
+        return Top(np.array(theta), value, steps)
+
+
 def climb(
     value: Callable[[Floats], float],
     quadratic: Quadratic,
@@ -29,6 +61,7 @@ def climb(
     gain: float = 1e-4,
     project: Callable[[Floats], Floats] | None = None,
     longest: Floats | None = None,
+    kept: KeptClimbs | None = None,
 ) -> Top:
     """Raise a log likelihood by damped Newton steps.
 
@@ -41,10 +74,14 @@ def climb(
         gain: two steps in a row that gain less than this end the climb.
         project: what brings a trial back within bounds.
         longest: the longest step of each free number; default any.
+        kept: tops that are on disk; None: none are.
 
     Returns:
         The best theta found.
     """
+    if kept is not None:
+        numbers = (theta, free, steps, gain, project, longest)
+        return kept.top(theta, partial(climb, value, quadratic, *numbers))
     best = quadratic(theta)
     top, damping, small = theta, 1e-2, 0
     for count in range(steps):

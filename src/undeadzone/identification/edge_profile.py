@@ -34,8 +34,9 @@ def widened(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
     objective = fit.objective
     spread: Spread = objective.spread(fit.theta)
     row = objective.direction(**{side: 1.0})
-    robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
-    drop = 0.5 * float(fisher.ppf(0.95, 1, spread.degrees)) * robust / max(naive, 1e-300)
+    robust, degrees = spread.accuracy(row)
+    naive = float(row @ spread.naive @ row)
+    drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)
     own = fit.right if side == "right" else fit.left
     reach = REACH * max(edge.half / scale, 1e-6)
     ends = []

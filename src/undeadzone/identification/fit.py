@@ -81,7 +81,16 @@ def climbed(objective: Objective, theta: Floats, steps: int = 60) -> Top:
     start = project(theta.copy())
     if not math.isfinite(objective.value(start)):
         return Top(start, -math.inf, 0)
-    return climb(objective.value, objective.quadratic, start, objective.free, steps, 1e-4, project)
+    return climb(
+        objective.value,
+        objective.quadratic,
+        start,
+        objective.free,
+        steps,
+        1e-4,
+        project,
+        kept=objective.data.climbs,
+    )
 
 
 def fit_zone(simulator: Simulator, kind: Kind, limits: Limits, use: Flags | None = None) -> Fit:

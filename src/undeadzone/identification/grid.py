@@ -67,6 +67,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     pieces = []
     remarks: list[str] = []
     for log in logs:
+        remarks += log.remarks
         if log.u.shape[1] != logs[0].u.shape[1]:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from undeadzone.errors import InputError
+from undeadzone.identification.climb import KeptClimbs
 from undeadzone.identification.grid import to_grid
 from undeadzone.identification.log import Log
 from undeadzone.identification.one_output import identify_output
@@ -13,6 +18,7 @@ from undeadzone.identification.options import Options
 from undeadzone.identification.outputs import IdentifiedOutputs
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.result import Identified
+from undeadzone.support.answers import Answers
 
 
 def identify(
@@ -35,7 +41,10 @@ def identify(
     resample: float | None = None,
     integrators: int = 0,
     columns: str | None = None,
+    strict: bool = False,
     progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
 ) -> Identified | IdentifiedOutputs:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
@@ -61,14 +70,17 @@ def identify(
         integrators: how many poles of the plant are integrators: 1 where a motor's position is
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
         progress: called with the number of steps just done.
+        keep: file that keeps what was fitted, to be deleted once the answer is; None: none.
+        resume: take up what a stopped call left in `keep`.
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
         answer each.
 
     Raises:
-        FileError: a log that cannot be read.
+        FileError: a log that cannot be read, or `keep`.
         InputError: a log from which nothing can be learnt, or an option that cannot be used.
     """
     words = {
@@ -94,12 +106,34 @@ def identify(
         resample=resample,
         integrators=int(integrators),
     ).checked()
-    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns)]
-    return _identified(logs, options, progress or _ignore)
+    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns, strict)]
+    advance = progress or _ignore
+    if keep is None:
+        return _identified(logs, options, advance)
+    answers = Answers(keep, _problem(logs, options), "fits", resume)
+    with answers.kept():
+        try:
+            return _identified(logs, options, advance, KeptClimbs(answers))
+        except InputError as error:  # nothing was stopped
+            refused = error
+    keep.unlink(missing_ok=True)
+    raise refused
+
+
+def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
+    """Everything that a fit depends on."""
+    digests = []
+    for log in logs:
+        sums = [hashlib.blake2b(part.tobytes(), digest_size=16) for part in (log.t, log.u, log.y)]
+        digests.append([one.hexdigest() for one in sums])
+    return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
 def _identified(
-    logs: list[Log], options: Options, advance: Callable[[int], None]
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None = None,
 ) -> Identified | IdentifiedOutputs:
     """The answer of one output, or of each of several. Raises InputError."""
     names = logs[0].outputs
@@ -109,7 +143,7 @@ def _identified(
     answers = []
     for k in range(len(names)):
         alone = [log.of_output(k) for log in logs]
-        answers.append(identify_output(to_grid(alone, options.resample), options, advance))
+        answers.append(identify_output(to_grid(alone, options.resample), options, advance, climbs))
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 
@@ -117,7 +151,7 @@ def _ignore(done: int) -> None:
     """Nothing to report to."""
 
 
-def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
+def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -> list[Log]:
     """The logs that a user gave as files, frames or arrays. Raises InputError."""
     arrays = [value is not None for value in (t, u, y)]
     if log is None:
@@ -129,4 +163,4 @@ def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None) -> list[Log]:
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
         raise InputError("identify: the list of logs is empty")
-    return [read_log(source, columns) for source in sources]
+    return [read_log(source, columns, strict) for source in sources]

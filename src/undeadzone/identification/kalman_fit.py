@@ -110,6 +110,7 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
                         12,
                         2e-3,
                         longest=longest,
+                        kept=data.climbs,
                     )
                 )
         if not tops:
@@ -123,6 +124,7 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
             50,
             2e-3,
             longest=longest,
+            kept=data.climbs,
         )
         fits.append(KalmanFit(objective, top.theta, top.value))
     return sorted(fits, key=lambda one: one.bic)

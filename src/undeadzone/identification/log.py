@@ -29,6 +29,7 @@ class Log(NamedTuple):
         source: where the log came from, for messages.
         lines: the line of each sample in its file (N), for messages; empty where there is none.
         counted: whether the times count samples, so that no rate in seconds is known.
+        remarks: what was left out, for the user.
     """
 
     t: Floats
@@ -41,6 +42,7 @@ class Log(NamedTuple):
     source: str
     lines: Any
     counted: bool
+    remarks: tuple[str, ...] = ()
 
     def of_output(self, k: int) -> Log:
         """The log with one of its outputs alone."""

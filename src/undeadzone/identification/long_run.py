@@ -10,6 +10,9 @@ from scipy.stats import t as student
 
 from undeadzone.support.arrays import Floats
 
+GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
+LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it
+
 
 class Spread(NamedTuple):
     """Covariance of estimates.
@@ -17,20 +20,72 @@ class Spread(NamedTuple):
     Attributes:
         V: robust covariance H^-1 J H^-1 (P x P).
         naive: H^-1 (P x P), right for independent samples only.
-        degrees: degrees of freedom K of the estimate of J.
+        degrees: cosines K from which J was estimated.
+        scores: of each sample (N x P).
     """
 
     V: Floats
     naive: Floats
     degrees: int
+    scores: Floats
+
+    def accuracy(self, direction: Floats) -> tuple[float, float]:
+        """The variance of direction' theta without its bias, and its degrees of freedom.
+
+        Where a few samples tell of an edge, the cosines that they enter are few, and the fit has
+        used up part of what they scatter: docs/identify.md, "Few passages".
+        """
+        variance = max(float(direction @ self.V @ direction), 0.0)
+        kept, degrees = few_samples(self.scores, self.naive @ direction, self.degrees)
+        return variance / kept, degrees
 
     def half_width(self, direction: Floats, level: float = 0.95) -> float:
         """Half the interval of direction' theta at a level."""
-        variance = float(direction @ self.V @ direction)
-        return quantile(self.degrees, level) * max(variance, 0.0) ** 0.5
+        variance, degrees = self.accuracy(direction)
+        return quantile(degrees, level) * variance**0.5
 
 
-def quantile(degrees: int, level: float = 0.95) -> float:
+def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
+    """What few samples leave of an estimated variance, were the samples independent.
+
+    Args:
+        scores: of each sample at the estimate (N x P).
+        row: H^-1 c, for the estimate c' theta (P).
+        count: cosines K.
+
+    Returns:
+        The expected share of the variance that the cosines show after the fit (Bell and McCaffrey
+        2002), and the degrees of freedom of that (Satterthwaite 1946), at least 1.
+    """
+    told = scores @ row  # by each sample, of the estimate
+    squares = told**2
+    total = float(squares.sum())
+    if total <= 0:
+        return 1.0, float(count)
+    angle = np.pi * (np.arange(told.size) + 0.5) / told.size
+    weights = count / 2 + (np.sin((2 * count + 1) * angle) / np.sin(angle) - 1) / 4  # sum of cos^2
+    power = 0.5 * dct(squares)[: 2 * count + 1]
+    k = np.arange(1, count + 1)
+    shared = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # covariance of the cosines
+    excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
+    degrees = (np.trace(shared) ** 2 - excess) / max(float(np.sum(shared**2)) - excess, 1e-300)
+    white = scores @ _whitener(scores)
+    lever = np.einsum("ij,ij->i", white, white)
+    used = np.sum((0.5 * dct(white * told[:, None], axis=0)[1 : count + 1]) ** 2)
+    used -= GAUSSIAN * np.sum(weights * lever * squares)
+    kept = 1 - 2 / count * float(used) / total
+    return max(kept, LEAST_KEPT), float(np.clip(degrees, 1, count))
+
+
+def _whitener(scores: Floats) -> Floats:
+    """W with W W' the inverse of the sum of the scores' outer products (P x P)."""
+    scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
+    values, vectors = np.linalg.eigh((scores * scale).T @ (scores * scale))
+    whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
+    return np.asarray(whitener * (values > 1e-10))
+
+
+def quantile(degrees: float, level: float = 0.95) -> float:
     """Student's two-sided quantile."""
     return float(student.ppf(0.5 + level / 2, degrees))
 
@@ -69,7 +124,7 @@ def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Sprea
     """
     J, number = long_run_covariance(scores, count)
     inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
-    return Spread(inverse @ J @ inverse, inverse, number)
+    return Spread(inverse @ J @ inverse, inverse, number, scores)
 
 
 def positive(hessian: Floats) -> Floats:

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.identification.answer import Evidence
+from undeadzone.identification.climb import KeptClimbs
 from undeadzone.identification.excitation import excitation
 from undeadzone.identification.first_fit import fitted_with_delay, without_unreached
 from undeadzone.identification.fit import Fit, polished
@@ -42,13 +43,19 @@ from undeadzone.identification.verdict import (
 )
 
 
-def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:
+def identify_output(
+    grid: Grid,
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None = None,
+) -> Identified:
     """Find plant and zone from records of one output on a regular grid.
 
     Args:
         grid: the records.
         options: what the user said.
         advance: called with the number of steps just done.
+        climbs: those that are on disk; None: none are.
 
     Returns:
         The answer.
@@ -58,6 +65,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     """
     grid = shortened(grid)
     prepared = prepare(grid, options)
+    prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
     prepared, fits, delay = fitted_with_delay(prepared, options, advance)
     chosen = _polished(best_order(fits))
@@ -74,7 +82,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     else:
         verdict = jump_verdict(data, chosen, residuals, rivals)
     if prepared.jumps is None and verdict.word == "jump" and _can_be_jump(prepared, options):
-        return identify_output(grid, msgspec.structs.replace(options, kind="jump"), advance)
+        as_jump = msgspec.structs.replace(options, kind="jump")
+        return identify_output(grid, as_jump, advance, climbs)
     asks_place = _asks_place(prepared, options, unreached)
     kalman: list[KalmanFit] = []
     place = None

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.fit import Fit
-from undeadzone.identification.long_run import quantile, sandwich
+from undeadzone.identification.long_run import sandwich
 from undeadzone.identification.place_models import PlaceFit, PlaceModel, Shape, fit_place
 from undeadzone.identification.place_starts import PlaceStarts
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
@@ -173,9 +173,7 @@ def _lambda(fits: dict[str, PlaceFit], fit: Fit) -> tuple[float, float]:
     direction = np.zeros(model.size)
     direction[model.base + 7 + n - 1] = 1 / last
     direction[n - 1] = -lam / last
-    row = direction[model.free]
-    half = quantile(spread.degrees) * math.sqrt(max(float(row @ spread.V @ row), 0.0))
-    return float(lam), float(half)
+    return float(lam), float(spread.half_width(direction[model.free]))
 
 
 def _by_lambda(lam: float, half: float) -> str:

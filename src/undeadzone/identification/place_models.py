@@ -208,17 +208,11 @@ def fit_place(model: PlaceModel, begun: list[Floats]) -> PlaceFit | None:
     for start in begun:
         theta = model.project(start.copy())
         if math.isfinite(model.value(theta)):
-            tops.append(
-                climb(model.value, model.quadratic, theta, model.free, 12, 1e-3, model.project)
-            )
+            tops.append(_climbed(model, theta, 12))
     if not tops:
         return None
     tops.sort(key=lambda top: -top.value)
-    ends = []
-    for top in tops[:2]:
-        ends.append(
-            climb(model.value, model.quadratic, top.theta, model.free, 40, 1e-3, model.project)
-        )
+    ends = [_climbed(model, top.theta, 40) for top in tops[:2]]
     best = max(ends, key=lambda top: top.value)
     e = model.residual(best.theta)
     density = first_order_density(model.shape.name, e, model.free.size, ())
@@ -226,3 +220,17 @@ def fit_place(model: PlaceModel, begun: list[Floats]) -> PlaceFit | None:
     share, chance = curve_over(z[model.data.ok], e[model.data.ok])
     density = density._replace(strange=is_strange(share, chance))
     return PlaceFit(model, best.theta, density)
+
+
+def _climbed(model: PlaceModel, theta: Floats, steps: int) -> Top:
+    """The top that a climb from theta reaches."""
+    return climb(
+        model.value,
+        model.quadratic,
+        theta,
+        model.free,
+        steps,
+        1e-3,
+        model.project,
+        kept=model.data.climbs,
+    )

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from undeadzone.identification.climb import KeptClimbs
 from undeadzone.identification.likelihood import Readings
 from undeadzone.identification.log import Flags
 from undeadzone.support.arrays import Floats, Integers
@@ -26,6 +27,7 @@ class Data(NamedTuple):
         side: +1, 0, -1 (N).
         silent_zeros: whether readings inside the zone are exact zeros: noise ahead of the zone.
         u_scale, y_scale: what u (m) and y were divided by.
+        climbs: those that were kept on disk; None: none are.
     """
 
     u: Floats
@@ -36,6 +38,7 @@ class Data(NamedTuple):
     silent_zeros: bool
     u_scale: Floats
     y_scale: float
+    climbs: KeptClimbs | None = None
 
     def readings(self, use: Flags | None = None) -> Readings:
         """What the likelihoods need; `use` (N): the samples that count, default all."""

@@ -71,9 +71,9 @@ def prepare(grid: Grid, options: Options) -> Prepared:
         )
     ends = range_ends(grid.y, ok, grid.quantum)
     if ends.found:
-        ok[ends.at] = False
+        ok &= ~ends.at(grid.y, ok)
         remarks.append(
-            f"{int(ends.at.sum())} readings stick at the ends of the range {ends.text}: there they "
+            f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
             "only bound the output, and are taken as missing"
         )
     y = np.where(ok, grid.y, 0.0)

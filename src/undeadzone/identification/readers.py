@@ -13,18 +13,19 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.identification.log import Log, checked_log
 from undeadzone.logs.column import Title, numbers
 from undeadzone.logs.names import Layout, layout_of_titles, parse_columns
-from undeadzone.logs.samples import LogReader, Samples
+from undeadzone.logs.samples import MOST_UNREADABLE, LogReader, Samples, counted_lines
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of
 from undeadzone.support.files import LARGEST_TABLE
 
 
-def read_log(source: Any, columns: str | None = None) -> Log:
+def read_log(source: Any, columns: str | None = None, strict: bool = False) -> Log:
     """The log in a file or DataFrame.
 
     Args:
         source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
 
     Returns:
         The log, its times in seconds.
@@ -33,6 +34,7 @@ def read_log(source: Any, columns: str | None = None) -> Log:
         FileError: what is wrong, with file and line where there are any.
     """
     chosen = parse_columns(columns)
+    remarks: list[str] = []
     if hasattr(source, "columns") and hasattr(source, "index"):
         name = "DataFrame"
         samples, layout = samples_of(source, None, None, chosen, name)
@@ -43,22 +45,42 @@ def read_log(source: Any, columns: str | None = None) -> Log:
         if path.suffix.lower() in BINARY:
             samples, layout = samples_of(path, None, None, chosen, name)
         else:
-            samples, layout = _of_text(path, chosen)
+            samples, layout = _of_text(path, chosen, strict, remarks)
     if layout.time is None:
         raise FileError(
             f"{name}: no name says which column holds the times; say which by --columns t=NAME"
         )
-    return checked_log(samples, layout, name)
+    return checked_log(samples, layout, name)._replace(remarks=tuple(remarks))
 
 
-def _of_text(path: Path, chosen: Mapping[str, str]) -> tuple[Samples, Layout]:
-    """The samples of a CSV file, every line of which can be read. Raises FileError."""
-    reader = LogReader(str(path), None, None, chosen, strict=True)
+def _of_text(
+    path: Path, chosen: Mapping[str, str], strict: bool, remarks: list[str]
+) -> tuple[Samples, Layout]:
+    """The samples of a CSV file, without lines that cannot be read. Raises FileError."""
+    reader = LogReader(str(path), None, None, chosen, strict)
     blocks = [reader.feed(data, last) for data, last in blocks_of(path, LARGEST_TABLE)]
     whole = [block for block in blocks if block.t.size]
     if reader.layout is None or not whole:
         raise FileError(f"{path}: holds no samples")
-    return Samples(*[np.concatenate(parts) for parts in zip(*whole, strict=True)]), reader.layout
+    samples = Samples(*[np.concatenate(parts) for parts in zip(*whole, strict=True)])
+    if reader.unreadable:
+        samples = _readable(samples, reader, path)
+        remarks.append(
+            f"{path}: {counted_lines(reader.unreadable)} cannot be read and count as missing; "
+            f"{reader.why}"
+        )
+    return samples, reader.layout
+
+
+def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
+    """The samples of which something could be read. Raises FileError if those are few."""
+    if reader.unreadable > MOST_UNREADABLE * samples.t.size:
+        raise FileError(
+            f"{path}: {counted_lines(reader.unreadable)} of {samples.t.size} cannot be read; "
+            f"{reader.why}"
+        )
+    some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
+    return Samples(*[part[some] for part in samples])
 
 
 def log_of_arrays(t: Any, u: Any, y: Any) -> Log:

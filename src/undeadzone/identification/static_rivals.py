@@ -269,7 +269,8 @@ def _fitted(name: str, model: MapFit, begun: list[tuple[Fit, float, Floats]]) ->
         theta[model.simulator.layout.b] *= gain
         if not math.isfinite(model.value(theta)):
             continue
-        tops.append(climb(model.value, model.quadratic, theta, model.free, 40))
+        kept = model.simulator.data.climbs
+        tops.append(climb(model.value, model.quadratic, theta, model.free, 40, kept=kept))
     if not tops:
         return Density(name, np.full(model.use.size, -1e3), model.free.size, math.inf, ())
     best = max(tops, key=lambda top: top.value)

@@ -12,6 +12,8 @@ FEWEST = 10  # readings at a limit
 SHARE = 0.005  # of all readings
 RUN = 5  # readings in a row: so long they stick, and from so many their speed before is taken
 SPEED = 1e-3  # of the range of the readings, by which they move in a step before they stick
+SAME = 1e-9  # relative difference of readings at one limit
+MOST_STOPS = 1000  # that are remembered: the first ones
 
 
 class RangeEnds(NamedTuple):
@@ -19,65 +21,135 @@ class RangeEnds(NamedTuple):
 
     Attributes:
         low, high: least and largest reading; -inf, inf where readings do not stick there.
-        at: whether each reading is one of them (N, bool).
+        number: of readings there.
     """
 
     low: float
     high: float
-    at: np.ndarray
+    number: int
 
     @property
     def found(self) -> bool:
         """Whether readings stick at either end."""
-        return bool(np.isfinite([self.low, self.high]).any())
+        return self.number > 0
 
     @property
     def text(self) -> str:
         """The range as a scenario has it."""
         return f"[{self.low:.9g}, {self.high:.9g}]"
 
+    def at(self, y: Floats, ok: np.ndarray) -> np.ndarray:
+        """Which readings are at an end (N, bool).
+
+        Args:
+            y: readings (N).
+            ok: whether there is a reading (N, bool).
+        """
+        return ok & (_is_at(y, self.high) | _is_at(-y, -self.low))
+
+
+class RunningEnds:
+    """Where readings stick that come in block after block."""
+
+    def __init__(self) -> None:
+        self._upper, self._lower = _End(), _End()
+
+    def add(self, y: Floats, ok: np.ndarray) -> None:
+        """Take the next readings in.
+
+        Args:
+            y: readings (N).
+            ok: whether there is a reading (N, bool).
+        """
+        self._upper.add(y, ok)
+        self._lower.add(-y, ok)
+
+    def ends(self, quantum: float = 0.0) -> RangeEnds:
+        """The values at which readings stick on their way, as where an amplifier ends.
+
+        At the top of a slow or rounded motion readings are alike too; there they do not come to a
+        sudden stop.
+
+        Args:
+            quantum: of the readings; 0: none.
+        """
+        upper, lower = self._upper, self._lower
+        least = max(SPEED * (upper.top + lower.top), 3 * quantum)
+        low, high, count = -np.inf, np.inf, 0
+        if upper.sticks(least):
+            high, count = upper.top, upper.count
+        if lower.sticks(least):
+            low, count = -lower.top, count + lower.count
+        return RangeEnds(low, high, count)
+
 
 def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
-    """The values at which readings stick on their way, as where an amplifier ends.
-
-    At the top of a slow or rounded motion readings are alike too; there they do not come to a
-    sudden stop.
+    """The values at which the readings of a whole log stick; see `RunningEnds.ends`.
 
     Args:
         y: readings (N).
         ok: whether there is a reading (N, bool).
         quantum: of the readings; 0: none.
     """
-    if not ok.any():
-        return RangeEnds(-np.inf, np.inf, np.zeros(y.shape, bool))
-    least = max(SPEED * float(np.ptp(y[ok])), 3 * quantum)
-    upper = _sticks(y, ok, least)
-    lower = _sticks(-y, ok, least)
-    high = float(y[ok].max()) if upper.any() else np.inf
-    low = float(y[ok].min()) if lower.any() else -np.inf
-    return RangeEnds(low, high, upper | lower)
+    running = RunningEnds()
+    running.add(y, ok)
+    return running.ends(quantum)
 
 
-def _sticks(y: Floats, ok: np.ndarray, least: float) -> np.ndarray:
-    """Which readings stick at the largest one (N, bool); none if that is not where they end.
+class _End:
+    """The largest reading so far, how many are there, and how readings stopped there.
 
-    Args:
-        y: readings (N).
-        ok: whether there is a reading (N, bool).
-        least: by which they move in the step before they stick, at least.
+    Attributes:
+        top: the largest reading.
+        count: how many readings are there.
     """
-    none = np.zeros(y.shape, bool)
-    top = float(y[ok].max())
-    at = ok & (y >= top * (1 - 1e-9))
-    if top <= 0 or at.sum() < max(FEWEST, SHARE * ok.sum()):
-        return none
-    first = _first_of_runs(at, ok)
-    if not first.size:
-        return none
-    speed = (y[first - 1] - y[first - RUN]) / (RUN - 1)
-    rest = top - y[first - 1]
-    sudden = np.median(speed) > least and np.median(rest) < RUN / 2 * np.median(speed)
-    return at if sudden else none
+
+    def __init__(self) -> None:
+        self.top = -np.inf
+        self.count = 0
+        self._total = 0
+        self._before: list[float] = []  # reading before each stop
+        self._speed: list[float] = []  # per step, before each stop
+        self._y: Floats = np.empty(0)  # the last ones of the block before
+        self._ok = np.empty(0, bool)
+
+    def add(self, y: Floats, ok: np.ndarray) -> None:
+        """Take the next readings in."""
+        self._total += int(ok.sum())
+        top = float(y[ok].max(initial=-np.inf))
+        if top > self.top:
+            if self.top < top * (1 - SAME) or top <= 0:
+                self.count = 0
+                self._before, self._speed = [], []
+            self.top = top
+        here = ok & _is_at(y, self.top)
+        self.count += int(here.sum())
+        y = np.concatenate([self._y, y])
+        ok = np.concatenate([self._ok, ok])
+        if len(self._before) < MOST_STOPS and self.top > 0:
+            first = _first_of_runs(ok & _is_at(y, self.top), ok)[: MOST_STOPS - len(self._before)]
+            self._before += y[first - 1].tolist()
+            self._speed += ((y[first - 1] - y[first - RUN]) / (RUN - 1)).tolist()
+        last = 2 * RUN - 1  # no stop lies in these alone
+        self._y, self._ok = y[-last:], ok[-last:]
+
+    def sticks(self, least: float) -> bool:
+        """Whether readings come to a sudden stop at the top.
+
+        Args:
+            least: by which they move in the step before they stick, at least.
+        """
+        rare = self.count < max(FEWEST, SHARE * self._total)
+        if rare or self.top <= 0 or not self._before:
+            return False
+        speed = float(np.median(self._speed))
+        rest = self.top - float(np.median(self._before))
+        return speed > least and rest < RUN / 2 * speed
+
+
+def _is_at(y: Floats, top: float) -> np.ndarray:
+    """Which readings are at the largest one (N, bool)."""
+    return np.asarray(y >= top * (1 - SAME))
 
 
 def _first_of_runs(at: np.ndarray, ok: np.ndarray) -> Integers:

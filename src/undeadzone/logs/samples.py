@@ -16,6 +16,7 @@ from undeadzone.support.arrays import Floats
 
 Lines = npt.NDArray[np.int64]
 
+MOST_UNREADABLE = 0.5  # share of the lines of a log that may be unreadable
 FIRST = 10  # lines that tell the dialect, if as many have come
 
 
@@ -168,6 +169,11 @@ class LogReader:
             raise FileError(f"{self._source}, line {number}: {why}")
         self.unreadable += 1
         self.why = self.why or f"line {number}: {why}"
+
+
+def counted_lines(count: int) -> str:
+    """A number of lines, in words."""
+    return "1 line" if count == 1 else f"{count} lines"
 
 
 def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:

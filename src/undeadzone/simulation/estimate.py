@@ -7,17 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate
+from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
-from undeadzone.logs.range_ends import range_ends
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
-from undeadzone.observers import Kalman
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.estimation import Estimation
@@ -55,7 +52,8 @@ def estimate(
         y: readings (N) or (N x p), NaN where one is missing.
         columns: which column is which where names do not say it: `y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
-        smoothing: whether the filter `kalman` is smoothed too, with the whole log.
+        smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
+            whole log.
         progress: called with the number of samples just done.
 
     Returns:
@@ -78,24 +76,8 @@ def estimate(
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
     estimated, sides, B = follower.follow(regular, progress)
-    smoothed = _smoothed(scenario, follower, regular, estimated) if smoothing else {}
-    info = msgspec.structs.replace(known(), remarks=_remarks(follower, regular))
-    return _collected(regular, estimated, sides, B, info, smoothed)
-
-
-def _remarks(follower: Follower, regular: Regular) -> list[str]:
-    """That readings stick at the end of a range of which the scenario does not know."""
-    if follower.zone.limits is not None:
-        return []
-    remarks = []
-    for i, y in enumerate(regular.y.T):
-        ends = range_ends(y, np.isfinite(y))
-        if ends.found:
-            remarks.append(
-                f"{int(ends.at.sum())} readings of output {i} stick at an end of their range, "
-                f"where they only bound z: set sensor.range = {ends.text}"
-            )
-    return remarks
+    smoothed = _smoothed(follower, regular) if smoothing else {}
+    return _collected(regular, estimated, sides, B, known(), smoothed)
 
 
 Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
@@ -153,24 +135,12 @@ def _limited(regular: Regular, source: str) -> Regular:
     return regular
 
 
-def _smoothed(
-    scenario: Scenario, follower: Follower, regular: Regular, estimated: Estimate
-) -> dict[str, Floats]:
-    """The smoothed signals by name; none where the method has no smoother.
-
-    The readings that the filter refused are missing to the smoother.
-    """
-    options, model = scenario.observer, follower.model
-    known = isinstance(options, Kalman) and follower.zone.kind != "play"
-    if not known or model.nonlinear or not regular.t.size:
+def _smoothed(follower: Follower, regular: Regular) -> dict[str, Floats]:
+    """The smoothed signals by name; none where the method has no smoother."""
+    observer = follower.observer
+    if not isinstance(observer, Observer) or observer.smoothing is None or not regular.t.size:
         return {}
-    assert isinstance(options, Kalman)
-    plain = msgspec.structs.replace(options, glitches=0.0).build(model, follower.zone)
-    y = regular.y
-    if estimated.refused.size:
-        refused = np.diff(estimated.refused, axis=0, prepend=0.0) > 0
-        y = np.where(refused, np.nan, y)
-    smoothed = smooth(model, plain, follower.zone, y, regular.u)
+    smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,

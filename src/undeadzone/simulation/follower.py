@@ -10,6 +10,8 @@ from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, NumericObserver, graph_of
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import Layout
+from undeadzone.logs.range_ends import RunningEnds
+from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.scenario.problem import modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
@@ -20,7 +22,6 @@ from undeadzone.simulation.online import Online, built_for
 from undeadzone.support.arrays import Floats
 
 LIMIT = 1e12  # beyond this an estimate has diverged
-MOST_UNREADABLE = 0.5  # share of lines that may be unreadable
 
 
 class Follower:
@@ -58,6 +59,8 @@ class Follower:
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
+        undeclared = self.model.p if self.zone.limits is None else 0
+        self._ends = [RunningEnds() for _ in range(undeclared)]
         self._diverged = False
         self._last: Estimate | None = None
 
@@ -92,6 +95,8 @@ class Follower:
         """Count these samples and test their innovations; B after each (N x p or N x 0)."""
         self.samples += len(sides)
         present = np.isfinite(samples.y)
+        for i, ends in enumerate(self._ends):
+            ends.add(samples.y[:, i], present[:, i])
         self._missing += int((~present).any(axis=1).sum())
         for row, side in enumerate((1, -1, 0)):
             self._counts[row] += (present & (sides == side)).sum(axis=0)
@@ -194,7 +199,20 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
+            remarks=self._remarks(),
         )
+
+    def _remarks(self) -> list[str]:
+        """That readings stick at the end of a range of which the scenario does not know."""
+        remarks = []
+        for i, running in enumerate(self._ends):
+            ends = running.ends()
+            if ends.found:
+                remarks.append(
+                    f"{ends.number} readings of output {i} stick at an end of their range, where "
+                    f"they only bound z: set sensor.range = {ends.text}"
+                )
+        return remarks
 
 
 def require_units(layout: Layout, units: Units, source: str) -> None:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.engine import interpret
-from undeadzone.interfaces import Estimate, Observer, received
+from undeadzone.interfaces import Estimate, Observer, Reading, received
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
 from undeadzone.support import tree
@@ -25,6 +25,48 @@ class Out(NamedTuple):
     missing: Any
 
 
+class Symbols(NamedTuple):
+    """The symbols of an observer's graph.
+
+    Attributes:
+        s, w, p: columns of the state, of [y; u] and of the params.
+        state, params: the observer's own, as trees.
+        used: the input, the last one where it is missing (m).
+        reading: what is read.
+        start, numbers: values of s and p.
+    """
+
+    s: ca.SX
+    w: ca.SX
+    p: ca.SX
+    state: Any
+    params: Any
+    used: ca.SX
+    reading: Reading
+    start: Floats
+    numbers: Floats
+
+
+def symbols(model: System, observer: Observer, sensor: Zone) -> Symbols:
+    """Fresh symbols for the graph of an observer.
+
+    Args:
+        model: the sampled model.
+        observer: the observer.
+        sensor: the dead zone, for its threshold and its range.
+    """
+    values = (observer.params, (sensor.threshold, sensor.limits))
+    column, (params, levels) = tree.symbols(values, "p")
+    start = (observer.init(observer.params), np.zeros(model.m))
+    s_column, (s, held) = tree.symbols(start, "s")
+    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
+    used = ca.if_else(present(u), u, held)
+    w, reading = ca.vertcat(y, u), received(y, *levels)
+    return Symbols(
+        s_column, w, column, s, params, used, reading, tree.pack(start), tree.pack(values)
+    )
+
+
 def observer_graph(
     model: System, observer: Observer, sensor: Zone
 ) -> tuple[ca.Function, Floats, Floats, Out]:
@@ -39,24 +81,19 @@ def observer_graph(
         The function step(s, w, p) -> (next, out) with w = [y; u], its packed state, its packed
         params, and the shapes of out.
     """
-    values = (observer.params, (sensor.threshold, sensor.limits))
-    column, (params, levels) = tree.symbols(values, "p")
-    state = (observer.init(observer.params), np.zeros(model.m))
-    s_column, (s, held) = tree.symbols(state, "s")
-    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
-    used = ca.if_else(present(u), u, held)
-    reading = received(y, *levels)
-    after, estimate = observer.step(params, s, used, reading)
+    known = symbols(model, observer, sensor)
+    used, reading = known.used, known.reading
+    after, estimate = observer.step(known.params, known.state, used, reading)
     side = estimate.contact if estimate.contact.shape[0] else reading.side
-    out = Out(estimate, side, ca.mmin(present(y)) == 0)
+    out = Out(estimate, side, ca.mmin(present(known.w[: model.p])) == 0)
     function = ca.Function(
         "live",
-        [s_column, ca.vertcat(y, u), column],
+        [known.s, known.w, known.p],
         [tree.stack((after, used)), tree.stack(out)],
         {"cse": True},
     )
     shapes: Out = tree.rebuild(out, (np.zeros(part.shape[0]) for _, part in tree.leaves(out)))
-    return function, tree.pack(state), tree.pack(values), shapes
+    return function, known.start, known.numbers, shapes
 
 
 class BlockRunner:

@@ -1,9 +1,9 @@
-"""Fixed-interval smoothing of the filter `kalman`: what a whole log says of each of its samples.
+"""Fixed-interval smoothing of a filter: what a whole log says of each of its samples.
 
-The filter runs forward; adjoint variables run backward (modified Bryson-Frazier form: Bierman 1973,
-"Fixed interval smoothing with discrete measurements", Int. J. Control 18). It gives what the
-equations of Rauch, Tung and Striebel (1965) give, but inverts no covariance: without a disturbance
-their gain is the inverse of the motion, and errors would grow with every step backward.
+The filter runs forward; adjoint variables run backward through its stored moments (modified
+Bryson-Frazier form: Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J.
+Control 18). It gives what the equations of Rauch, Tung and Striebel (1965) give, but inverts no
+motion. docs/filters.md, "Looking back", says what is exact and what is not.
 """
 
 from __future__ import annotations
@@ -15,12 +15,17 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
-from undeadzone.observers.parts.even_states import even_units
-from undeadzone.plants.system import System, in_units
+from undeadzone.numerics.adjoint import Later, back
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.model_bank import likely
+from undeadzone.observers.parts.smoothing import Moments
+from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
-from undeadzone.simulation.observer_graph import Out, observer_graph
+from undeadzone.simulation.observer_graph import Out, observer_graph, symbols
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+
+BLOCK = 1000  # samples whose moments are in memory at once
 
 
 class Smoothed(NamedTuple):
@@ -28,7 +33,7 @@ class Smoothed(NamedTuple):
 
     Attributes:
         x: state (N x n).
-        z: output C x (N x p) [z].
+        z: output (N x p) [z].
         d: widths [d_r, d_l] of each output (N x 2p) [z].
         x_std, d_std: standard deviations of x and d.
     """
@@ -40,109 +45,212 @@ class Smoothed(NamedTuple):
     d_std: Floats
 
 
-class _Forward(NamedTuple):
-    """What the filter had at each sample.
+class _Graphs(NamedTuple):
+    """The functions of one filter.
 
     Attributes:
-        mean: of [x; all d_r; all d_l] before the reading (N x size).
-        cov: its covariance (N x size x size).
-        innovation, variance: of each output (N x p); an innovation of 0 was not used.
-        right: whether the reading was positive (N x p).
+        step: step(s, w, p) is (next state, estimate).
+        moments: moments([s; w], p) are those of its members.
+        shown: shown([beliefs; share; record], p) is [x; z; d_r; d_l; x_std; d_r_std; d_l_std].
+        start, numbers: values of s and p.
+        out: where the estimate stands in what `step` gives.
+        like: `Moments` of the members, of arrays of their shapes.
+        odds, record: where these stand in the state.
     """
 
-    mean: Floats
-    cov: Floats
-    innovation: Floats
-    variance: Floats
-    right: Any
+    step: ca.Function
+    moments: ca.Function
+    shown: ca.Function
+    start: Floats
+    numbers: Floats
+    out: Out
+    like: tuple[Moments, ...]
+    odds: Any
+    record: Any
 
 
 def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> Smoothed:
     """The smoothed estimates along a log.
 
-    The equations hold for readings that are taken as they are or not at all: give the filter
-    without glitches, and readings of which those that it would refuse are missing.
-
     Args:
-        model: the sampled, linear model.
-        observer: the filter `kalman` that is built for it.
+        model: the sampled model.
+        observer: a filter that is built for it, with `smoothing`.
         sensor: the dead zone, for its threshold and its range.
         y: readings (N x p), NaN where one is missing.
         u: inputs (N x m), NaN where the last one is held.
     """
-    forward = _filtered(model, observer, sensor, y, u)
-    units = even_units(model)
-    model = in_units(model, units)
-    F = np.eye(forward.mean.shape[1])
-    F[: model.n, : model.n] = model.linear.A
-    mean, std = _backward(model, F, forward)
-    n, p = model.n, model.p
-    order = n + np.arange(2 * p).reshape(2, p).T.ravel()  # right and left of each output in turn
-    x = mean[:, :n]
-    z = x @ model.linear.C.T
-    return Smoothed(units * x, z, mean[:, order], units * std[:, :n], std[:, order])
+    graphs = _graphs(model, observer, sensor)
+    w = np.hstack([y, u])
+    starts = [graphs.start]
+    for first in range(0, len(w), BLOCK):
+        _, state = interpret.run(graphs.step, starts[-1], w[first : first + BLOCK], graphs.numbers)
+        starts.append(state)
+    count = len(graphs.like)
+    later = [Later.nothing(one.before.mean.size) for one in graphs.like]
+    odds: Floats = np.zeros(count)
+    worst = None
+    pieces = []
+    for k in range(len(starts) - 2, -1, -1):
+        part = w[k * BLOCK : (k + 1) * BLOCK]
+        rows, later, odds, worst = _block(graphs, starts[k], part, later, odds, worst)
+        pieces.append(rows)
+    return _arranged(model, np.vstack(pieces[::-1]))
 
 
-def _filtered(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> _Forward:
-    """The filter along the log, with its beliefs before each reading."""
-    graph, state, params, shapes = observer_graph(model, observer, sensor)
-    s = ca.SX.sym("s", graph.size1_in(0))
-    w = ca.SX.sym("w", graph.size1_in(1))
-    q = ca.SX.sym("p", graph.size1_in(2))
-    following, out = graph(s, w, q)
-    watched = ca.Function("watched", [s, w, q], [following, ca.vertcat(out, s)])
-    rows, _ = interpret.run(watched, state, np.hstack([y, u]), params)
-    where: Out = tree.slices(shapes)
-    inner, _ = tree.slices((observer.init(observer.params), np.zeros(model.m)))
-    states = rows[:, graph.size1_out(1) :]
-    belief = inner.filter
-    mean = states[:, belief.mean]
-    size = mean.shape[1]
-    row, column = ca.Sparsity.upper(size).get_triplet()
-    cov = np.empty((len(rows), size, size))
-    cov[:, row, column] = states[:, belief.cov]
-    cov[:, column, row] = states[:, belief.cov]
-    estimate: Estimate = where.estimate
-    return _Forward(
-        mean, cov, rows[:, estimate.innovation], rows[:, estimate.innovation_std] ** 2, y > 0
+def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
+    """The functions of a filter along a log."""
+    step, start, numbers, shapes = observer_graph(model, observer, sensor)
+    smoothing = observer.smoothing
+    known = symbols(model, observer, sensor)
+    every = smoothing.moments(known.params, known.state, known.used, known.reading)
+    moments = ca.Function(
+        "moments", [ca.vertcat(known.s, known.w), known.p], [tree.stack(every)], {"cse": True}
+    )
+    like = tree.rebuild(every, (np.zeros(part.shape) for _, part in tree.leaves(_dense(every))))
+    init = observer.init(observer.params)
+    record = smoothing.record(init)
+    beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
+    row, (seen, share, kept) = tree.symbols((tuple(beliefs), np.zeros(len(like)), record), "r")
+    shown: Estimate = smoothing.shown(known.params, seen, share, kept)
+    out = (shown.x, shown.z, shown.right, shown.left, shown.x_std, shown.right_std, shown.left_std)
+    where = tree.slices((init, np.zeros(model.m)))[0]
+    return _Graphs(
+        step,
+        moments,
+        ca.Function("shown", [row, known.p], [tree.stack(out)], {"cse": True}),
+        start,
+        numbers,
+        tree.slices(shapes),
+        like,
+        smoothing.odds(where) if len(like) > 1 else None,
+        smoothing.record(where),
     )
 
 
-def _backward(model: System, F: Floats, forward: _Forward) -> tuple[Floats, Floats]:
-    """Mean and standard deviation of [x; d] at each sample (N x size), given the whole log."""
-    total, size = forward.mean.shape
-    mean, std = np.empty((total, size)), np.empty((total, size))
-    ahead, information = np.zeros(size), np.zeros((size, size))  # what the later samples say
-    for k in range(total - 1, -1, -1):
-        P = forward.cov[k]
-        for h, K, e, S in reversed(_updates(model, forward, k)):
-            closed = np.eye(size) - np.outer(K, h)
-            ahead = closed.T @ ahead + h * (e / S)
-            information = closed.T @ information @ closed + np.outer(h, h) / S
-        mean[k] = forward.mean[k] + P @ ahead
-        variance = np.diag(P) - np.einsum("ij,jk,ki->i", P, information, P)
-        std[k] = np.sqrt(np.maximum(variance, 0.0))
-        ahead = F.T @ ahead
-        information = F.T @ information @ F
-    return mean, std
+def _dense(every: Any) -> Any:
+    """Moments whose leaves are all CasADi expressions."""
+    return tree.rebuild(every, (ca.SX(leaf) for _, leaf in tree.leaves(every)))
 
 
-def _updates(model: System, forward: _Forward, k: int) -> list[tuple[Floats, Floats, float, float]]:
-    """(h, gain, innovation, its variance) of each reading that was used at a sample, in order."""
+def _block(
+    graphs: _Graphs,
+    start: Floats,
+    w: Floats,
+    later: list[Later],
+    odds: Floats,
+    worst: Any,
+) -> tuple[Floats, list[Later], Floats, Any]:
+    """A block of samples, given what the later ones say.
+
+    Args:
+        graphs: of the filter.
+        start: its state before the block.
+        w: readings and inputs (B x p + m).
+        later: what the samples after the block say of its end, a member each.
+        odds: log of the odds of the members from those samples (K).
+        worst: record from those samples; None at the end of the log.
+
+    Returns:
+        What is shown of each sample (B x outputs), and later, odds and worst before the block.
+    """
+    states, estimates = _states(graphs, start, w)
+    values = interpret.mapped(graphs.moments, len(w))
+    known = values(np.hstack([states[:-1], w]), graphs.numbers)
+    every = [_arrays(one, known, at) for one, at in zip(graphs.like, _places(graphs), strict=True)]
+    beliefs, before = [], []
+    for one, ahead in zip(every, later, strict=True):
+        mean, cov, first = back(one, ahead)
+        beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
+        before.append(first)
+    shares, odds = _shares(graphs, states[1:], np.column_stack([one.log for one in every]), odds)
+    records, worst = _records(graphs, states[1:], worst)
+    rows = np.hstack([*beliefs, shares, records])
+    shown = interpret.mapped(graphs.shown, len(w))(rows, graphs.numbers)
+    lost = ~np.isfinite(shown).all(axis=1)
+    shown[lost] = _causal(graphs, estimates[lost])
+    return shown, before, odds, worst
+
+
+def _states(graphs: _Graphs, start: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """The states before each sample and after the last (B + 1 x S), and the outputs (B x out)."""
+    s, v, p = (ca.SX.sym("v", graphs.step.size1_in(k)) for k in range(3))
+    following, out = graphs.step(s, v, p)
+    watched = ca.Function("watched", [s, v, p], [following, ca.vertcat(out, s)])
+    rows, final = interpret.run(watched, start, w, graphs.numbers)
+    size = graphs.step.size1_out(1)
+    return np.vstack([rows[:, size:], final]), rows[:, :size]
+
+
+def _places(graphs: _Graphs) -> list[int]:
+    """Where the moments of each member begin."""
+    sizes = [tree.size(one) for one in graphs.like]
+    return np.concatenate([[0], np.cumsum(sizes)])[:-1].astype(int).tolist()
+
+
+def _arrays(like: Moments, known: Floats, at: int) -> Moments:
+    """The moments of one member at each sample, from rows of packed numbers."""
+    leaves = []
+    for _, leaf in tree.leaves(like):
+        values = known[:, at : at + leaf.size]
+        at += leaf.size
+        if leaf.shape[1] > 1:
+            values = np.swapaxes(values.reshape(len(known), leaf.shape[1], leaf.shape[0]), 1, 2)
+        leaves.append(values)
+    return Moments(*tree.rebuild(like, iter(leaves)))
+
+
+def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tuple[Floats, Floats]:
+    """How likely each member is at each sample, given the whole log (B x K); the odds before.
+
+    Args:
+        graphs: of the filter.
+        states: after each sample (B x S).
+        logs: of the densities with which members foretold each sample (B x K).
+        odds: log of the odds from the samples after the block (K).
+    """
+    if graphs.odds is None:
+        return np.ones((len(logs), 1)), odds
+    shares = np.empty(logs.shape)
+    for k in range(len(logs) - 1, -1, -1):
+        total = states[k, graphs.odds] + odds
+        share = np.exp(total - total.max())
+        shares[k] = share / share.sum()
+        odds = np.array(ca.DM(likely(ca.DM(odds + logs[k])))).ravel()
+    return shares, odds
+
+
+def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
+    """The worst record from each sample on (B x numbers), and that of the whole block.
+
+    Args:
+        graphs: of the filter.
+        states: after each sample (B x S).
+        worst: from the samples after the block (numbers); None: there are none.
+    """
+    places = [part for _, part in tree.leaves(graphs.record)]
+    if not places:
+        return np.empty((len(states), 0)), None
+    records = np.hstack([states[:, part] for part in places])
+    for k in range(len(records) - 1, -1, -1):
+        if worst is not None:
+            records[k] = np.where(np.abs(records[k]) < np.abs(worst), worst, records[k])
+        worst = records[k]
+    return records, worst
+
+
+def _causal(graphs: _Graphs, out: Floats) -> Floats:
+    """What the filter itself shows, where no belief can be smoothed."""
+    where: Estimate = graphs.out.estimate
+    means = (where.x, where.z, where.right, where.left)
+    parts = (*means, where.x_std, where.right_std, where.left_std)
+    return np.hstack([out[:, part] for part in parts])
+
+
+def _arranged(model: System, shown: Floats) -> Smoothed:
+    """The smoothed signals, right and left of each output in turn."""
     n, p = model.n, model.p
-    P = forward.cov[k]
-    updates: list[tuple[Floats, Floats, float, float]] = []
-    for i in range(p):
-        e, S = float(forward.innovation[k, i]), float(forward.variance[k, i])
-        if e == 0:
-            continue
-        h = np.zeros(len(P))
-        h[:n] = model.linear.C[i]
-        if forward.right[k, i]:
-            h[n + i] = -1.0
-        else:
-            h[n + p + i] = 1.0
-        K = P @ h / S
-        P = P - np.outer(K, h @ P)
-        updates.append((h, K, e, S))
-    return updates
+    ends = np.cumsum([n, p, p, p, n, p])
+    x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)
+    d = np.stack([right, left], axis=2).reshape(len(shown), -1)
+    d_std = np.stack([right_std, left_std], axis=2).reshape(len(shown), -1)
+    return Smoothed(x, z, d, x_std, d_std)

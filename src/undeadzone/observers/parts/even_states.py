@@ -37,9 +37,15 @@ def shown_states(observer: Observer, units: Floats) -> Observer:
 
     def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
         after, counted = observer.step(q, s, u, reading)
-        shown = counted._replace(x=units * counted.x, x_std=units * counted.x_std)
-        if shown.w.shape[0]:
-            shown = shown._replace(w=units * counted.w)
-        return after, shown
+        return after, in_plant_units(counted)
 
-    return observer._replace(step=step)
+    def in_plant_units(counted: Estimate) -> Estimate:
+        shown = counted._replace(x=units * counted.x, x_std=units * counted.x_std)
+        return shown._replace(w=units * counted.w) if shown.w.shape[0] else shown
+
+    smoothing = observer.smoothing
+    if smoothing is not None:
+        smoothing = smoothing._replace(
+            shown=lambda *known: in_plant_units(observer.smoothing.shown(*known))
+        )
+    return observer._replace(step=step, smoothing=smoothing)

@@ -90,7 +90,22 @@ def judged(
         record = Record(none, none, np.ones(p), none, none, none, once, *kept)
         return State(member.init(q), record)
 
-    return Observer(member.params, init, partial(judged_step, setup), traits=traits)
+    smoothing = None
+    if member.smoothing is not None:
+        smoothing = member.smoothing._replace(
+            moments=lambda q, s, u, reading: member.smoothing.moments(q, s.filter, u, reading),
+            odds=lambda s: member.smoothing.odds(s.filter),
+            record=lambda s: s.record,
+            shown=partial(_shown_smoothed, setup),
+        )
+    step = partial(judged_step, setup)
+    return Observer(member.params, init, step, traits=traits, smoothing=smoothing)
+
+
+def _shown_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
+    """The estimate that shows smoothed beliefs, as wide as the record demands."""
+    estimated = setup.member.smoothing.shown(q, beliefs, share, ())
+    return widened(setup.model, q, record, estimated) if setup.widens else estimated
 
 
 def judged_step(

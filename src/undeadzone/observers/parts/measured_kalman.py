@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Reading
+from undeadzone.numerics.doubtful import Weighed
 from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
@@ -35,10 +36,17 @@ from undeadzone.observers.parts.limited_reading import (
     use_limits,
 )
 from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
-from undeadzone.observers.parts.member import Member, Step, likelihood
+from undeadzone.observers.parts.member import Member, Step, log_density
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
+from undeadzone.observers.parts.smoothing import (
+    Moments,
+    Smoothing,
+    rows_at,
+    shown_of,
+    slope_at,
+)
 from undeadzone.observers.parts.unknown_actuator import (
     SAME,
     Zones,
@@ -101,11 +109,27 @@ def measured_filter(
     params = params._replace(
         lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior), zones=zones
     )
-    return Member(params, init, partial(filter_step, setup))
+    smoothing = Smoothing(
+        moments=partial(moments, setup),
+        odds=lambda s: np.zeros(1),
+        record=lambda s: (),
+        shown=lambda q, beliefs, share, record: shown_of(setup, q, beliefs[0]),
+    )
+    return Member(params, init, partial(filter_step, setup), smoothing)
 
 
-def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
-    """One sample: correct by the reading, use what bounds, estimate, predict."""
+class Taken(NamedTuple):
+    """What a reading says: itself (p), its sure side (p), the beliefs before and after it."""
+
+    y: Any
+    side: Any
+    before: Gaussian
+    corrected: Weighed
+    heard: Heard
+
+
+def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
+    """What is known given a reading, and what it bounds."""
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y, 0.0)
     side = side_taken(setup, q, s, reading, y, seen)
@@ -116,6 +140,28 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         heard = with_bounds(setup, q, s, heard, reading, y, side)
     if setup.limited:
         heard = heard._replace(trust=distrusted(heard.trust, reading))
+    return Taken(y, side, before, corrected, heard)
+
+
+def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[Moments, ...]:
+    """What the filter knows about one sample, for a smoother."""
+    taken = taken_in(setup, q, s, reading)
+    corrected, heard = taken.corrected, taken.heard
+    rows, edges = rows_at(setup, q, taken.before.mean, taken.side)
+    restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))[2]
+    log = heard.log
+    if not setup.doubts:
+        log = log_density(corrected.e, corrected.std)
+    slope = slope_at(setup, q, heard.belief, u)
+    known = Moments(
+        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted
+    )
+    return (known,)
+
+
+def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
+    """One sample: correct by the reading, use what bounds, estimate, predict."""
+    y, side, _, corrected, heard = taken_in(setup, q, s, reading)
     shown, fits = shown_belief(setup, q, heard.belief)
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
@@ -128,7 +174,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     return Step(
         state=after,
         estimate=estimated,
-        log=heard.log if setup.doubts else likelihood(estimated),
+        log=heard.log if setup.doubts else log_density(e, std),
         trust=heard.trust,
         fits=fits,
         restarted=restarted,

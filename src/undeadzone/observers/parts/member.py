@@ -39,17 +39,20 @@ class Member(NamedTuple):
         params: its numbers, `Params`.
         init: init(params) is the state at t = 0.
         step: step(params, state, u, reading) is a `Step`.
+        smoothing: what a smoother of a whole log asks, `Smoothing`; None: nothing smooths it.
     """
 
     params: Any
     init: Callable[[Any], Any]
     step: Callable[[Any, Any, Any, Reading], Step]
+    smoothing: Any = None
 
 
-def likelihood(estimated: Estimate) -> Any:
+def log_density(e: Any, std: Any) -> Any:
     """The log of the density of the readings that were used, up to a constant.
 
-    An innovation of 0 was not used.
+    Args:
+        e: innovations (p); one of 0 was not used.
+        std: their standard deviations (p).
     """
-    e, std = estimated.innovation, estimated.innovation_std
     return ca.sum1(ca.if_else(e != 0, -((e / std) ** 2) / 2 - ca.log(std), 0.0))

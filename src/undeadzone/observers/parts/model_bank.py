@@ -12,7 +12,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Reading
+from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.member import Member, Step
+from undeadzone.observers.parts.smoothing import Moments, Smoothing
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 
@@ -46,7 +48,7 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         for variant, state in zip(variants, s.members, strict=True):
             steps.append(member.step(variant(q), state, u, reading))
         odds = s.odds + ca.vertcat(*(one.log for one in steps))
-        odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
+        odds = likely(odds)
         share = ca.exp(odds)
         share = share / ca.sum1(share)
         return Step(
@@ -59,7 +61,30 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
             opened=sum(one.opened for one in steps) > 0,
         )
 
-    return Member(member.params, init, step)
+    return Member(member.params, init, step, _smoothing(member.smoothing, variants))
+
+
+def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:
+    """The bank as a smoother takes it."""
+
+    def moments(q: Any, s: State, u: Any, reading: Reading) -> tuple[Moments, ...]:
+        every: list[Moments] = []
+        for variant, state in zip(variants, s.members, strict=True):
+            every += member.moments(variant(q), state, u, reading)
+        return tuple(every)
+
+    def shown(q: Any, beliefs: Sequence[Gaussian], share: Any, record: Any) -> Estimate:
+        each = []
+        for variant, belief in zip(variants, beliefs, strict=True):
+            each.append(member.shown(variant(q), [belief], 1.0, record))
+        return mixture(each, share)
+
+    return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)
+
+
+def likely(odds: Any) -> Any:
+    """Log odds, 0 for the best member and not below what the worst one keeps (K)."""
+    return ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
 
 
 def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:

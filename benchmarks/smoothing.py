@@ -1,0 +1,133 @@
+"""What the smoother gains over the filter, and whether its intervals hold, on random problems.
+
+`python -m benchmarks.smoothing FOLDER` keeps every part in the folder and goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.coverage import ROUNDING
+from benchmarks.glitches import doubting, from_ranges
+from benchmarks.honest_problems import KINDS, problems
+from benchmarks.markdown import head, row
+from benchmarks.random_problems import Problems
+from undeadzone.interfaces import Estimate, graph_of
+from undeadzone.plants.options import Plant
+from undeadzone.sensor import Sensor
+from undeadzone.simulation.online import Online, built_for
+from undeadzone.simulation.smoother import Smoothed, smooth
+from undeadzone.support.arrays import Floats
+
+ORDERS = (1, 2, 3)
+CLAIMS = {"told": doubting, "ranges alone": from_ranges}
+EVERY = 10  # samples between those at which intervals are looked at
+
+
+class Part(NamedTuple):
+    """What filter and smoother make of the problems of one kind.
+
+    Attributes:
+        held: share of the samples at which intervals of z, d_r, d_l hold, of both (K x 2 x 3)
+        rms: of z - z^, of both, over the mean width (K x 2)
+    """
+
+    held: Floats
+    rms: Floats
+
+
+def part(claims: Callable[[Problems, int], Any], kind: str, count: int, seed: int) -> Part:
+    """Problems of one kind, `count` of each order."""
+    held, rms = [], []
+    for order in ORDERS:
+        posed = problems(KINDS[kind], order, count, seed)
+        for k in range(count):
+            one = of_problem(claims, posed, k)
+            held.append(one.held)
+            rms.append(one.rms)
+    return Part(np.array(held), np.array(rms))
+
+
+def of_problem(claims: Callable[[Problems, int], Any], posed: Problems, k: int) -> Part:
+    """What both make of one problem."""
+    right, left = posed.ranges[k, :, 1]
+    sensor = Sensor(right=right, left=left, noise=posed.noise[k])
+    parts = (claims(posed, k), Plant(**posed.models[k]._asdict()), sensor, posed.step[k], 10)
+    model, zone, observer = built_for(*parts)
+    y, u = posed.y[:, k : k + 1], posed.u[:, k : k + 1]
+    causal, _ = Online(*parts).update_many(y, u)
+    smoothed = smooth(model, graph_of(observer), zone, y, u)
+    truth = np.column_stack([posed.z[:, k], np.tile(posed.d[k], (len(y), 1))])
+    held, rms = [], []
+    for mean, std in (_of_filter(causal), _of_smoother(smoothed)):
+        error = np.abs(mean - truth)
+        held.append((error <= 1.96 * std + ROUNDING)[::EVERY].mean(axis=0))
+        rms.append(np.sqrt(np.mean(error[:, 0] ** 2)) / posed.d[k].mean())
+    return Part(np.array(held), np.array(rms))
+
+
+def _of_filter(known: Estimate) -> tuple[Floats, Floats]:
+    """Means and deviations of z, d_r, d_l (N x 3): the first state is z."""
+    mean = np.hstack([known.z, known.right, known.left])
+    return mean, np.hstack([known.x_std[:, :1], known.right_std, known.left_std])
+
+
+def _of_smoother(known: Smoothed) -> tuple[Floats, Floats]:
+    """Means and deviations of z, d_r, d_l (N x 3)."""
+    return np.hstack([known.z, known.d]), np.hstack([known.x_std[:, :1], known.d_std])
+
+
+def kept(folder: Path | None, claims: str, kind: str, count: int, seed: int) -> Part:
+    """`part`, from the folder if it is there already."""
+    if folder is None:
+        return part(CLAIMS[claims], kind, count, seed)
+    path = folder / f"{claims}, {kind}, {count} of seed {seed}.npz".replace(" ", "_")
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *part(CLAIMS[claims], kind, count, seed))
+        print(path.name, file=sys.stderr, flush=True)
+    with np.load(path) as arrays:
+        return Part(*arrays.values())
+
+
+def table(count: int = 10, seed: int = 0, folder: Path | None = None) -> str:
+    """The table, from `count` problems of each order a row."""
+    rows = []
+    for claims in CLAIMS:
+        for kind in KINDS:
+            rows.append(_row(claims, kind, kept(folder, claims, kind, count, seed)))
+    columns = ("z", "d_r", "d_l", "rms, times the filter's", "not worse")
+    lines = [
+        "## The smoother beside the filter",
+        "",
+        f"`censored`, {count} problems of each order from {ORDERS[0]} to {ORDERS[-1]} a row. Share"
+        " of the samples at which 95 % intervals hold: filter / smoother; median ratio of the rms"
+        " of z - z^, and in how many problems the smoother's is not above the filter's by more than"
+        " 1 %.",
+        "",
+        *head("world", "claims", *columns),
+        *rows,
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _row(claims: str, kind: str, one: Part) -> str:
+    """A line of the table."""
+    cells = []
+    for k in range(3):
+        filtered, smoothed = one.held[:, :, k].mean(axis=0)
+        cells.append(f"{filtered:.3f} / {smoothed:.3f}")
+    ratio = one.rms[:, 1] / one.rms[:, 0]
+    return row(
+        kind, claims, *cells, f"{np.median(ratio):.2f}", f"{(ratio <= 1.01).sum()} of {ratio.size}"
+    )
+
+
+if __name__ == "__main__":
+    print(table(folder=Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -1,0 +1,101 @@
+"""From the moments of a filter to those given the whole record, by adjoint variables."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.support.arrays import Floats
+
+TINY = 1e-12  # relative eigenvalues below which a covariance tells nothing of a direction
+EXACT = 1e-8  # standard deviations within which a reading moved a belief along its rows alone
+
+
+class Later(NamedTuple):
+    """What later samples say of a belief of mean m and covariance P of N variables.
+
+    Given them, its mean is m + P push and its covariance P - P known P.
+
+    Attributes:
+        push: (N).
+        known: (N x N).
+    """
+
+    push: Floats
+    known: Floats
+
+    @classmethod
+    def nothing(cls, size: int) -> Later:
+        """There are no later samples."""
+        return cls(np.zeros(size), np.zeros((size, size)))
+
+
+def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
+    """The beliefs at B samples given later ones, and what all say of the first belief.
+
+    Args:
+        moments: `Moments` of a filter, with arrays of a row a sample.
+        later: what the samples after these say of the belief after the last motion.
+
+    Returns:
+        Means (B x N), covariances (B x N x N), and what is said of the belief before the first
+        reading.
+    """
+    read_push, read_known = told(moments.before, moments.read, moments.rows)
+    edge_push, edge_known = told(moments.read, moments.heard, moments.edges)
+    count, size = moments.before.mean.shape
+    mean, cov = np.empty((count, size)), np.empty((count, size, size))
+    unit = np.eye(size)
+    push, known = later
+    for k in range(count - 1, -1, -1):
+        F = unit + moments.slope[k]
+        push, known = F.T @ push, F.T @ known @ F
+        fine = np.isfinite(push).all() and np.isfinite(known).all()
+        if moments.restarted[k, 0] or not fine:
+            push, known = np.zeros(size), np.zeros((size, size))
+        P = moments.heard.cov[k]
+        mean[k] = moments.heard.mean[k] + P @ push
+        cov[k] = P - P @ known @ P
+        stages = ((edge_push, edge_known, moments.read), (read_push, read_known, moments.before))
+        for more, gained, belief in stages:
+            closed = unit - gained[k] @ belief.cov[k]
+            push = more[k] + closed @ push
+            known = gained[k] + closed @ known @ closed.T
+    return mean, cov, Later(push, known)
+
+
+def told(before: Any, after: Any, rows: Floats) -> tuple[Floats, Floats]:
+    """(push, known) that make `after` from `before`, as of `Later`, at each of B samples.
+
+    Args:
+        before, after: beliefs (means B x N, covariances B x N x N).
+        rows: along whose covariances the belief mostly moves (B x r x N).
+    """
+    P = before.cov
+    lost, gained = P - after.cov, after.mean - before.mean
+    along = P @ np.swapaxes(rows, 1, 2)
+    seen = rows @ along
+    scale = np.sqrt(np.maximum(np.diagonal(seen, axis1=1, axis2=2), 0.0)) + 1e-300
+    square = scale[:, :, None] * scale[:, None, :]
+    fine = np.isfinite(seen).all(axis=(1, 2)) & np.isfinite(lost).all(axis=(1, 2))
+    inverse = _inverse(np.where(fine[:, None, None], seen / square, 0.0))
+    weight = inverse @ (rows @ lost @ np.swapaxes(rows, 1, 2) / square) @ inverse / square
+    shift = (inverse @ ((rows @ gained[:, :, None]) / scale[:, :, None])) / scale[:, :, None]
+    push = (np.swapaxes(rows, 1, 2) @ shift)[:, :, 0]
+    known = np.swapaxes(rows, 1, 2) @ weight @ rows
+    std = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0)) + 1e-300
+    pairs = std[:, :, None] * std[:, None, :]
+    off = np.abs(lost - along @ weight @ np.swapaxes(along, 1, 2)) / pairs
+    rest = np.abs(gained - (along @ shift)[:, :, 0]) / std
+    otherwise = fine & ((off.max(axis=(1, 2)) > EXACT) | (rest.max(axis=1) > EXACT))
+    for k in np.flatnonzero(otherwise):
+        whole = _inverse(P[k] / pairs[k]) / pairs[k]
+        push[k] = whole @ gained[k]
+        known[k] = whole @ lost[k] @ whole
+    return push, known
+
+
+def _inverse(matrices: Floats) -> Floats:
+    """Pseudo-inverses of symmetric matrices of unit diagonal."""
+    return np.asarray(np.linalg.pinv(matrices, rcond=TINY, hermitian=True))
