@@ -164,24 +164,20 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     )
 
 
-def believed(model: ActuatorModel | None, actuator: Actuator | None, m: int) -> Belief | None:
-    """What is known of the actuator; None where neither table is given.
+def believed(told: ActuatorModel | None, m: int) -> Belief | None:
+    """What is known of the actuator; None where there is none.
 
     Args:
-        model: [model.actuator].
-        actuator: [actuator], whose keys stand for those that the model lacks.
+        told: as a user tells it; an absent width is 0.
         m: number of inputs.
 
     Raises:
         InputError: or a subclass, that names the key.
     """
-    if model is None:
-        return None if actuator is None else Belief(resolve_actuator(actuator, m), None)
-    own = actuator or Actuator()
-    keys = ActuatorModel.__struct_fields__
-    filled = {key: getattr(own, key) for key in keys if getattr(model, key) is None}
-    told = msgspec.structs.replace(model, **filled)
-    ranges = [_range(f"model.actuator.{side}", getattr(told, side), m) for side in SIDES]
+    if told is None:
+        return None
+    widths = [_known(getattr(told, side)) for side in SIDES]
+    ranges = [_range(f"model.actuator.{s}", w, m) for s, w in zip(SIDES, widths, strict=True)]
     if ranges[0] is None and ranges[1] is None:
         return Belief(resolve_actuator(told, m, "model.actuator"), None)
     found = []

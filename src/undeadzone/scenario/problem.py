@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.actuator import Belief, Drive, believed, resolve_actuator
+from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers import Controller
 from undeadzone.errors import InputError
@@ -136,10 +136,20 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     )
 
 
+def known_actuator(scenario: Scenario) -> ActuatorModel | None:
+    """What is known of the actuator, in a user's words; None where there is none."""
+    told = None if scenario.model is None else scenario.model.actuator
+    if scenario.actuator is None:
+        return told
+    own = {key: getattr(scenario.actuator, key) for key in ActuatorModel.__struct_fields__}
+    if told is not None:
+        own |= {key: value for key in own if (value := getattr(told, key)) is not None}
+    return ActuatorModel(**own)
+
+
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:
     """The actuator and what is known of it; None where there is none. Raises InputError."""
-    told = None if scenario.model is None else scenario.model.actuator
-    belief = believed(told, scenario.actuator, inputs)
+    belief = believed(known_actuator(scenario), inputs)
     if scenario.actuator is None:
         return None, belief
     drive = resolve_actuator(scenario.actuator, inputs)

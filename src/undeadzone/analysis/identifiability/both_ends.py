@@ -71,17 +71,19 @@ def both_ends(
     first = n + 2 * len(visited) + constant.shape[1]
     outputs = []
     for i in range(len(visited)):
-        known = {name: hidden.width(i, name) for name in DIRECTIONS}
-        outputs.append(Verdict(**known, reasons=()))
+        right, left, width, centre = (hidden.width(i, name) for name in DIRECTIONS)
+        outputs.append(Verdict(right, left, width, centre, reasons=()))
     inputs = []
     for i in range(m):
-        known = {}
+        seen: dict[str, bool] = {}
         for name, pair in DIRECTIONS.items():
             direction = np.zeros(hidden.scale.size)
             if drives:
                 direction[[first + i, first + m + i]] = pair
-            known[name] = bool(drives) and hidden.sees(direction)
-        inputs.append(Verdict(**known, reasons=()))
+            seen[name] = bool(drives) and hidden.sees(direction)
+        inputs.append(
+            Verdict(seen["right"], seen["left"], seen["width"], seen["centre"], reasons=())
+        )
     reason = _reason(outputs, inputs, modes)
     return BothEnds(*([one._replace(reasons=reason) for one in part] for part in (outputs, inputs)))
 

@@ -17,6 +17,7 @@ from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.observers.parts.gaussian_filter import Params, motion, to_estimate
 from undeadzone.observers.parts.measured_reading import beyond_edge
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief
+from undeadzone.observers.parts.unknown_actuator import entering
 
 
 class Moments(NamedTuple):
