@@ -32,7 +32,14 @@ PROJECT = (
 )
 FIRST = {
     "Start": ["index.md", "install.md", "tour.md", "which.md", "glossary.md", "faq.md"],
-    "The problem": ["model.md", "observer.md", "identifiability.md", "adaptation.md"],
+    "The problem": [
+        "model.md",
+        "play.md",
+        "actuator.md",
+        "observer.md",
+        "identifiability.md",
+        "adaptation.md",
+    ],
     "Proof and speed": ["certificate.md", "rates.md"],
     "Logs": ["identify.md", "watch.md", "filters.md"],
     "Studies": ["simulation.md", "ensemble.md", "tune.md", "arena.md", "robots.md"],

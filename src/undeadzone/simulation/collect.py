@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.both_ends import BothEnds, both_ends, modes_visited
-from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
@@ -20,7 +20,12 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.simulation.scales import plant_scales
-from undeadzone.simulation.verdicts import by_claims, constant_inputs, linear_verdicts
+from undeadzone.simulation.verdicts import (
+    as_far_as_known,
+    by_claims,
+    constant_inputs,
+    linear_verdicts,
+)
 from undeadzone.support.arrays import Floats
 
 
@@ -38,7 +43,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
-        return _both_ends(problem, signal, schedule).outputs
+        return _both_ends(problem, signal, schedule)
     return linear_verdicts(problem, schedule, np.ones(problem.model.p))
 
 
@@ -48,15 +53,26 @@ def actuator_unknown(problem: Problem) -> bool:
     return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
 
 
-def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> BothEnds:
-    """What a run's readings tell of the widths of sensor and actuator."""
+def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+    """What a run's readings tell of the sensor's widths where the actuator's are not known.
+
+    The deviations are those that the filter claims in the end.
+    """
     linear, belief = problem.model.linear, problem.belief
     assert belief is not None
     drive = belief.drive if problem.actuator is None else problem.actuator
     visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
     modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
     bias = constant_inputs(problem, linear.B)
-    return both_ends(linear, schedule, modes, drive, bias)
+    outputs = both_ends(linear, schedule, modes, drive, bias).outputs
+    e = signal.estimate
+    claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
+    judged = []
+    for i, (right, left, width) in enumerate(claimed):
+        centre = np.sqrt(max(2 * (right**2 + left**2) - width**2, 0.0))
+        std = dict(zip(DIRECTIONS, map(float, (right, left, width, centre)), strict=True))
+        judged.append(as_far_as_known(problem, schedule, outputs[i], i, std))
+    return judged
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
