@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import margin
+from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.error_dynamics import dynamics
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices

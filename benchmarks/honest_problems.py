@@ -205,12 +205,16 @@ def _run(rng: np.random.Generator, kind: Kind, posed: Problems, plants: Plants) 
 
 
 def in_unit(posed: Problems, unit: Floats) -> Problems:
-    """The same problems with so many seconds for one of their own (K)."""
+    """The same problems with so many seconds for one of their own (K).
+
+    The rows that only name a derivative stay as they are, to the last bit: they are exact.
+    """
     order = posed.x.shape[1]
     powers = unit[:, None] ** -np.arange(order)
     models = []
     for model, one, T in zip(posed.models, unit, powers, strict=True):
-        A = T[:, None] * model.A / T / one
+        A = model.A.copy()
+        A[-1] = T[-1] * A[-1] / T / one
         models.append(Matrices(A, T[:, None] * model.B / one, model.C / T))
     return posed._replace(
         models=models,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import casadi as ca
 import msgspec
@@ -23,30 +24,49 @@ UNITS = ("sensor.slope", "sensor.threshold", "observer.slope", "observer.thresho
 FINER = 16
 
 
-def prepare(
+class Program(NamedTuple):
+    """What a run of the lanes engine is given.
+
+    Attributes:
+        kernel: compiled
+        states: at the beginning
+        exogenous: w of each step
+        params: p
+    """
+
+    kernel: lanes.Kernel
+    states: Floats
+    exogenous: Floats
+    params: Floats
+
+
+def made(
     work: Work,
     *,
     step: str = "located",
     order: int = 4,
-    width: int = lanes.WIDTH,
+    width: int | None = None,
     known: bool = False,
-    threads: int = 1,
     every: int = 1,
-) -> Callable[[], Result]:
+) -> Program:
+    """The work compiled: `prepare` has the options."""
+    kernel, exogenous, params = _kernel(_with(work, step, order), width, known, every)
+    states = np.hstack([work.states, np.zeros((len(work.states), 1))])
+    return Program(kernel, states, exogenous, params)
+
+
+def prepare(work: Work, *, threads: int = 1, **options: Any) -> Callable[[], Result]:
     """The work made ready on the lanes engine.
 
     Args:
         work: what is done
-        step: located, plain or sampled
-        order: 4 for RK4, more for Taylor series
-        width: lanes of a block
-        known: zeros and ones of plant and observer are known when compiled, as in ensembles; else
-            they are read at run time
         threads: on which it runs
-        every: the rms is taken from each so many-th step
+        options: step: located, plain or sampled; order: 4 for RK4, more for Taylor series; width:
+            lanes of a block; known: zeros and ones of plant and observer are known when compiled,
+            as in ensembles, else they are read at run time; every: the rms is taken from each so
+            many-th step
     """
-    kernel, exogenous, params = _kernel(_with(work, step, order), width, known, every)
-    states = np.hstack([work.states, np.zeros((len(work.states), 1))])
+    kernel, states, exogenous, params = made(work, **options)
     count = exogenous[:, -1].sum()
 
     def run() -> Result:
@@ -70,7 +90,9 @@ def truth(work: Work) -> Result:
     return prepare(draw(runs, duration, n=n, step=work.step / FINER), every=FINER)()
 
 
-def _kernel(work: Work, width: int, known: bool, every: int) -> tuple[lanes.Kernel, Floats, Floats]:
+def _kernel(
+    work: Work, width: int | None, known: bool, every: int
+) -> tuple[lanes.Kernel, Floats, Floats]:
     """(kernel, exogenous inputs with 1 where the rms is taken, params)."""
     loop, _, shared = prepare_run(work.problem)
     shared = shared[: len(work.targets)]

@@ -565,6 +565,16 @@ def run(*arguments: str | Path) -> Any:
     return CliRunner().invoke(group, ["arena", *map(str, arguments)], catch_exceptions=False)
 
 
+def test_the_template_leaves_certified_a_gain_that_is_certified(tmp_path: Path) -> None:
+    """Sampled at 100 Hz the tuned multiple is too large: it was run, and diverged."""
+    text = (ROOT / "src/undeadzone/template.toml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("duration = 20.0 ", "duration = 5.0 "), encoding="utf-8")
+    done = json.loads(run(path, "--methods", "certified", "--seeds", "1", "--json").stdout)
+    (row,) = [row for row in done["leaderboard"] if row["method"] == "certified"]
+    assert row["median_regret"] < 0.1
+
+
 def test_json_has_every_run_and_every_method(mine: Path) -> None:
     done = json.loads(run(mine, "--methods", "ekf,certified", "--seeds", "2", "--json").stdout)
     assert {(r["method"], r["scenario"], r["seed"]) for r in done["results"]} == {

@@ -19,11 +19,11 @@ from undeadzone.analysis.certificate.passivity import (
     Certificate,
     certify,
     certify_dynamics,
-    margin,
     passive_gain,
     recheck,
 )
 from undeadzone.analysis.certificate.stability import defective
+from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
@@ -200,6 +200,21 @@ def test_margin_of_several_outputs_is_the_best_over_weights(seed: int) -> None:
     for _ in range(100):
         other = found.W * np.exp(rng.normal(size=3) * 10 ** rng.uniform(-2, 0.5))
         assert margin(found.dynamics, other)[0] <= found.margin + 1e-5 * max(1, abs(found.margin))
+
+
+@pytest.mark.parametrize("Ts", [None, 0.01])
+@pytest.mark.parametrize("slow", [7e-9, 1e-4, 0.3])
+def test_weights_are_found_however_slow_a_pole_is(slow: float, Ts: float | None) -> None:
+    """Equal weights fail, others certify."""
+    model = Matrices(np.diag([-1.0, -slow]), np.ones((2, 1)), np.array([[1.4, 0.7], [-0.5, 1.4]]))
+    L = np.array([[0.1, 1.5], [0.0, slow]])
+    linear = model if Ts is None else zoh(model, Ts)
+    found = certify(linear, L, np.ones(2), Ts)
+    assert certify_dynamics(found.dynamics, np.ones(2)).margin < 0
+    assert found.certified
+    ratios = 10 ** np.linspace(-3, 3, 601)
+    tried = [margin(found.dynamics, np.array([1.0, ratio]))[0] for ratio in ratios]
+    assert found.margin >= max(tried) - 1e-6
 
 
 def test_decoupled_outputs_have_the_least_of_their_margins() -> None:

@@ -84,7 +84,7 @@ def test_the_package_runs_as_the_command_does(option: str, code: int) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "casadi", "scipy", "numba", "matplotlib", "rich")
+    heavy = ("numpy", "casadi", "scipy", "llvmlite", "matplotlib", "rich")
     code = f"import sys\nimport undeadzone.cli\nprint([m for m in {heavy} if m in sys.modules])"
     assert (
         subprocess.run(
@@ -98,7 +98,7 @@ def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
         f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "heavy = 'numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "heavy = 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (

@@ -123,11 +123,11 @@ def test_batches_are_neither_too_short_nor_too_large_and_end_together(
 def test_workers_with_other_versions_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
-    here = dask_cluster.versions() | {"numba": "0.1", "casadi": "3.0"}
+    here = dask_cluster.versions() | {"llvmlite": "0.1", "casadi": "3.0"}
     monkeypatch.setattr(dask_cluster, "versions", lambda: here)
     words = (
         r"a worker of the cluster has other versions: "
-        r"casadi [\d.]+ there, 3\.0 here, numba [\d.]+ there, 0\.1 here"
+        r"casadi [\d.]+ there, 3\.0 here, llvmlite [\d.]+ there, 0\.1 here"
     )
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     with pytest.raises(ClusterError, match=words):

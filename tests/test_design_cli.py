@@ -365,7 +365,7 @@ def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None
         "import sys\nfrom undeadzone.cli import group\n"
         f"arguments = ['check', {str(paper())!r}, '--no-figures', '--json']\n"
         "group.main(arguments, standalone_mode=False)\n"
-        "heavy = 'numba', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "heavy = 'llvmlite', 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (

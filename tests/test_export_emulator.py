@@ -106,3 +106,16 @@ def test_instructions_stack_warnings_and_libraries(name: str, tmp_path: Path) ->
     assert most >= mean
     assert most <= instructions, (mean, most, stack)
     assert stack <= bytes_of_stack, (mean, most, stack)
+
+
+def test_make_size_tells_the_flash_of_a_cortex_m4f(tmp_path: Path) -> None:
+    export.export(case("certified"), "c", tmp_path / "fw", "single", name="joint")
+    done = subprocess.run(
+        ["make", "-s", "size"], cwd=tmp_path / "fw", capture_output=True, text=True, check=True
+    )
+    heads, values = done.stdout.strip().split("\n")
+    sizes = dict(zip(heads.split(), values.split(), strict=True))
+    assert 100 < int(sizes["text"]) < 5000
+    assert sizes["data"] == sizes["bss"] == "0"
+    assert sizes["filename"] == "joint_target.o"
+    assert "make size" in (tmp_path / "fw" / "README.md").read_text(encoding="utf-8")

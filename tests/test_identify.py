@@ -20,7 +20,12 @@ from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_likelihood import KalmanObjective
 from undeadzone.identification.kalman_smoother import innovations
 from undeadzone.identification.likelihood import Noise, Readings, behind, pairs, singles
-from undeadzone.identification.long_run import long_run_covariance, sandwich
+from undeadzone.identification.long_run import (
+    Spread,
+    long_run_covariance,
+    quantile,
+    sandwich,
+)
 from undeadzone.identification.normal_mass import log_difference, log_rectangle
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.plant_fit import Data, Layout, Simulator
@@ -221,6 +226,50 @@ def test_intervals_of_a_mean_hold_under_first_order_noise() -> None:
         naive += abs(mean) <= 1.96 * e.std() / math.sqrt(e.size)
     assert 0.91 <= robust / 300 <= 0.985
     assert naive / 300 < 0.7
+
+
+def of_a_regression(rng: np.random.Generator, passages: int) -> tuple[float, Spread]:
+    """The estimate of a coefficient that is 0, of a regressor that is on in stretches of 15."""
+    rows = lfilter([1.0], [1.0, -0.8], rng.standard_normal((1500, 6)), axis=0)
+    rows[:, 0] = 0.0
+    for first in rng.integers(0, 1485, passages):
+        rows[first : first + 15, 0] = 1.0
+    e = rng.standard_normal(1500)
+    fitted = np.linalg.lstsq(rows, e, rcond=None)[0]
+    e -= rows @ fitted
+    variance = float(np.mean(e**2))
+    return float(fitted[0]), sandwich(rows * e[:, None] / variance, rows.T @ rows / variance)
+
+
+@pytest.mark.parametrize(("passages", "uncorrected"), [(4, 0.90), (20, 0.95)])
+def test_intervals_of_few_passages_hold(passages: int, uncorrected: float) -> None:
+    """With K degrees of freedom and no correction of the bias they would not (docs/identify.md)."""
+    rng, one = np.random.default_rng(6), np.eye(6)[0]
+    held, plain = 0, 0
+    for _ in range(400):
+        value, spread = of_a_regression(rng, passages)
+        held += abs(value) <= spread.half_width(one)
+        plain += abs(value) <= quantile(spread.degrees) * math.sqrt(spread.V[0, 0])
+    assert 0.92 <= held / 400 <= 0.98
+    assert plain / 400 < uncorrected
+
+
+def test_what_few_passages_leave_is_as_it_is_defined() -> None:
+    _, spread = of_a_regression(np.random.default_rng(7), 5)
+    K, scores = spread.degrees, spread.scores
+    variance, degrees = spread.accuracy(np.eye(6)[0])
+    told = scores @ spread.naive[:, 0]
+    time = (np.arange(told.size) + 0.5) / told.size
+    cosines = np.cos(np.pi * np.outer(np.arange(1, K + 1), time))
+    shared = (cosines * told**2) @ cosines.T
+    thrice = 2 / 3 * np.sum(told**4 * np.sum(cosines**2, axis=0) ** 2)
+    expected = (np.trace(shared) ** 2 - thrice) / (np.sum(shared**2) - thrice)
+    assert degrees == pytest.approx(expected, rel=1e-9)
+    white = np.linalg.solve(np.linalg.cholesky(scores.T @ scores), scores.T)
+    used = np.sum(((cosines * told) @ white.T) ** 2)
+    used -= 2 / 3 * np.sum(np.sum(cosines**2, axis=0) * np.sum(white**2, axis=0) * told**2)
+    kept = 1 - 2 * used / K / np.sum(told**2)
+    assert variance == pytest.approx(spread.V[0, 0] / kept, rel=1e-9)
 
 
 def test_long_run_covariance_is_that_of_the_cosines() -> None:

@@ -166,8 +166,8 @@ def test_other_versions_of_packages_are_another_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stored(tmp_path / "runs.partial").close()
-    monkeypatch.setattr(journal, "versions", lambda: {"numba": "0.1"})
-    with pytest.raises(InputError, match=r"numba: [\d.]+ there, 0\.1 here"):
+    monkeypatch.setattr(journal, "versions", lambda: {"llvmlite": "0.1"})
+    with pytest.raises(InputError, match=r"llvmlite: [\d.]+ there, 0\.1 here"):
         again(tmp_path / "runs.partial")
 
 
@@ -318,7 +318,7 @@ IMPORTS = """
 import sys
 sys.modules["fcntl"] = sys.modules["distributed"] = None
 import undeadzone.ensemble.blocks.run_blocks
-print([name for name in ("numba", "scipy", "casadi", "dask") if name in sys.modules])
+print([name for name in ("llvmlite", "scipy", "casadi", "dask") if name in sys.modules])
 """
 
 

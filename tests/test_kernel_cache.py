@@ -15,24 +15,26 @@ from undeadzone.engine import cache, cache_folder
 
 KINDS = ("float64", "float64*")
 SOURCE = """
-from numba import carray
-def block(value, result):
-    carray(result, (1,))[0] = {factor} * value
+define void @block(double %value, ptr %result) {{
+  %product = fmul double {factor:e}, %value
+  store double %product, ptr %result
+  ret void
+}}
 """
-PLANTED = -1.0  # what planted code gives, 6 what the source says
+PLANTED = -3.0  # what planted code gives, 6 what the source says
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.load.cache_clear()
+    cache.made.cache_clear()
     yield tmp_path / "kernels"
-    cache.load.cache_clear()
+    cache.made.cache_clear()
 
 
 def computed(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
-    cache.load.cache_clear()
+    cache.made.cache_clear()
     block = cache.load(SOURCE.format(factor=factor), KINDS)
     result = np.zeros(1)
     block(3.0, result)

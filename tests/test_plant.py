@@ -121,6 +121,13 @@ def test_interop_round_trips_and_refusals() -> None:
     assert response(ours, 2j)[0, 0] == pytest.approx(theirs(2j))
     assert control.poles(to_control(plant)) == pytest.approx(np.linalg.eigvals(matrices(plant).A))
     assert from_scipy(to_scipy(plant), x0=[1, 2, 3]).x0 == [1, 2, 3]
+    of_scipy = scipy.signal.TransferFunction([2.0], [1.0, 3.0, 5.0])
+    for taken in (from_control(theirs), from_scipy(of_scipy)):
+        assert response(matrices(taken), 2j)[0, 0] == pytest.approx(theirs(2j))
+    with pytest.raises(InputError, match=r"uz\.Plant\(A=\.\.\., B=\.\.\., C=\.\.\.\)"):
+        from_control([[0, 1], [-1, -2]])
+    with pytest.raises(InputError, match="no state space"):
+        from_control(control.tf([1.0, 0.0, 0.0], [1.0, 1.0]))
     with pytest.raises(InputError, match=r"found sample time 0\.1"):
         from_control(control.ss(theirs).sample(0.1))
     with pytest.raises(InputError, match="D must be 0"):

@@ -21,6 +21,7 @@ from tests.scenes import scene
 from undeadzone.arena.contest import run_contest
 from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.identification.identify import identify
+from undeadzone.identification.intervals import profile
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
@@ -204,6 +205,15 @@ def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_pat
     kept = path.stat().st_size
     assert identified(path) == whole
     assert path.stat().st_size == kept  # nothing was climbed to again
+
+
+def test_what_is_asked_of_the_answer_later_is_computed(tmp_path: Path) -> None:
+    path = tmp_path / "identify.json.partial"
+    found = identify(**logged(), order=1, keep=path)
+    fall = profile(found.answer.fit, "right", np.array([found.answer.fit.right + 0.02]))
+    assert fall[0] < 0
+    again = identify(**logged(), order=1)
+    assert fall == profile(again.answer.fit, "right", np.array([again.answer.fit.right + 0.02]))
 
 
 def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:

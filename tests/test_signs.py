@@ -32,7 +32,7 @@ from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
 from undeadzone.observers.parts import interval_step
-from undeadzone.observers.parts.member import likelihood
+from undeadzone.observers.parts.member import log_density
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.widths import bounded_widths
@@ -199,9 +199,8 @@ def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
 
 def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
     e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 3.0, 1.0])
-    estimated: Any = SimpleNamespace(innovation=ca.DM(e), innovation_std=ca.DM(std))
     expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
-    assert float(likelihood(estimated)) == pytest.approx(expected)
+    assert float(log_density(ca.DM(e), ca.DM(std))) == pytest.approx(expected)
 
 
 def test_an_evolution_takes_no_point_that_is_not_finite() -> None:

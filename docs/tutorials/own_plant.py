@@ -9,7 +9,7 @@ import control
 
 import undeadzone as uz
 
-motor = control.tf2ss(control.tf([2.0], [0.05, 1.0, 2.0]))
+motor = control.tf([2.0], [0.05, 1.0, 2.0])
 scenario = uz.Scenario(
     title="Motor with a position spring",
     plant=uz.from_control(motor),

@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import passive_gain
-from undeadzone.arena.prior_knowledge import PriorKnowledge
+from undeadzone.analysis.certificate.passivity import certify, passive_gain
+from undeadzone.arena.prior_knowledge import UNITS, PriorKnowledge
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
 from undeadzone.errors import InputError
 from undeadzone.observers import (
@@ -89,8 +89,14 @@ def _by_speed(prior: PriorKnowledge, knobs: Knobs) -> Options:
 
 
 def _passive(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """L in a certified direction, any multiple of which is certified; for stable plants only."""
-    return {"observer.L": knobs["gain"] * passive_gain(prior.model.linear, prior.model.Ts)}
+    """L in a certified direction, so strong that it stays certified; for stable plants only."""
+    linear, Ts = prior.model.linear, prior.model.Ts
+    direction = passive_gain(linear, Ts)
+    gamma = np.full(prior.model.p, knobs["observer.gamma"] * UNITS[GAIN.unit](prior))
+    gain = knobs["gain"]
+    while gain > 1 and not certify(linear, gain * direction, gamma, Ts).certified:
+        gain /= 2  # sampled, a large multiple is not certified; in continuous time every one is
+    return {"observer.L": gain * direction}
 
 
 def _naive(prior: PriorKnowledge, knobs: Knobs) -> Options:

@@ -23,6 +23,7 @@ from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, stric
 @click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
 @columns_option
 @strict_option
+@click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
 @confined
 @common
 def estimate(
@@ -30,6 +31,7 @@ def estimate(
     log: Path,
     columns: str | None,
     strict: bool,
+    causal: bool,
     confine: Path | None,
     out: Path | None,
     as_json: bool,
@@ -40,8 +42,9 @@ def estimate(
     A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
     Times must fit simulation.step. Prints the widths, what was missing, and whether the
     innovations are what the observer claims; writes estimate.npz, estimate.csv, figure.png and
-    report.html to DIR (default: LOG-estimate). The filter `kalman` is smoothed too: what the whole
-    log says of each sample. The scenario needs no [reference], no [controller], no widths.
+    report.html to DIR (default: LOG-estimate). `kalman`, `censored`, `extended` and `auto` are
+    smoothed too: what the whole log says of each sample. The scenario needs no [reference], no
+    [controller], no widths.
     Exit code 1: the record is not consistent with what the observer claims.
     """
     from undeadzone.report.log_page import write_estimation
@@ -51,7 +54,14 @@ def estimate(
     folder = folder_for(out, no_figures, f"{log.stem}-estimate")
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None) as advance:
-        result = estimated(watched, log, columns=columns, strict=strict, progress=advance)
+        result = estimated(
+            watched,
+            log,
+            columns=columns,
+            strict=strict,
+            smoothing=not causal,
+            progress=advance,
+        )
     written = []
     if folder is not None:
         written = write_estimation(result, folder, not no_figures)

@@ -109,8 +109,7 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["self-test"] = report["self_test"]
     if report["refusals"]:
         pairs["REFUSED"] = report["refusals"]
-    if files:
-        pairs["written"] = files
+    pairs["written"] = files or "nothing; --out DIR keeps the files"
     return pairs
 
 

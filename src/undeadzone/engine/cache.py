@@ -1,56 +1,78 @@
-"""Kernels compiled once per machine: files of machine code, named by a hash of what it depends on.
-
-A kernel is read back and called without numba, whose import and bookkeeping take longer than most
-runs.
-"""
+"""Kernels compiled once per machine: files of machine code, named by what it depends on."""
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import hashlib
-import sys
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 import undeadzone
 from undeadzone.engine import cache_folder
+from undeadzone.engine.machine import here
+from undeadzone.engine.machine_code import NUMBERS, Compiled, Linked, compiled, linked
 
-# ctypes of the numbers that a kernel takes.
-NUMBERS: Final[dict[str, Any]] = {
-    "int64": ctypes.c_int64,
-    "uint64": ctypes.c_uint64,
-    "float64": ctypes.c_double,
-}
+LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 
 
-class Compiled(NamedTuple):
-    """Machine code that is not linked yet.
+class Made(NamedTuple):
+    """What a recipe gives.
 
     Attributes:
-        calls: the C functions that it may call.
-        code: the machine code.
+        text: LLVM's, of a module with a function `block`, compiled as it stands: nothing optimises
+            it first.
+        note: what has to be known of it besides, kept with the machine code.
     """
 
-    calls: list[str]
-    code: bytes
+    text: str
+    note: str = ""
 
 
-class Block(NamedTuple):
+class Recipe:
+    """A text that is made where no machine code of it is kept; recipes are their keys.
+
+    Args:
+        key: all that the text depends on.
+        make: makes it.
+    """
+
+    def __init__(self, key: str, make: Callable[[], Made]) -> None:
+        self.key, self.make = key, make
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another recipe makes the same."""
+        return isinstance(other, Recipe) and other.key == self.key
+
+    def __hash__(self) -> int:
+        """Of its key."""
+        return hash(self.key)
+
+
+class Block:
     """A compiled function of numbers and C-contiguous arrays.
 
-    Attributes:
-        function: takes numbers and addresses.
-        arrays: per argument, the type of an array's entries, or None for a number.
-        engine: owns the machine code.
+    Args:
+        code: its machine code.
+        kinds: of its arguments.
+        note: what has to be known of it besides.
         text: LLVM's, if it was compiled just now.
     """
 
-    function: Any
-    arrays: tuple[np.dtype[Any] | None, ...]
-    engine: Any
-    text: str
+    def __init__(self, code: Linked, kinds: tuple[str, ...], note: str, text: str = "") -> None:
+        self.note, self.text = note, text
+        self._arrays = tuple(map(_entries, kinds))
+        self._codes = [code]  # all are kept, since another thread may be within one
+        self._better: threading.Thread | None = None
+
+    @property
+    def function(self) -> Any:
+        """The C function as it is now, which takes numbers and addresses."""
+        return self._codes[-1].function
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
@@ -59,42 +81,97 @@ class Block(NamedTuple):
             TypeError: an array of other entries, or one that is not contiguous.
         """
         plain = []
-        for value, kind in zip(arguments, self.arrays, strict=True):
+        for value, kind in zip(arguments, self._arrays, strict=True):
             plain.append(value if kind is None else _address(value, kind))
-        self.function(*plain)
+        self._codes[-1].function(*plain)
+
+    def improve(self, better: Callable[[], Linked]) -> None:
+        """Compile with more effort in a thread, and change the code between two calls."""
+
+        def improved() -> None:
+            self._codes.append(better())
+
+        self._better = threading.Thread(target=improved, name="compile")
+        self._better.start()
+
+    def settle(self) -> None:
+        """Wait for the best code."""
+        if self._better is not None:
+            self._better.join()
+
+
+def load(text: str, kinds: tuple[str, ...]) -> Block:
+    """The function `block` that LLVM's text defines, compiled now or taken from disk.
+
+    Args:
+        text: of a module.
+        kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
+            which arrives as a pointer.
+    """
+    return made(Recipe(text, lambda: Made(text)), kinds)
 
 
 @functools.lru_cache(maxsize=64)
-def load(source: str, kinds: tuple[str, ...]) -> Block:
-    """The function `block` that a source defines, compiled now or taken from disk.
+def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
+    """The function `block` of a recipe, compiled now or taken from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
     compiled.
 
     Args:
-        source: Python that numba compiles; it must not allocate.
-        kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
-            which arrives as a pointer: `carray` gives it a shape.
+        recipe: of its text.
+        kinds: of its arguments.
+        hurry: of a long text, code of no effort at once, and the best one behind it.
     """
-    folder = cache_folder.chosen()
-    if folder is None:
-        return _compiled_block(source, kinds)[0]
-    depends_on = "\n".join((_machine(), *kinds, source))
-    name = hashlib.sha256(depends_on.encode()).hexdigest()[:32] + cache_folder.SUFFIX
-    kept = _parsed(cache_folder.read(folder, name))
-    block = None if kept is None else _linked(kept, kinds)
-    if block is None:
-        block, compiled = _compiled_block(source, kinds)
-        cache_folder.keep(folder, name, _content(compiled))
+    block = kept(recipe, kinds)
+    if block is not None:
+        return block
+    text, note = recipe.make()
+    if not hurry or text.count("\n") < LONG:
+        return Block(_best(recipe, kinds, text, note), kinds, note, text)
+    block = Block(_sure(linked(compiled(text, 0), kinds)), kinds, note, text)
+    block.improve(lambda: _best(recipe, kinds, text, note))
     return block
 
 
-def _compiled_block(source: str, kinds: tuple[str, ...]) -> tuple[Block, Compiled]:
-    """A source compiled now: ready to be called, and to be kept."""
-    compiled, text = _compiled(source, kinds)
-    block = _linked(compiled, kinds)
-    assert block is not None
-    return block._replace(text=text), compiled
+def kept(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
+    """The function `block` of a recipe, if it is on disk."""
+    folder = cache_folder.chosen()
+    if folder is None or not any(folder.glob(f"{_title(recipe, kinds)}-*")):
+        return None  # without asking LLVM for the processor
+    found = _parsed(cache_folder.read(folder, _name(recipe, kinds)))
+    if found is None:
+        return None
+    note, compiled_before = found
+    code = linked(compiled_before, kinds)
+    return None if code is None else Block(code, kinds, note)
+
+
+def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
+    """A text compiled with all effort, linked and kept."""
+    code = compiled(text)
+    folder = cache_folder.chosen()
+    if folder is not None:
+        cache_folder.keep(folder, _name(recipe, kinds), _content(note, code))
+    return _sure(linked(code, kinds))
+
+
+def _sure(code: Linked | None) -> Linked:
+    """Code that was compiled just now, and so calls what is there."""
+    assert code is not None
+    return code
+
+
+def _name(recipe: Recipe, kinds: tuple[str, ...]) -> str:
+    """The name of a recipe's file."""
+    machine = hashlib.sha256(_machine().encode()).hexdigest()[:16]
+    return f"{_title(recipe, kinds)}-{machine}{cache_folder.SUFFIX}"
+
+
+def _title(recipe: Recipe, kinds: tuple[str, ...]) -> str:
+    """The first part of that name, the same on all machines."""
+    depends_on = "\n".join((_engine(), *kinds, recipe.key))
+    return hashlib.sha256(depends_on.encode()).hexdigest()[:32]
 
 
 def _address(array: Any, kind: np.dtype[Any]) -> int:
@@ -108,137 +185,44 @@ def _address(array: Any, kind: np.dtype[Any]) -> int:
 
 
 def _machine() -> str:
-    """What machine code depends on besides its source."""
+    """What machine code depends on besides its text."""
     from importlib.metadata import version
 
-    from llvmlite import binding
-
-    versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "numba", "llvmlite"))
-    processor = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
-    return f"undeadzone {undeadzone.__version__} {versions} {processor}"
+    versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "llvmlite"))
+    return f"undeadzone {undeadzone.__version__} {versions} {' '.join(here())}"
 
 
-def _parsed(content: bytes | None) -> Compiled | None:
+@functools.cache
+def _engine() -> str:
+    """What a recipe's text depends on besides its key: this engine as it is."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _parsed(content: bytes | None) -> tuple[str, Compiled] | None:
     """What a file holds, if it is there and whole."""
     digest, _, rest = (content or b"").partition(b"\n")
     if digest != _digest(rest):
         return None
-    calls, _, code = rest.partition(b"\n")
-    return Compiled(calls.decode().split(), code)
+    head, _, code = rest.partition(b"\n")
+    note, calls = json.loads(head)
+    return note, Compiled(calls, code)
 
 
-def _content(compiled: Compiled) -> bytes:
-    """A file's: a digest of what follows, the names of C functions, machine code.
+def _content(note: str, code: Compiled) -> bytes:
+    """A file's: a digest of what follows, note and names of C functions, machine code.
 
     The digest tells damage, nothing else: whoever could write the file could compute it.
     """
-    rest = " ".join(compiled.calls).encode() + b"\n" + compiled.code
+    rest = json.dumps([note, code.calls]).encode() + b"\n" + code.code
     return _digest(rest) + b"\n" + rest
 
 
 def _digest(content: bytes) -> bytes:
     """A digest as text."""
     return hashlib.sha256(content).hexdigest().encode()
-
-
-def _compiled(source: str, kinds: tuple[str, ...]) -> tuple[Compiled, str]:
-    """The machine code of `block` as a C function of that name, and LLVM's text of it."""
-    from llvmlite import binding
-    from numba import cfunc
-
-    namespace: dict[str, Any] = {"__name__": "kernel"}
-    exec(compile(source, "<kernel>", "exec"), namespace)
-    arguments = ", ".join(map(_numba_type, kinds))
-    made = cfunc(f"void({arguments})", error_model="numpy")(namespace["block"])
-    module, target = binding.parse_assembly(made.inspect_llvm()), _target()
-    parts = [*module.functions, *module.global_variables]
-    for part in parts:
-        if part.name == made.native_name:
-            part.name = "block"
-        elif not part.is_declaration:
-            part.linkage = "internal"
-    _strip(module, target)
-    left = [*module.functions, *module.global_variables]
-    declared = [part.name for part in left if part.is_declaration]
-    return Compiled(_called(declared), target.emit_object(module)), str(module)
-
-
-def _numba_type(kind: str) -> str:
-    """The kind of an argument as numba names it."""
-    return f"CPointer({kind[:-1]})" if kind.endswith("*") else kind
-
-
-def _strip(module: Any, target: Any) -> None:
-    """Remove what would report to Python that something was raised: nothing is."""
-    from llvmlite import binding
-
-    passes = binding.create_new_module_pass_manager()
-    passes.add_ipsccp_pass()
-    passes.add_simplify_cfg_pass()
-    passes.add_global_dead_code_eliminate_pass()
-    options = binding.create_pipeline_tuning_options(0)
-    passes.run(module, binding.create_pass_builder(target, options))
-
-
-def _called(declared: list[str]) -> list[str]:
-    """The C functions that may be called, from the names that LLVM declares.
-
-    An intrinsic function such as llvm.sin.v8f64 may become a call of sin.
-    """
-    library = _library()
-    calls = set()
-    for name in declared:
-        if not name.startswith("llvm."):
-            calls.add(name)
-        elif hasattr(library, name.split(".")[1]):
-            calls.add(name.split(".")[1])
-    return sorted(calls)
-
-
-def _library() -> ctypes.CDLL:
-    """The C library of this process."""
-    return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
-
-
-def _target() -> Any:
-    """A compiler for this processor, of the same settings as numba's."""
-    from llvmlite import binding
-
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    target = binding.Target.from_triple(binding.get_process_triple())
-    cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    reloc = "static" if target.name.startswith("x86") else "default"
-    return target.create_target_machine(
-        cpu=cpu, features=features, opt=3, reloc=reloc, codemodel="jitdefault", jit=True
-    )
-
-
-def _linked(compiled: Compiled, kinds: tuple[str, ...]) -> Block | None:
-    """Machine code ready to be called.
-
-    None if something that it calls is missing from this process, at which LLVM would abort. It
-    calls the C library itself whether numba is there or not, which puts functions of its own, with
-    other NaNs, in its place.
-    """
-    from llvmlite import binding
-
-    library = _library()
-    declarations = "\n".join(f"declare void @{name}()" for name in compiled.calls)
-    names = binding.parse_assembly(declarations)
-    engine = binding.create_mcjit_compiler(names, _target())
-    for name in compiled.calls:
-        function = getattr(library, name, None)
-        if function is not None:
-            address = ctypes.cast(function, ctypes.c_void_p).value
-            engine.add_global_mapping(names.get_function(name), address)
-        elif binding.address_of_symbol(name) is None:
-            return None
-    engine.add_object_file(binding.ObjectFileRef.from_data(compiled.code))
-    engine.finalize_object()
-    prototype = ctypes.CFUNCTYPE(None, *(NUMBERS.get(kind, ctypes.c_void_p) for kind in kinds))
-    block = prototype(engine.get_function_address("block"))
-    return Block(block, tuple(map(_entries, kinds)), engine, "")
 
 
 def _entries(kind: str) -> np.dtype[Any] | None:

@@ -131,10 +131,11 @@ class _Rewriting(NamedTuple):
         return self.kept(ca.OP_OR, (a, b))
 
     def product(self, a: int, b: int) -> int:
-        """a b, with what is steady ahead and in one factor."""
+        """a b, with what is steady ahead and in one factor, where no condition is a factor."""
         for factor, value in ((a, b), (b, a)):
             if self.nodes[factor].op in CONDITIONS:
                 return self.gated(factor, value)
+        for factor, value in ((a, b), (b, a)):
             if factor in self.steady and value not in self.steady:
                 inner, rest = self.factors(value)
                 if inner is not None:

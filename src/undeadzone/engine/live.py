@@ -9,17 +9,25 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.engine import cache
-from undeadzone.engine.emit import helpers, straight_line
+from undeadzone.engine.forms import ONE, Shape
+from undeadzone.engine.kernel import graphs, source
+from undeadzone.engine.machine import here
 from undeadzone.support.arrays import Floats
 
 ROWS: Final = 128  # samples in a call
 
+# A call's memory holds the number of samples, p, s, and w and out of each sample.
 _BLOCK: Final = """
-def block(memory):
-    memory = carray(memory, {size})
-    for k in range(int(memory[0])):
-        w, out = {w} + k * {inputs}, {out} + k * {outputs}
-        {lines}
+define void @block(ptr noalias %memory) nounwind {{
+  %samples = load double, ptr %memory
+  %steps = fptosi double %samples to i64
+  %p = getelementptr double, ptr %memory, i64 {p}
+  %s = getelementptr double, ptr %memory, i64 {s}
+  %w = getelementptr double, ptr %memory, i64 {w}
+  %out = getelementptr double, ptr %memory, i64 {out}
+  call void @steps(i64 %steps, i64 1, ptr %s, ptr %w, ptr %p, ptr %w, ptr %out, ptr %out)
+  ret void
+}}
 """
 
 
@@ -76,23 +84,9 @@ class CompiledStepper:
 
 
 def _source(step: ca.Function, starts: list[int]) -> str:
-    """The text of `block`; its memory is the count, p, s, and w and out of each sample."""
-    columns = [ca.SX.sym(name, step.size1_in(k)) for k, name in enumerate("swp")]
-    results = [ca.densify(result) for result in step(*columns)]
-    code = straight_line(ca.Function("live", columns, results, ["s", "w", "p"], ["next", "out"]))
-    _, p, s, w, out, size = starts
-    lines = [f"s{i} = memory[{s + i}]" for i in code.reads[0]]
-    lines += [f"w{i} = memory[w + {i}]" for i in code.reads[1]]
-    lines += [f"p{i} = memory[{p + i}]" for i in code.reads[2]]
-    lines += code.statements
-    lines += [f"memory[{s + i}] = {name}" for i, name in enumerate(code.results[0])]
-    lines += [f"memory[out + {i}] = {name}" for i, name in enumerate(code.results[1])]
-    text = _BLOCK.format(
-        size=size,
-        w=w,
-        out=out,
-        inputs=step.size1_in(1),
-        outputs=step.size1_out(1),
-        lines="\n        ".join(lines),
-    )
-    return helpers(False) + text
+    """The text of `block`, whose memory has parts that begin there."""
+    sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
+    shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
+    made = source(graphs(step, (), shape, {}, {}), shape, here(), False, 1, ONE, "steps")
+    _, p, s, w, out, _ = starts
+    return made.text + _BLOCK.format(p=p, s=s, w=w, out=out)

@@ -97,15 +97,15 @@ def flowing(problem: Problem, loop: Loop) -> Any:
     """The loop's params with the plant's and the observer's model in continuous time."""
     observer = loop.params.observer
     if hasattr(observer, "model"):
-        observer = observer._replace(model=_flow(problem.model))
-    return loop.params._replace(plant=_flow(problem.plant), observer=observer)
+        observer = observer._replace(model=_flow(problem.model, observer.model))
+    return loop.params._replace(plant=_flow(problem.plant, loop.params.plant), observer=observer)
 
 
-def _flow(system: System) -> Any:
-    """The numbers of a system in continuous time, where it has such."""
+def _flow(system: System, params: Any) -> Any:
+    """Numbers of a system, with its matrices in continuous time where it has such."""
     if system.nonlinear or system.flow is None:
-        return system.params
-    return system.flow
+        return params
+    return params._replace(**system.flow._asdict())
 
 
 def _address(problem: Problem, name: str) -> str:

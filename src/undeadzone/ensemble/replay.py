@@ -116,22 +116,24 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     It records its states and own inputs before each call.
     """
     shape = kernel.shape
-    states, own, width = shape.sizes[0], len(shape.exogenous), shape.width
+    states, own = shape.sizes[0], len(shape.exogenous)
 
     def block(
-        steps: int, work: Floats, exogenous: Floats, params: Floats, inputs: Floats, outputs: Floats
+        steps: int,
+        width: int,
+        work: Floats,
+        exogenous: Floats,
+        params: Floats,
+        inputs: Floats,
+        outputs: Floats,
+        scratch: Floats,
     ) -> None:
-        now = work.reshape(kernel.rows, -1)[:states, :width]
-        nothing = np.empty(0)
-        exogenous = exogenous.reshape(steps, -1)
-        inputs = inputs.reshape(steps, own, width)
-        outputs = outputs.reshape(-1, states + own, width)
         for k in range(0, steps, every):
-            outputs[k, :states] = now
+            outputs[k, :states] = work[:states]
             outputs[k, states:] = inputs[k]
             count = min(every, steps - k)
-            shared, drawn = exogenous[k : k + every].ravel(), inputs[k : k + every].ravel()
-            kernel.block(count, work, shared, params, drawn, nothing)
+            shared, drawn = exogenous[k : k + every], inputs[k : k + every]
+            kernel.block(count, width, work, shared, params, drawn, outputs[:0], scratch)
 
     return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))
 

@@ -111,11 +111,14 @@ def identify(
     if keep is None:
         return _identified(logs, options, advance)
     answers = Answers(keep, _problem(logs, options), "fits", resume)
+    climbs = KeptClimbs(answers)
     with answers.kept():
         try:
-            return _identified(logs, options, advance, KeptClimbs(answers))
+            return _identified(logs, options, advance, climbs)
         except InputError as error:  # nothing was stopped
             refused = error
+        finally:
+            climbs.close()
     keep.unlink(missing_ok=True)
     raise refused
 

@@ -47,12 +47,12 @@ def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
     count, size = moments.before.mean.shape
     mean, cov = np.empty((count, size)), np.empty((count, size, size))
     unit = np.eye(size)
+    lost = (moments.restarted[:, 0] != 0) | ~np.isfinite(moments.slope).all(axis=(1, 2))
     push, known = later
     for k in range(count - 1, -1, -1):
         F = unit + moments.slope[k]
         push, known = F.T @ push, F.T @ known @ F
-        fine = np.isfinite(push).all() and np.isfinite(known).all()
-        if moments.restarted[k, 0] or not fine:
+        if lost[k]:
             push, known = np.zeros(size), np.zeros((size, size))
         P = moments.heard.cov[k]
         mean[k] = moments.heard.mean[k] + P @ push

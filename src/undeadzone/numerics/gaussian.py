@@ -170,13 +170,6 @@ def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian
     return Gaussian(mean + shift * along, from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
 
 
-def mix(first: Gaussian, second: Gaussian, share: Any) -> Gaussian:
-    """Mean and covariance of the mixture: `first` with probability `share`, else `second`."""
-    gap = first.mean - second.mean
-    spread = share * first.cov + (1 - share) * second.cov + share * (1 - share) * gap @ gap.T
-    return Gaussian(share * first.mean + (1 - share) * second.mean, from_upper(spread))
-
-
 def hazard(alpha: Any) -> Any:
     """phi(alpha) / Phi(alpha) of the standard normal distribution.
 

@@ -27,7 +27,7 @@ def rk4_change(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None
     k2 = rate(x + h / 2 * k1, 0.5)
     k3 = rate(x + h / 2 * k2, 0.5)
     k4 = rate(x + h * k3, 1.0)
-    return h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return h / 6 * (k1 + k4 + 2 * (k2 + k3))
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:

@@ -32,7 +32,10 @@ from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
-FALL = 4.0  # from one level of the disturbance to the next
+# Levels of the disturbance: the first one in claimed rms, and the fall from each to the next. What
+# is not claimed may be larger than its default, and is known within wider bounds.
+FIRST, FALL = 1.0, 4.0
+FIRST_OF_DEFAULT, FALL_OF_DEFAULT = 4.0, 8.0
 
 
 class Censored(
@@ -52,8 +55,9 @@ class Censored(
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
             [s]; default none.
-        levels: how many rms of the disturbance are weighed by what the readings say, each a quarter
-            of the one before (1 to 10); 1 takes the claimed one.
+        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): the
+            claimed one, and each a quarter of the one before; of a default four times as much, and
+            each an eighth. 1 takes the claim or default as it is.
         silence: false ignores the silent samples, and the ranges but as a prior.
     """
 
@@ -115,10 +119,17 @@ class Censored(
             zones=zones_of(model.actuator),
         )
         if self.levels > 1 and rms.any():
-            member = bank(member, [partial(weakened, level) for level in range(self.levels)])
+            member = bank(member, [partial(scaled, factor) for factor in self._factors()])
         traits = claimed_traits(prior, self.x_std)
         observer = shown_states(judged(member, even, glitches > 0, traits), units)
         return heard_by_motion(observer, model, sensor)
+
+    def _factors(self) -> Floats:
+        """The levels of the disturbance, in its claimed or default rms."""
+        first, fall = FIRST, FALL
+        if self.disturbance is None:
+            first, fall = FIRST_OF_DEFAULT, FALL_OF_DEFAULT
+        return np.asarray(first / fall ** np.arange(self.levels))
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""
@@ -139,7 +150,7 @@ def _per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
     return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
 
 
-def weakened(level: int, q: Params) -> Params:
-    """The numbers of the filter with the disturbance at that level."""
-    variance = q.augmentation.variance / FALL ** (2 * level)
+def scaled(factor: float, q: Params) -> Params:
+    """The numbers of the filter with the rms of the disturbance times a factor."""
+    variance = q.augmentation.variance * factor**2
     return q._replace(augmentation=q.augmentation._replace(variance=variance))

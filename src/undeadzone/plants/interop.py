@@ -12,28 +12,49 @@ from undeadzone.plants.options import Plant
 
 
 def from_statespace(system: Any, x0: Any = None) -> Plant:
-    """A `Plant` from any object with A, B, C, D: scipy `StateSpace`, python-control `StateSpace`.
+    """A `Plant` from a linear system of scipy or python-control.
 
     Args:
-        system: the object, in continuous time, with D = 0.
+        system: state space (any object with A, B, C, D) or transfer function, in continuous time,
+            with D = 0.
         x0: initial state (n); default: 0.
 
     Returns:
         The plant, given by its matrices A, B, C.
 
     Raises:
-        InputError: a discrete-time system, or a direct feedthrough D != 0.
+        InputError: no such system, one in discrete time, or a direct feedthrough D != 0.
     """
     if getattr(system, "dt", None) not in (None, 0):
         raise InputError(
-            f"from_statespace: expected a continuous-time system, found sample time {system.dt}"
+            f"plant: expected a continuous-time system, found sample time {system.dt}; give the "
+            "continuous one, simulation.step samples it"
         )
+    system = _in_state_space(system)
     if np.any(np.asarray(system.D)):
         raise InputError(
-            "from_statespace: D must be 0, "
-            "an output deadzone with direct feedthrough is not supported"
+            "plant: D must be 0, an output deadzone with direct feedthrough is not supported"
         )
     return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
+
+
+def _in_state_space(system: Any) -> Any:
+    """A linear system as state space. Raises InputError."""
+    if all(hasattr(system, name) for name in "ABCD"):
+        return system
+    try:
+        if hasattr(system, "to_ss"):
+            return system.to_ss()
+        if hasattr(system, "num") and hasattr(system, "den"):
+            import control
+
+            return control.ss(system)
+    except (ValueError, TypeError, NotImplementedError, ImportError) as error:
+        raise InputError(f"plant: this transfer function has no state space: {error}") from None
+    raise InputError(
+        "plant: expected a state space or a transfer function of scipy or python-control, found "
+        f"{type(system).__name__}; matrices go to uz.Plant(A=..., B=..., C=...)"
+    )
 
 
 from_scipy = from_statespace

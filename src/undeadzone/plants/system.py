@@ -160,20 +160,46 @@ def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
     )
 
 
+class Counted(NamedTuple):
+    """Numbers of a linear plant whose states are counted in units of their own.
+
+    Attributes:
+        A, B, C: its matrices in the plant's units.
+        units: of the states (n).
+    """
+
+    A: Any
+    B: Any
+    C: Any
+    units: Any
+
+
 def in_units(system: System, units: Floats) -> System:
-    """A sampled system with states that are counted in these units (n): x = units x_counted."""
-    if (units == 1).all():
+    """A sampled system with states that are counted in these units (n): x = units x_counted.
+
+    Of a linear plant the units are numbers like others, so that one graph serves plants whose units
+    differ.
+    """
+    if system.nonlinear and (units == 1).all():
         return system
     move, output, change, rate = system.move, system.output, system.change, system.rate
     assert change is not None
     assert system.flow is not None
 
+    params = system.params
+    if not system.nonlinear:
+        params = Counted(params.A, params.B, params.C, units)
+
+    def of(params: Any) -> Any:
+        return units if system.nonlinear else params.units
+
     def counted(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
-        return lambda params, x, u: function(params, units * x, u) / units
+        return lambda params, x, u: function(params, of(params) * x, u) / of(params)
 
     return system._replace(
+        params=params,
         move=counted(move),
-        output=lambda params, x: output(params, units * x),
+        output=lambda params, x: output(params, of(params) * x),
         change=counted(change),
         rate=None if rate is None else counted(rate),
         linear=_counted_matrices(system.linear, units),

@@ -11,6 +11,9 @@ from undeadzone.linear.scaling import balancing, feedback_loops, similar
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 
+QUARTER = (
+    50.0  # samples in a quarter period of a chain of integrators, which has no time of its own
+)
 STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
@@ -70,32 +73,37 @@ def in_poles(model: System, key: str, rate: float | None, default: float) -> flo
     return scalar(key, rate, above=0.0)
 
 
-def time_scale(flow: Matrices) -> float:
+def time_scale(flow: Matrices, Ts: float | None = None) -> float:
     """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators.
 
-    1 s if all are. flow: the matrices in continuous time.
+    If all are, `QUARTER` samples: who samples so fast expects changes as fast.
+
+    Args:
+        flow: the matrices in continuous time.
+        Ts: sample time [s]; None in continuous time, where a chain of integrators gets 1 s.
     """
     moving = rates_of_motion(flow.A)
     if not moving.size:
-        return 1.0
+        return 1.0 if Ts is None else QUARTER * Ts
     return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
 
 
-def pace(flow: Matrices) -> float:
+def pace(flow: Matrices, Ts: float | None = None) -> float:
     """How fast the plant moves [1/s]: |pole| of equal poles, else at least their mean.
 
     It is the largest of the k-th roots of the mean products of k poles, which rounding hardly
-    changes where poles are nearly equal. 1 for a chain of integrators. flow: in continuous time.
+    changes where poles are nearly equal. That of `time_scale` for a chain of integrators, 1 in
+    continuous time. flow, Ts: as there.
     """
     poles = _moving(flow.A)
     if not poles.size:
-        return 1.0
+        return 1.0 if Ts is None else float(np.pi / 2) / time_scale(flow, Ts)
     sums = np.abs(np.poly(poles))
     means = [(sums[k] / comb(poles.size, k)) ** (1 / k) for k in range(1, sums.size)]
     return float(max(means))
 
 
-def state_units(flow: Matrices) -> Floats:
+def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
     """What of each state shows as a z of 1, in powers of the plant's `pace` (n) [x / z].
 
     State i of unit s shows in the k-th derivative of z as C A^k, which counts in units of pace^k.
@@ -103,8 +111,9 @@ def state_units(flow: Matrices) -> Floats:
 
     Args:
         flow: the matrices in continuous time.
+        Ts: sample time [s]; None in continuous time.
     """
-    rate = pace(flow)
+    rate = pace(flow, Ts)
     shown, seen = flow.C, np.abs(flow.C).max(axis=0)
     for _ in range(1, flow.A.shape[0]):
         shown = shown @ flow.A / rate

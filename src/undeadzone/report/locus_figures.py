@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import Certificate, margin
+from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, pattern

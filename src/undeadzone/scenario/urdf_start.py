@@ -71,7 +71,7 @@ def starting_scenario(found: Survey, path: str) -> str:
     """
     pairs = zip(found.joints, found.q, strict=True)
     swing = np.array([_swing(joint, float(q)) for joint, q in pairs])
-    widths = swing / PLAY
+    widths = np.array([float(f"{width:.2g}") for width in swing / PLAY])
     start = _listed(np.r_[found.q, np.zeros(found.q.size)])
     points = (found.q, found.q + swing, found.q - swing, found.q)
     sensor = SENSOR.format(

@@ -76,7 +76,7 @@ def estimate(
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
     estimated, sides, B = follower.follow(regular, progress)
-    smoothed = _smoothed(follower, regular) if smoothing else {}
+    smoothed = _smoothed(follower, regular, progress) if smoothing else {}
     return _collected(regular, estimated, sides, B, known(), smoothed)
 
 
@@ -135,12 +135,14 @@ def _limited(regular: Regular, source: str) -> Regular:
     return regular
 
 
-def _smoothed(follower: Follower, regular: Regular) -> dict[str, Floats]:
+def _smoothed(
+    follower: Follower, regular: Regular, progress: Callable[[int], None] | None
+) -> dict[str, Floats]:
     """The smoothed signals by name; none where the method has no smoother."""
     observer = follower.observer
     if not isinstance(observer, Observer) or observer.smoothing is None or not regular.t.size:
         return {}
-    smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u)
+    smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
     return {
         "x_smooth": smoothed.x,
         "z_smooth": smoothed.z,

@@ -38,8 +38,8 @@ class Estimation:
         w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: parameters of the model that the observer estimates (info.uncertain).
         theta_std: standard deviations of theta_hat.
-        x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of the filter
-            `kalman` on a linear model.
+        x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
+            `censored`, `extended` and `auto`.
         x_smooth_std, d_smooth_std: their standard deviations.
     """
 

@@ -6,8 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal, get_args
 
+import casadi as ca
 import numpy as np
 
 from undeadzone.engine import interpret
@@ -25,8 +27,13 @@ from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
-Engine = Literal["interpret", "lanes"]
+if TYPE_CHECKING:
+    from undeadzone.engine.lanes import Kernel
+
+Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
+# (state, exogenous inputs, params, progress) -> recorded outputs (rows: time)
+LoopEngine = Callable[[Floats, Floats, Floats, Progress | None], Floats]
 
 
 def simulate(
@@ -34,7 +41,7 @@ def simulate(
     *,
     check_step: bool = True,
     progress: Progress | None = None,
-    engine: Engine = "interpret",
+    engine: Engine = "auto",
     controller: live.ControlLaw | None = None,
 ) -> Run:
     """Simulate a scenario.
@@ -44,8 +51,9 @@ def simulate(
         check_step: in continuous time, run again with half the step and report the difference as
             `integration_error`.
         progress: called with the number of steps just done, from two threads.
-        engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes),
-            which takes seconds the first time; they agree to the last bits.
+        engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes);
+            they agree to the last bits. auto: compiled if it was compiled before, or if the run is
+            longer than a compilation.
         controller: a function of one's own in the place of the scenario's controller, in sampled
             time: controller(t, estimate, r) is the input u (m) at t [s], with the `Estimate` of
             that sample as NumPy arrays and r the reference of the tracked outputs.
@@ -80,7 +88,7 @@ def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
         raise InputError(
             'controller: a function runs sample by sample; set simulation.time = "sampled"'
         )
-    if engine != "interpret":
+    if engine == "lanes":
         raise InputError("engine: a controller that is a Python function cannot be compiled")
     return problem._replace(controller=live.commanded(problem.plant.m))
 
@@ -90,13 +98,15 @@ def _signals(
 ) -> tuple[Outputs, IntegrationError | None]:
     """The signals of a run, and the error of its integration where that is measured."""
     observer = problem.observer
-    if isinstance(observer, NumericObserver) and engine == "interpret":
+    if isinstance(observer, NumericObserver) and engine != "lanes":
         exogenous = inputs.exogenous(problem)
         return live.run_sample_by_sample(problem, observer, exogenous, progress), None
     loop, state, exogenous = prepare(problem)
-    if check_step and problem.plant.Ts is None:
-        return _with_error(problem, loop, state, exogenous, progress, engine)
-    return run_loop(loop, state, exogenous, progress, engine), None
+    twin = check_step and problem.plant.Ts is None
+    run = engine_for(loop, engine, len(exogenous) * (3 if twin else 1))
+    if twin:
+        return _with_error(problem, loop, state, exogenous, progress, run)
+    return named(loop, run(state, exogenous, tree.pack(loop.params), progress)), None
 
 
 def _with_error(
@@ -105,7 +115,7 @@ def _with_error(
     state: Floats,
     exogenous: Floats,
     progress: Progress | None,
-    engine: Engine,
+    run: LoopEngine,
 ) -> tuple[Outputs, IntegrationError]:
     """The signals of a run, and by how much its twin of half the step differs, run beside it."""
     interrupted = threading.Event()
@@ -117,9 +127,9 @@ def _with_error(
             progress(done)
 
     with ThreadPoolExecutor(1) as beside:
-        twin = beside.submit(_at_half_the_step, problem, loop, state, tick, engine)
+        twin = beside.submit(_at_half_the_step, problem, loop, state, tick, run)
         try:
-            signal = run_loop(loop, state, exogenous, progress, engine)
+            signal = named(loop, run(state, exogenous, tree.pack(loop.params), progress))
             return signal, _difference(signal, twin.result())
         except BaseException:
             interrupted.set()
@@ -127,11 +137,12 @@ def _with_error(
 
 
 def _at_half_the_step(
-    problem: Problem, loop: Loop, state: Floats, progress: Progress, engine: Engine
+    problem: Problem, loop: Loop, state: Floats, progress: Progress, run: LoopEngine
 ) -> Outputs:
     """The signals of a run with half the step, at the instants of the whole ones."""
     halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-    fine = run_loop(halved, state, inputs.exogenous(problem, 2), progress, engine)
+    params = tree.pack(halved.params)
+    fine = named(loop, run(state, inputs.exogenous(problem, 2), params, progress))
     every_other = (part[::2] for _, part in tree.leaves(fine))
     outputs: Outputs = tree.rebuild(fine, every_other)
     return outputs
@@ -171,7 +182,7 @@ def run_loop(
     state: Floats,
     exogenous: Floats,
     progress: Progress | None = None,
-    engine: Engine = "interpret",
+    engine: Engine = "auto",
 ) -> Outputs:
     """The outputs of a loop along exogenous inputs, by name (rows: time).
 
@@ -180,22 +191,56 @@ def run_loop(
         state: its packed initial state.
         exogenous: exogenous inputs (one row per step, and one).
         progress: called with the number of steps just done.
-        engine: interpret or lanes.
+        engine: auto, interpret or lanes.
 
     Raises:
         InputError: the engine is unknown.
     """
-    params = tree.pack(loop.params)
-    if engine == "lanes":
+    run = engine_for(loop, engine, len(exogenous))
+    return named(loop, run(state, exogenous, tree.pack(loop.params), progress))
+
+
+def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
+    """What runs a loop: run(state, exogenous, params, progress) gives its recorded outputs.
+
+    Args:
+        loop: the closed loop.
+        engine: auto, interpret or lanes.
+        steps: that it is going to run.
+
+    Raises:
+        InputError: the engine is unknown.
+    """
+    if engine not in get_args(Engine):
+        raise InputError(f"engine: expected auto, interpret or lanes, found {engine!r}")
+    if engine != "interpret":
         from undeadzone.engine import lanes
 
-        compiled = lanes.build(loop.step, width=1)
-        outputs = lanes.run(compiled, state, exogenous, params, progress=progress)[0][0]
-    elif engine == "interpret":
-        outputs, _ = interpret.run(loop.step, state, exogenous, params, progress)
-    else:
-        raise InputError(f"engine: expected interpret or lanes, found {engine!r}")
-    return named(loop, outputs)
+        parts = (loop.step, ()) if loop.parts is None else loop.parts
+        wait = engine == "lanes" or steps > lanes.WORTH
+        compiled = (
+            lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts, width=1)
+        )
+        if compiled is not None:
+            return partial(_compiled_outputs, compiled)
+    return partial(_interpreted_outputs, loop.step)
+
+
+def _compiled_outputs(
+    kernel: Kernel, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
+) -> Floats:
+    """The outputs of a loop that is compiled."""
+    from undeadzone.engine import lanes
+
+    outputs, _ = lanes.run(kernel, state, exogenous, params, progress=progress, threads=1)
+    return np.asarray(outputs[0])
+
+
+def _interpreted_outputs(
+    step: ca.Function, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
+) -> Floats:
+    """The outputs of a loop on the virtual machine."""
+    return interpret.run(step, state, exogenous, params, progress)[0]
 
 
 def named(loop: Loop, outputs: Floats) -> Outputs:

@@ -8,6 +8,8 @@ motion. docs/filters.md, "Looking back", says what is exact and what is not.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -17,7 +19,7 @@ from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.model_bank import likely
+from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
@@ -25,7 +27,8 @@ from undeadzone.simulation.observer_graph import Out, observer_graph, symbols
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
-BLOCK = 1000  # samples whose moments are in memory at once
+MAPPED = 500  # samples of which a function is evaluated at once
+BLOCK = 5000  # samples whose moments are in memory at once
 
 
 class Smoothed(NamedTuple):
@@ -50,8 +53,9 @@ class _Graphs(NamedTuple):
 
     Attributes:
         step: step(s, w, p) is (next state, estimate).
-        moments: moments([s; w], p) are those of its members.
-        shown: shown([beliefs; share; record], p) is [x; z; d_r; d_l; x_std; d_r_std; d_l_std].
+        moments: moments(rows of [s; w]) are those of its members.
+        shown: shown(rows of [beliefs; share; record]) are rows of [x; z; d_r; d_l; x_std; d_r_std;
+            d_l_std].
         start, numbers: values of s and p.
         out: where the estimate stands in what `step` gives.
         like: `Moments` of the members, of arrays of their shapes.
@@ -59,8 +63,8 @@ class _Graphs(NamedTuple):
     """
 
     step: ca.Function
-    moments: ca.Function
-    shown: ca.Function
+    moments: Callable[[Floats], Floats]
+    shown: Callable[[Floats], Floats]
     start: Floats
     numbers: Floats
     out: Out
@@ -69,7 +73,14 @@ class _Graphs(NamedTuple):
     record: Any
 
 
-def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats) -> Smoothed:
+def smooth(
+    model: System,
+    observer: Observer,
+    sensor: Zone,
+    y: Floats,
+    u: Floats,
+    progress: Callable[[int], None] | None = None,
+) -> Smoothed:
     """The smoothed estimates along a log.
 
     Args:
@@ -78,6 +89,7 @@ def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats
         sensor: the dead zone, for its threshold and its range.
         y: readings (N x p), NaN where one is missing.
         u: inputs (N x m), NaN where the last one is held.
+        progress: called with the number of samples just done.
     """
     graphs = _graphs(model, observer, sensor)
     w = np.hstack([y, u])
@@ -94,6 +106,8 @@ def smooth(model: System, observer: Observer, sensor: Zone, y: Floats, u: Floats
         part = w[k * BLOCK : (k + 1) * BLOCK]
         rows, later, odds, worst = _block(graphs, starts[k], part, later, odds, worst)
         pieces.append(rows)
+        if progress is not None:
+            progress(len(part))
     return _arranged(model, np.vstack(pieces[::-1]))
 
 
@@ -116,8 +130,8 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     where = tree.slices((init, np.zeros(model.m)))[0]
     return _Graphs(
         step,
-        moments,
-        ca.Function("shown", [row, known.p], [tree.stack(out)], {"cse": True}),
+        _along(moments, numbers),
+        _along(ca.Function("shown", [row, known.p], [tree.stack(out)], {"cse": True}), numbers),
         start,
         numbers,
         tree.slices(shapes),
@@ -125,6 +139,21 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
         smoothing.odds(where) if len(like) > 1 else None,
         smoothing.record(where),
     )
+
+
+def _along(function: ca.Function, numbers: Floats) -> Callable[[Floats], Floats]:
+    """A function of (row, numbers) of rows, however many."""
+    values = interpret.mapped(function, MAPPED)
+
+    def along(rows: Floats) -> Floats:
+        out = []
+        for first in range(0, len(rows), MAPPED):
+            part = rows[first : first + MAPPED]
+            padded = np.pad(part, ((0, MAPPED - len(part)), (0, 0)), mode="edge")
+            out.append(values(padded, numbers)[: len(part)].copy())
+        return np.vstack(out)
+
+    return along
 
 
 def _dense(every: Any) -> Any:
@@ -154,8 +183,7 @@ def _block(
         What is shown of each sample (B x outputs), and later, odds and worst before the block.
     """
     states, estimates = _states(graphs, start, w)
-    values = interpret.mapped(graphs.moments, len(w))
-    known = values(np.hstack([states[:-1], w]), graphs.numbers)
+    known = graphs.moments(np.hstack([states[:-1], w]))
     every = [_arrays(one, known, at) for one, at in zip(graphs.like, _places(graphs), strict=True)]
     beliefs, before = [], []
     for one, ahead in zip(every, later, strict=True):
@@ -165,7 +193,7 @@ def _block(
     shares, odds = _shares(graphs, states[1:], np.column_stack([one.log for one in every]), odds)
     records, worst = _records(graphs, states[1:], worst)
     rows = np.hstack([*beliefs, shares, records])
-    shown = interpret.mapped(graphs.shown, len(w))(rows, graphs.numbers)
+    shown = graphs.shown(rows)
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = _causal(graphs, estimates[lost])
     return shown, before, odds, worst
@@ -215,7 +243,8 @@ def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tupl
         total = states[k, graphs.odds] + odds
         share = np.exp(total - total.max())
         shares[k] = share / share.sum()
-        odds = np.array(ca.DM(likely(ca.DM(odds + logs[k])))).ravel()
+        odds = odds + logs[k]
+        odds = np.maximum(odds - odds.max(), math.log(LEAST))
     return shares, odds
 
 

@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import undeadzone
 
-PACKAGES = ("casadi", "numba", "llvmlite", "numpy", "scipy")
+PACKAGES = ("casadi", "llvmlite", "numpy", "scipy")
 
 
 def versions() -> dict[str, str]:

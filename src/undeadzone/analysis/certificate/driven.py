@@ -136,11 +136,41 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
     best = _least(family, cost, confine, unit, passes=2)
     if best is None:
         return None
+    failed = 0.0
     for excess in EXCESSES:
         solution = _inside(family, cost, confine, best, excess)
         if solution is not None:
-            return solution
+            return _cheaper(family, cost, confine, best, solution, (failed, excess))
+        failed = excess
     return None
+
+
+def _cheaper(
+    family: Family,
+    cost: Floats,
+    confine: Extra,
+    best: Solution,
+    solution: Solution,
+    between: tuple[float, float],
+) -> Solution:
+    """A solution that checks and costs next to no more than need be, by bisection.
+
+    Where the inequality is hardly feasible the solver's least cost lies below the true one.
+
+    Args:
+        family, cost, confine, best: as of `_inside`.
+        solution: which checks.
+        between: the excess that did not do, and that of the solution.
+    """
+    low, high = (1 + excess for excess in between)
+    while high > (1 + EXCESSES[0]) * low:
+        middle = float(np.sqrt(low * high))
+        found = _inside(family, cost, confine, best, middle - 1)
+        if found is None:
+            low = middle
+        else:
+            solution, high = found, middle
+    return solution
 
 
 def _least(

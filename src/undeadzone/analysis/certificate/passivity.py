@@ -13,15 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.certificate import positive_real
 from undeadzone.analysis.certificate.stability import unstable
+from undeadzone.analysis.certificate.weights import Weights, best_weights, margin
 from undeadzone.analysis.dissipation import (
-    LEAST,
     NOTHING,
     Check,
-    Inequality,
     check,
-    optimise,
     storage,
 )
 from undeadzone.analysis.error_dynamics import (
@@ -36,8 +33,6 @@ from undeadzone.analysis.error_dynamics import (
 from undeadzone.errors import StructureError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
-
-SEARCHES = 20  # steps of Dinkelbach's iteration for the weights, at most
 
 
 class Certificate(NamedTuple):
@@ -111,10 +106,10 @@ def certify_dynamics(errors: Dynamics, W: Floats | None = None) -> Certificate:
     scaling = balance(errors)
     scaled = scaling.dynamics(errors)
     if W is None:
-        weights = _best_weights(scaled)
+        weights = best_weights(scaled)
     else:
         W = W * scaling.output**2
-        weights = _Weights(W, *margin(scaled, W))
+        weights = Weights(W, *margin(scaled, W))
     P_scaled = storage(scaled.inequality(weights.W))
     if P_scaled is not None:
         V = V._replace(P=scaling.storage(P_scaled), W=scaling.weights(weights.W))
@@ -138,24 +133,6 @@ def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
     proof = check(errors.inequality(W), P)
     one_weight = all(np.ptp(W[group > 0]) == 0 for group in errors.groups.T)
     return proof._replace(proved=bool(proof.proved and one_weight and (W > 0).all()))
-
-
-def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """(margin for this W, frequency [rad/s] where it is attained); exact, without a solver.
-
-    Args:
-        errors: error dynamics with one stable A.
-        W: weights of the outputs (p).
-    """
-    (A,), C, L, _, Ts = errors
-    root = np.sqrt(W)
-    margins = []
-    for step in errors.steps:
-        D = np.eye(root.size) - step / 2
-        G = positive_real.response(A, C * root[:, None], L / root, D, Ts)
-        worst = positive_real.worst(G)
-        margins.append((worst.value, G.frequency(worst.w)))
-    return min(margins)
 
 
 def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
@@ -198,80 +175,6 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     # What is left of the LMI after PL = C' and a Schur complement must stay below 1; half is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
     return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
-
-
-class _Weights(NamedTuple):
-    """Weights W (p), their margin and the frequency [rad/s] where it is attained."""
-
-    W: Floats
-    margin: float
-    frequency: float | None
-
-
-def _best_weights(errors: Dynamics) -> _Weights:
-    """The weights that maximise the margin, with mean 1 over their groups.
-
-    The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
-    iteration, one LMI a step.
-    """
-    exact = len(errors.A) == 1
-    equal = np.ones(errors.C.shape[0])
-    best = _Weights(equal, *margin(errors, equal)) if exact else _Weights(equal, -np.inf, None)
-    if exact and errors.groups.shape[1] == 1:
-        return best
-    shift = best.margin if exact else 0.0
-    for _ in range(SEARCHES):
-        deepest = _deepest(errors, shift)
-        if deepest is None:
-            break
-        P, W = deepest
-        if exact:
-            trial = _Weights(W, *margin(errors, W))
-        else:
-            trial = _Weights(W, _reached(errors, P, W), None)
-        gain = trial.margin - best.margin
-        if gain > 0:
-            best = trial
-        if not gain >= 1e-6 * max(1.0, abs(best.margin)):
-            break
-        shift = best.margin
-    return best
-
-
-def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
-    """(P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0; None if there is none."""
-    groups, none = errors.groups, np.zeros((errors.L.shape[0], 0))
-
-    def weights(q: Floats) -> Floats:
-        return groups @ np.append(q[:-1], groups.shape[1] - q[:-1].sum())
-
-    def family(q: Floats) -> Inequality:
-        W = weights(q)
-        return errors.extended(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
-
-    def positive(P: Floats, q: Floats) -> list[Floats]:
-        return [weights(q) - LEAST]
-
-    start = np.append(np.ones(groups.shape[1] - 1), 0.0)
-    solution = optimise(family, -np.eye(start.size)[-1], start, positive, passes=1)
-    if solution is None:
-        return None
-    return solution.P, np.maximum(weights(solution.q), LEAST)
-
-
-def _reached(errors: Dynamics, P: Floats, W: Floats) -> float:
-    """The largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is none."""
-    n, p = errors.L.shape
-    least = np.inf
-    for M in errors.inequality(W).matrices(P):
-        e = np.arange(n, n + p)  # the rows of the innovation
-        rest = np.delete(np.arange(len(M)), e)
-        if not np.linalg.eigvalsh(M[np.ix_(rest, rest)])[-1] < 0:
-            return -np.inf
-        cross = M[np.ix_(rest, e)]
-        corner = M[np.ix_(e, e)] - cross.T @ np.linalg.solve(M[np.ix_(rest, rest)], cross)
-        least = min(least, float(np.linalg.eigvalsh(-corner / np.sqrt(np.outer(W, W)) / 2)[0]))
-    return least
 
 
 def _reason(errors: Dynamics, least: float, w: float | None) -> str:

@@ -34,13 +34,21 @@ class Response(NamedTuple):
         Args:
             w: frequencies [rad/s]; inf is allowed.
         """
+        G = self.values(w)
+        return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
+
+    def values(self, w: Floats) -> np.ndarray:
+        """G (len(w) x p x p, complex) at frequencies w of the mapped axis.
+
+        Args:
+            w: frequencies [rad/s]; inf is allowed.
+        """
         finite = np.isfinite(w)
         G = np.zeros((w.size, *self.D.shape), complex)
         s = 1j * w[finite]
         pencils = s[:, None, None] * np.eye(self.A.shape[0]) - self.A
         G[finite] = self.C @ np.linalg.solve(pencils, self.L[None].astype(complex))
-        G += self.D
-        return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
+        return np.asarray(G + self.D)
 
     def frequency(self, w: float) -> float:
         """The true frequency [rad/s] of a frequency of the mapped axis."""

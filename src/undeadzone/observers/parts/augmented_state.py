@@ -32,7 +32,7 @@ class JointClaims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             multiple of the largest width.
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
             [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
-            of the plant (in 1 s of a chain of integrators).
+            of the plant (in 50 samples of a chain of integrators).
         swing: rms, in largest widths, by which the default disturbance moves z.
         drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the largest
             width.
@@ -155,7 +155,7 @@ def default_disturbance(model: System, largest: float, correlation: float) -> Fl
 def quarter_period(model: System) -> float:
     """`time_scale` [s] of a sampled model."""
     assert model.flow is not None
-    return time_scale(model.flow)
+    return time_scale(model.flow, model.Ts)
 
 
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:

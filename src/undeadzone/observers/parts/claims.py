@@ -26,7 +26,7 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         disturbance: rms that a coloured input disturbance may have, one or one per input [u];
             default what moves z by half of the largest width in a quarter period, rms.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
-            of the plant's period, 1/4 s if it only integrates.
+            of the plant's period, 12.5 samples if it only integrates.
         bias: rms of an unknown constant at the input, one or one per input [u]; default a quarter
             of the disturbance's.
         calibrated: probability that there is no bias.

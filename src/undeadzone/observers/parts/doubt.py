@@ -69,7 +69,7 @@ def doubt_numbers(
     """
     assert model.flow is not None
     assert model.Ts is not None
-    quarter = time_scale(model.flow)
+    quarter = time_scale(model.flow, model.Ts)
     share = max(glitches, np.finfo(float).tiny)
     noisy = (sensor.noise > 0) | (sensor.noise_before > 0)
     return Doubt(

@@ -20,7 +20,7 @@ from undeadzone.support.arrays import Floats
 def even_units(model: System) -> Floats:
     """The powers of two next to `state_units` (n) of a sampled model."""
     assert model.flow is not None
-    return np.asarray(2.0 ** np.round(np.log2(state_units(model.flow))))
+    return np.asarray(2.0 ** np.round(np.log2(state_units(model.flow, model.Ts))))
 
 
 def counted_prior(prior: Prior, units: Floats) -> Prior:

@@ -48,7 +48,7 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         for variant, state in zip(variants, s.members, strict=True):
             steps.append(member.step(variant(q), state, u, reading))
         odds = s.odds + ca.vertcat(*(one.log for one in steps))
-        odds = likely(odds)
+        odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
         share = ca.exp(odds)
         share = share / ca.sum1(share)
         return Step(
@@ -80,11 +80,6 @@ def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> S
         return mixture(each, share)
 
     return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)
-
-
-def likely(odds: Any) -> Any:
-    """Log odds, 0 for the best member and not below what the worst one keeps (K)."""
-    return ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
 
 
 def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:

@@ -103,11 +103,11 @@ def build_prior(
         rms = _claimed_noise(noise, p)
         least = np.zeros(p)
     if x_std is None:
-        spread = reach * largest * state_units(model.flow or model.linear)
+        spread = reach * largest * state_units(model.flow or model.linear, Ts)
     else:
         spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
     if drift is None:
-        drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear))
+        drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear, Ts))
     growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
     x0 = vector("observer.start", start, model.n, "one per state")
     return Prior(

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 
 from undeadzone.interfaces import Estimate
-from undeadzone.numerics.gaussian import Gaussian, mix, truncate_to
+from undeadzone.numerics.gaussian import Gaussian, from_upper, truncate_to
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
@@ -67,10 +67,28 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
         stronger, odds = setup.augmentation.alternative(q, belief)
         stronger, likelier = limit_widths(setup, q, stronger)
         share = 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0)))
-        limited = mix(stronger, limited, share)
+        limited = ambiguous(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
     return clipped(setup.model.n, q, limited, setup.doubts)
+
+
+def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
+    """The mixture of both beliefs, with deviations whose +-1.96 hold 95 % of it.
+
+    A mixture of a narrow and a wide belief has more in its tails than a Gaussian of its variance.
+    If the wide one, of chance b, is much wider, 95 % of the mixture lie within 1.96 deviations of
+    variance h^2 of the wide one's, Phi(1.96 h) = 1 - 0.025 / b. h^2 is at most b (2 - b), which is
+    taken; a Gaussian would have b.
+
+    Args:
+        stronger: the belief if the stronger claim is true.
+        weaker: the belief if it is not.
+        share: chance of the stronger one.
+    """
+    narrow, gap = share**2, stronger.mean - weaker.mean
+    cov = narrow * stronger.cov + (1 - narrow) * weaker.cov + share * (1 - share) * gap @ gap.T
+    return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, from_upper(cov))
 
 
 def clipped(n: int, q: Params, belief: Gaussian, doubts: bool) -> tuple[Gaussian, Any]:

@@ -126,7 +126,7 @@ def span(key: str, value: Any, Ts: float) -> float:
 
 def correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
     """That of a disturbance [s]; default: a 16th of the plant's period. Raises InputError."""
-    time = BRIEF * time_scale(flow) if claimed is None else claimed
+    time = BRIEF * time_scale(flow, Ts) if claimed is None else claimed
     return span("correlation_time", time, Ts)
 
 

@@ -1,0 +1,318 @@
+"""The function of a kernel: loops over chunks of steps, groups of lanes and time."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from typing import Final
+
+from undeadzone.engine.forms import Form, Shape
+from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, kept, once, plain
+from undeadzone.engine.ops import LANES, SHARED, STEADY, Op, needed, used
+from undeadzone.engine.rare import RareParts
+from undeadzone.engine.schedule import ordered
+
+_ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs", "scratch")
+_TABLE: Final = 2048  # numbers of a table of a chunk of steps: 16 KB
+_STEPS: Final = 64  # of a chunk, at most
+_FEWEST: Final = 4
+_FOR_EVER: Final = 2**62
+_UNLIKELY: Final = '!0 = !{!"branch_weights", i32 1, i32 100}'
+
+
+class _Table:
+    """Plain numbers that lanes read: a row of them.
+
+    Args:
+        every_use: each use has an entry for itself. LLVM then makes it an operand of the
+            instruction that uses it, where one entry would stand in a register, or be spilled.
+    """
+
+    def __init__(self, every_use: bool) -> None:
+        self.entries: list[Op] = []
+        self._places: dict[int, int] = {}
+        self._every_use = every_use
+
+    def place(self, op: Op) -> int:
+        """Where a use of a value finds it."""
+        if self._every_use or op.number not in self._places:
+            self._places[op.number] = len(self.entries)
+            self.entries.append(op)
+        return self._places[op.number]
+
+    def fill(self, text: Text, base: str, have: dict[int, str]) -> None:
+        """Print what keeps the values."""
+        forms: dict[int, str] = {}
+        for place, op in enumerate(self.entries):
+            if op.number not in forms:
+                forms[op.number] = kept(text, op, have[op.number])
+            text.store(forms[op.number], text.at(base, place))
+
+
+class Block:
+    """The function `block` on the way to its text.
+
+    Args:
+        shape, form: of the kernel.
+        usual: next, out, flag if there are rare parts.
+        parts: next, flag of each rare part.
+    """
+
+    def __init__(
+        self, shape: Shape, form: Form, usual: list[list[Op]], parts: list[list[list[Op]]]
+    ) -> None:
+        self.shape, self.form = shape, form
+        self.following, self.out = usual[0], usual[1]
+        self.flag = _condition(usual[2][0]) if parts else None
+        self.declared: dict[str, str] = {}
+        self.rare = RareParts(shape, form, parts)
+        self.slots = form.slots and form.lanes > 1
+        self.steady, self.shared = _Table(self.slots), _Table(self.slots)
+        self.groups = range(form.streams)
+        self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
+        self.order = ordered(self.results, form.registers)
+        self.have: dict[int, str] = {}  # steady values, plain
+        self.held: dict[int, str] = {}  # those that stay in registers
+
+    def printed(self, name: str) -> tuple[str, int]:
+        """The text of the module, with a function of that name, and the numbers of its tables."""
+        entry = self._text("e")
+        self._steady_values(entry)
+        group, body = self._group(), self._body()
+        steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
+        steps = steps if self.shared.entries else _FOR_EVER
+        scratch = self._tables(entry, steps)
+        arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
+        lines = [
+            *self.rare.functions(self.declared),
+            f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
+            "entry:",
+            *entry.lines,
+            *self._chunk(steps),
+            *group,
+            *self._time(),
+            *body,
+            *self._end(),
+            "}",
+            *self.declared.values(),
+            'attributes #0 = { nounwind "prefer-vector-width"="512" }',
+            *([_UNLIKELY] if self.flag else []),
+        ]
+        return "\n".join(lines), scratch
+
+    def _text(self, prefix: str) -> Text:
+        """A new part of the function."""
+        return Text(self.form.lanes, self.declared, prefix)
+
+    def _steady_values(self, text: Text) -> None:
+        """Print what is steady, once."""
+        wanted = [*used(self.order, self.results, STEADY), *self.rare.steady]
+        for op in needed(used(self.order, self.results, SHARED)):
+            if op.level == SHARED:
+                wanted += [arg for arg in op.args if arg.level == STEADY]
+        once(text, wanted, self.have, entries_of(text, "params"))
+
+    def _most_used(self) -> list[Op]:
+        """The steady numbers that stay in registers."""
+        if self.form.lanes == 1:
+            return []
+        args = itertools.chain.from_iterable(op.args for op in self.order)
+        uses = Counter(arg.number for arg in args)
+        numbers = [op for op in used(self.order, [], STEADY) if op.type == "double"]
+        return sorted(numbers, key=lambda op: -uses[op.number])[: self.form.held]
+
+    def _tables(self, text: Text, steps: int) -> int:
+        """Print where tables are, and fill those that are steady; the numbers of all of them."""
+        lanes, streams = self.form.lanes, self.form.streams
+        text.line("%steady = getelementptr double, ptr %scratch, i64 0")
+        at = _rounded(len(self.steady.entries))
+        text.line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
+        at += _rounded(len(self.shared.entries) * steps if self.shared.entries else 0)
+        text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
+        at += _rounded(len(self.rare.steady))
+        for u in range(streams if self.flag else 0):
+            for name, count in self.rare.arrays:
+                text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
+                at += _rounded(count * lanes)
+        self.steady.fill(text, "%steady", self.have)
+        for place, op in enumerate(self.rare.steady):
+            text.store(kept(text, op, self.have[op.number]), text.at("%rare", place))
+        text.line("%none = icmp slt i64 %steps, 1")
+        text.line("br i1 %none, label %end, label %chunk")
+        return at
+
+    def _chunk(self, steps: int) -> list[str]:
+        """The loop over chunks of steps and the table of what is shared."""
+        text = self._text("c")
+        text.label("chunk")
+        text.line("%first = phi i64 [0, %entry], [%last, %chunked]")
+        text.line(f"%far = add i64 %first, {steps}")
+        text.line("%short = icmp slt i64 %steps, %far")
+        text.line("%last = select i1 %short, i64 %steps, i64 %far")
+        if not self.shared.entries:
+            text.line("br label %groups")
+            text.label("groups")
+            text.line("br label %group")
+            return text.lines
+        text.line("br label %ahead")
+        text.label("ahead")
+        text.line("%ka = phi i64 [%first, %chunk], [%kb, %ahead]")
+        text.line("%kb = add i64 %ka, 1")
+        text.line(f"%wa = mul i64 %ka, {self.shape.sizes[1]}")
+        text.line("%pa = getelementptr double, ptr %exogenous, i64 %wa")
+        text.line("%ra = sub i64 %ka, %first")
+        text.line(f"%ta = mul i64 %ra, {len(self.shared.entries)}")
+        text.line("%qa = getelementptr double, ptr %table, i64 %ta")
+        have = dict(self.have)
+        once(text, self.shared.entries, have, entries_of(text, "pa"))
+        self.shared.fill(text, "%qa", have)
+        text.line("%done_a = icmp eq i64 %kb, %last")
+        text.line("br i1 %done_a, label %groups, label %ahead")
+        text.label("groups")
+        text.line("br label %group")
+        return text.lines
+
+    def _group(self) -> list[str]:
+        """The loop over groups up to that over time."""
+        text = self._text("g")
+        vector, (states, _, _) = text.type("double"), self.shape.sizes
+        text.label("group")
+        text.line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
+        text.line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")
+        for u in self.groups:
+            text.line(f"%g{u} = add i64 %g, {u * self.form.lanes}")
+            _rows(text, "work", f"%g{u}", f"row{u}_", states + len(self.shape.params))
+            for i in range(states):
+                text.line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
+            for i in range(len(self.shape.params)):
+                text.line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
+        for op in self._most_used():
+            one = text.load(text.at("%steady", self.steady.place(op)))
+            self.held[op.number] = text.splat(one, "double")
+        text.line("br label %time")
+        return text.lines
+
+    def _time(self) -> list[str]:
+        """The head of the loop over time."""
+        text = self._text("h")
+        text.label("time")
+        text.line("%k = phi i64 [%first, %group], [%k_next, %after]")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                sources = f"[%s{u}_{i}_0, %group], [%m{u}_{i}, %after]"
+                text.line(f"%s{u}_{i} = phi {text.type('double')} {sources}")
+        text.line("%k_next = add i64 %k, 1")
+        if self.steady.entries:
+            text.line('%sp = call ptr asm "", "=r,0,r"(ptr %steady, i64 %k)')
+        if self.shared.entries:
+            text.line("%kr = sub i64 %k, %first")
+            text.line(f"%kt = mul i64 %kr, {len(self.shared.entries)}")
+            text.line("%sq = getelementptr double, ptr %table, i64 %kt")
+        if self.form.lanes == 1 or self.flag:
+            text.line(f"%kw = mul i64 %k, {self.shape.sizes[1]}")
+            text.line("%w = getelementptr double, ptr %exogenous, i64 %kw")
+        for array, entries in (("own", self.shape.exogenous), ("outputs", self.shape.record)):
+            if not entries:
+                continue
+            text.line(f"%k_{array} = mul i64 %k, {len(entries)}")
+            text.line(f"%j_{array} = mul i64 %k_{array}, %lanes")
+            for u in self.groups:
+                text.line(f"%i_{array}{u} = add i64 %j_{array}, %g{u}")
+                _rows(text, array, f"%i_{array}{u}", f"{array}{u}_", len(entries))
+        return text.lines
+
+    def _body(self) -> list[str]:
+        """A step, and the rare parts' calls."""
+        text = self._text("b")
+        sources = [self._source(text, u) for u in self.groups]
+        names = in_lanes(text, self.order, sources, self.slots)
+        vector = text.type("double")
+        for u in self.groups:
+            for i, op in enumerate(self.out):
+                text.store(names[u](op), f"%outputs{u}_{i}", vector=True)
+        merged = [[[names[u](op) for op in self.following] for u in self.groups]]
+        came = ["time"]
+        if self.flag:
+            last, changed = self.rare.called(text, merged[0], self._flags(text, names))
+            came.append(last)
+            merged.append(changed)
+        else:
+            text.line("br label %after")
+        text.label("after")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                pairs = zip(merged, came, strict=True)
+                options = ", ".join(f"[{values[u][i]}, %{block}]" for values, block in pairs)
+                text.line(f"%m{u}_{i} = phi {vector} {options}")
+        return text.lines
+
+    def _flags(self, text: Text, names: list[Names]) -> list[str]:
+        """The conditions of the rare parts, for each group."""
+        assert self.flag is not None
+        flags = [name(self.flag) for name in names]
+        if self.flag.type == "i1":
+            return flags
+        return [text.add(f"fcmp une {text.type('double')} {x}, {text.zero()}") for x in flags]
+
+    def _source(self, text: Text, u: int) -> Names:
+        """What names values of lower levels and inputs of the lanes of a group."""
+        shape = self.shape
+
+        def source(op: Op) -> str:
+            if op.level == STEADY and self.form.lanes == 1:
+                return self.have[op.number]
+            if op.level < LANES:
+                if op.number in self.held:
+                    return self.held[op.number]
+                table, base = (self.steady, "%sp") if op.level == STEADY else (self.shared, "%sq")
+                one = text.load(text.at(base, table.place(op)))
+                return plain(text, op, text.splat(one, "double"), True)
+            place = int(op.text[1:])
+            if op.text[0] == "s":
+                return f"%s{u}_{place}"
+            if op.text[0] == "p":
+                return f"%p{u}_{shape.params.index(place)}"
+            if place in shape.exogenous:
+                row = shape.exogenous.index(place)
+                return text.load(f"%own{u}_{row}", vector=True)
+            return text.load(text.at("%w", place))
+
+        return source
+
+    def _end(self) -> list[str]:
+        """The ends of all loops."""
+        text = self._text("z")
+        text.line("%done = icmp eq i64 %k_next, %last")
+        text.line("br i1 %done, label %grouped, label %time")
+        text.label("grouped")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                text.store(f"%m{u}_{i}", f"%row{u}_{i}", vector=True)
+        text.line("%done_g = icmp sge i64 %g_next, %lanes")
+        text.line("br i1 %done_g, label %chunked, label %group")
+        text.label("chunked")
+        text.line("%more = icmp slt i64 %last, %steps")
+        text.line("br i1 %more, label %chunk, label %end")
+        text.label("end")
+        text.line("ret void")
+        return text.lines
+
+
+def _rows(text: Text, base: str, first: str, name: str, count: int) -> None:
+    """Print the addresses of rows of an array, each `lanes` numbers after the one before."""
+    before = f"ptr %{base}, i64 {first}"
+    for i in range(count):
+        text.line(f"%{name}{i} = getelementptr double, {before}")
+        before = f"ptr %{name}{i}, i64 %lanes"
+
+
+def _condition(op: Op) -> Op:
+    """The condition that a flag, 1 or 0, stands for; else the flag itself."""
+    texts = [arg.text for arg in op.args[1:]]
+    is_truth = op.kind == "select" and texts == ["0x3FF0000000000000", "0x0000000000000000"]
+    return op.args[0] if is_truth else op
+
+
+def _rounded(numbers: int) -> int:
+    """So many numbers, filled up to lines of the cache."""
+    return -(-numbers // 8) * 8

@@ -1,0 +1,44 @@
+"""What a kernel is compiled for, and how it computes its lanes."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+LARGE: Final = 1200  # instructions beyond which groups go alone, in the order of the graph
+
+
+class Shape(NamedTuple):
+    """What a kernel is compiled for.
+
+    Attributes:
+        sizes: of s, w and p.
+        exogenous, params: entries of w and p that each lane has for itself.
+        record: outputs that are kept.
+    """
+
+    sizes: tuple[int, int, int]
+    exogenous: tuple[int, ...]
+    params: tuple[int, ...]
+    record: tuple[int, ...]
+
+
+class Form(NamedTuple):
+    """How the lanes of a kernel are computed; it changes no bit.
+
+    Attributes:
+        lanes: of a vector; 1 for plain numbers.
+        streams: groups side by side, so that one works while the other waits.
+        slots: each use of a shared number has an entry of a table for itself, which becomes an
+            operand of its instruction (AVX-512).
+        registers: numbers of a group that may wait for their use; 0 for the order of the graph.
+        held: numbers that all lanes share and that stay in registers.
+    """
+
+    lanes: int
+    streams: int
+    slots: bool
+    registers: int
+    held: int
+
+
+ONE: Final = Form(1, 1, False, 0, 0)  # for a single run

@@ -1,0 +1,175 @@
+"""What further mutants changed unnoticed: as in test_signs.py, each test guards one line."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from scenes import PAPER_PLANT, linear
+from test_identifiability import visiting
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence.trajectories import settling
+from undeadzone.analysis.dissipation import Inequality, check
+from undeadzone.analysis.identifiability import nonlinear
+from undeadzone.analysis.identifiability.information import deviations
+from undeadzone.analysis.side_schedule import recorded
+from undeadzone.errors import StructureError
+from undeadzone.linear import riccati
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import place
+from undeadzone.observers.parts import learned_residual
+from undeadzone.observers.parts.augmented_state import (
+    CROWD,
+    Defaults,
+    JointClaims,
+    agitation,
+    joint_prior,
+)
+from undeadzone.observers.parts.boxes import cut
+from undeadzone.plants.system import sampled
+from undeadzone.sensor import Sensor, resolve
+
+
+@pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])
+def test_the_state_that_shifts_is_that_of_the_lost_edge(
+    monkeypatch: pytest.MonkeyPatch, lost: str, state: str
+) -> None:
+    """Of output 1: its right edge hides behind x[0], its left one behind x[1]."""
+    monkeypatch.setattr(nonlinear, "symmetric", lambda model, change: False)
+    hidden: Any = SimpleNamespace(scale=np.ones(4), basis=np.eye(4)[:, 2:])
+    hidden.within = lambda part: SimpleNamespace(basis=hidden.basis, width=lambda i, name: False)
+    known: Any = SimpleNamespace(hidden=hidden, follow=np.eye(2, 4, k=2))
+    model: Any = SimpleNamespace(arm=None, n=2)
+    words = nonlinear._state_shift(model, known, 1, lost, "edge", "rest")
+    assert f"along this run {state} can shift with the edges" in words
+
+
+@pytest.mark.parametrize("larger", [0, 1])
+def test_readings_without_noise_are_as_exact_as_the_larger_edge(larger: int) -> None:
+    stds = []
+    for levels in ([1.0, 1.0], [8.0, 8.0], np.eye(2)[larger] * 7 + 1):
+        schedule = visiting([True], [True])._replace(levels=np.array([levels]))
+        known = deviations(PAPER_PLANT.linear, schedule, np.zeros(1), 0.01, 15.0)
+        stds.append(known.widths[0]["width"])
+    assert stds[1] == pytest.approx(8 * stds[0], rel=1e-9)
+    assert stds[2] == pytest.approx(stds[1], rel=1e-9)
+
+
+def test_a_recorded_side_changes_half_way_between_two_samples() -> None:
+    sensor = resolve(Sensor(right=1.0, left=1.0), 1, 0.1)
+    z = np.array([0.0, 0.0, 0.0, 3.0, 3.0, -3.0, -3.0])[:, None]
+    schedule = recorded(z, sensor, 0.1, None)
+    np.testing.assert_allclose(schedule.sides[:, 0], [0.0, 1.0, -1.0])
+    np.testing.assert_allclose(schedule.spans, [0.25, 0.2, 0.15], rtol=1e-12)
+
+
+def test_errors_may_need_many_passes_to_settle() -> None:
+    """A schedule of 1.5 ms, passed thousands of times; the count is the least that suffices."""
+    found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    usual = visiting([True], [True])
+    brief = usual._replace(spans=usual.spans / 1000)
+    slow = settling(found.dynamics, found.V, usual)
+    fast = settling(found.dynamics, found.V, brief)
+    assert slow is not None
+    assert fast is not None
+    assert fast / brief.duration > 1000
+    assert fast == pytest.approx(slow, rel=0.5)
+
+
+def test_the_margin_that_a_check_shows_is_that_of_the_worst_matrix() -> None:
+    """Two supplies, -1 and -0.1 off the diagonal: eigenvalues -1 + 0.9 and -1 + 0.1."""
+    A = (np.array([[-1.0, 0.0], [0.0, -1.0]]),)
+    supplies = tuple(2 * np.array([[0.0, c], [c, 0.0]]) for c in (0.9, 0.1))
+    sizes = tuple(np.abs(supply) for supply in supplies)
+    proof = check(Inequality(A, np.zeros((2, 0)), supplies, sizes, None, 0.0), np.eye(2))
+    assert proof.proved
+    assert proof.lmi == pytest.approx(-0.1, rel=1e-12)
+
+
+def test_a_gain_of_which_some_entries_are_not_finite_is_refused() -> None:
+    """The square of the last entry of A overflows, which spoils one entry of K."""
+    A, B = np.array([[0.0, 1.0], [1.0, 1e200]]), np.array([[0.0], [1.0]])
+    with np.errstate(all="ignore"), pytest.raises(StructureError, match="too far apart"):
+        place(A, B, np.array([-1.0, -2.0], complex), "controller.poles")
+
+
+def test_a_refinement_that_does_not_halve_the_residual_is_not_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Newton's step is bent such that the residual falls to 0.8 of what it was."""
+    A, B = np.array([[-1.0]]), np.array([[1.0]])
+    exact = np.sqrt(2) - 1
+    monkeypatch.setattr(riccati, "_solution", lambda equation: np.array([[exact + 1e-3]]))
+    monkeypatch.setattr(riccati, "_lyapunov", lambda *_: np.array([[-2e-4]]))
+    found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
+    assert found.P[0, 0] == exact + 1e-3
+    monkeypatch.setattr(riccati, "_lyapunov", lambda *_: np.array([[-6e-4]]))
+    found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
+    assert found.P[0, 0] == exact + 1e-3 - 6e-4
+
+
+def test_one_stable_pole_does_not_make_the_sampled_gain_of_34_stable() -> None:
+    plant = Matrices(np.diag([3.0, 0.1]), np.array([[1.0], [1.0]]), np.eye(2))
+    with pytest.raises(StructureError, match="does not stabilise"):
+        riccati.feedback(plant, 1.0, np.eye(2), 1.0)
+
+
+@pytest.mark.parametrize("times", [1, 4])
+def test_the_noise_of_crowded_readings_grows_with_their_root(times: int) -> None:
+    """`times` CROWD readings in a quarter period of the paper's plant, pi / 2 s."""
+    plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+    model = sampled(plant, np.pi / 2 / (times * CROWD))
+    sensor = resolve(Sensor(right=1.0, left=1.0), 1, 1e-2)
+    claims, defaults = JointClaims(right=[0.0, 2.0]), Defaults(0.1, 0.0, 1.0)
+    found = joint_prior(claims, model, sensor, defaults)
+    np.testing.assert_allclose(found.prior.R, 0.04 * times, rtol=1e-9)
+
+
+def test_the_default_disturbance_is_that_of_the_output_that_it_moves_most() -> None:
+    both = []
+    for C in ([[1.0, 0.0], [0.0, 0.1]], [[2.0, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 0.05]]):
+        plant = linear([[-1.0, 0.0], [0.0, -1.0]], [[1.0], [1.0]], C)
+        both.append(float(agitation(sampled(plant, 0.01), 1.0)[0]))
+    assert both[1] == pytest.approx(both[0] / 2)
+    assert both[2] == pytest.approx(both[0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_end_of_a_box_moves_as_far_as_the_bounds_say(sign: float) -> None:
+    """One state in [-1, 1] of which z in [0.5, 9] is known; then z in [10, 11], which none has."""
+
+    def of(lo: float, hi: float) -> tuple[float, float]:
+        low, high = sorted((sign * lo, sign * hi))
+        zero, one = ca.SX.zeros(1), ca.SX.ones(1)
+        x, radius = cut(zero, one, ca.SX.eye(1), ca.SX.ones(1, 1), low, high)
+        return float(x), float(radius)
+
+    assert of(0.5, 9.0) == pytest.approx((0.75 * sign, 0.25))
+    assert of(10.0, 11.0) == pytest.approx((1.0 * sign, -1.0))
+
+
+def test_an_end_of_a_box_moves_as_far_as_other_entries_let_it() -> None:
+    """z = x_0 + 2 x_1 >= 2 in the unit box: x_0 may be anything from 0, x_1 from 1/2."""
+    none, row = ca.SX.zeros(2), ca.SX([[1.0, 2.0]])
+    x, radius = cut(none, ca.SX.ones(2), ca.SX.eye(2), row, 2.0, 9.0)
+    low = ca.DM(x - radius).full().ravel()
+    np.testing.assert_allclose(low, [0.0, 0.5])
+    np.testing.assert_allclose(ca.DM(x + radius).full().ravel(), [1.0, 1.0])
+
+
+def test_the_state_moves_with_weights_that_reach_their_bounds() -> None:
+    """By the sensitivity times what each weight is moved."""
+    setup: Any = SimpleNamespace(limited=True, compensator=SimpleNamespace(size=2))
+    q: Any = SimpleNamespace(limit=ca.SX([3.0, 5.0]))
+    sensitivity = np.arange(1.0, 9.0).reshape(2, 4)
+    W = np.array([4.0, -1.0, 2.0, 7.0])  # two of each output; limits 3, 3, 5, 5
+    state = learned_residual.State(ca.SX([10.0, 20.0]), ca.SX(W), ca.SX(sensitivity), ca.SX(0))
+    after = learned_residual.into_bounds(setup, q, state)
+    moved = np.array([-1.0, 1.0, 0.0, -2.0])
+    np.testing.assert_allclose(ca.DM(after.W).full().ravel(), W + moved)
+    expected = np.array([10.0, 20.0]) + sensitivity @ moved
+    np.testing.assert_allclose(ca.DM(after.x).full().ravel(), expected)
