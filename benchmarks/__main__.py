@@ -31,6 +31,7 @@ NAMES = (
     "identify",
     "damaged_logs",
     "firmware",
+    "arena_effort",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -605,10 +605,10 @@ def test_a_user_picks_a_method_for_a_plant(mine: Path, tmp_path: Path) -> None:
     assert names == {
         "results.json",
         "report.html",
-        "leaderboard.png",
-        "scenarios.png",
-        "trajectories.png",
-        "cost.png",
+        "leaderboard.svg",
+        "scenarios.svg",
+        "trajectories.svg",
+        "cost.svg",
         f"mine-{best}.toml",
     }
     again = simulate(read(tmp_path / "out" / f"mine-{best}.toml"))

@@ -69,8 +69,8 @@ def test_with_a_claimed_centre_both_edges_of_an_integrator_become_known(method: 
 
 def test_without_a_claim_the_centre_of_an_integrator_stays_unknown() -> None:
     assert known(simulate(motor())) == (True, False)
-    assert "observer.centre" in check(motor())["cures"][0]
-    assert check(motor(centre=0.0))["cures"] == []
+    assert "observer.centre" in check(motor()).cures[0]
+    assert check(motor(centre=0.0)).cures == ()
 
 
 def test_a_vague_centre_is_known_as_well_as_it_is_claimed() -> None:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undeadzone.cli import common
 from undeadzone.simulation.run import Run
+from undeadzone.support import progress
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
@@ -131,7 +131,7 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     done = undeadzone("run", scenario, "--out", out)
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in out.iterdir()) == [
-        "figure.png",
+        "figure.svg",
         "report.html",
         "run.csv",
         "run.npz",
@@ -140,7 +140,7 @@ def test_run_writes_signals_figure_and_page(scenario: Path) -> None:
     np.testing.assert_array_equal(Run.load(out / "run.csv").z, run.z)
     page = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=[\"']https?:", page)
-    assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "figure.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_init_does_not_overwrite(scenario: Path) -> None:
@@ -407,8 +407,8 @@ def shown(terminal: Terminal, word: str) -> bool:
 def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(common, "PATIENCE", 0.01)
-    with common.progress("simulating", 10) as advance:
+    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    with progress.on_terminal("simulating", 10) as advance:
         assert shown(terminal, "setting up")
         advance(4)
         advance(3)
@@ -419,7 +419,7 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(common, "PATIENCE", 60.0)
-    with common.progress("simulating", 10) as advance:
+    monkeypatch.setattr(progress, "PATIENCE", 60.0)
+    with progress.on_terminal("simulating", 10) as advance:
         advance(10)
     assert terminal.getvalue() == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -192,7 +193,8 @@ def test_check_of_two_outputs_gives_lists() -> None:
     done = run("check", EXAMPLES / "two_outputs.toml", *QUIET)
     assert done.code == 0
     assert [verdict["centre"] for verdict in done.found["identifiable"]] == [True, True]
-    assert "identifiable 1" in run("check", EXAMPLES / "two_outputs.toml", "--no-figures").out
+    shown = run("check", EXAMPLES / "two_outputs.toml", "--no-figures").out
+    assert re.search(r"identifiable +right.*\n0 +yes.*\n1 +yes", shown)
 
 
 def test_check_writes_a_verdict_figures_and_a_page(
@@ -202,11 +204,11 @@ def test_check_writes_a_verdict_figures_and_a_page(
     done = run("check", paper(observer=observed([12.0, 15.0], 2.0)), "--json", "--out", out)
     assert sorted(path.name for path in out.iterdir()) == [
         "check.json",
-        "ellipse.png",
-        "lyapunov.png",
-        "nyquist.png",
+        "ellipse.svg",
+        "lyapunov.svg",
+        "nyquist.svg",
         "report.html",
-        "root_locus.png",
+        "root_locus.svg",
     ]
     assert (
         json.loads((out / "check.json").read_text()) | {"files": done.found["files"]} == done.found
@@ -254,12 +256,12 @@ def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
     folder, done = knee
     names = [
         "design.toml",
-        "ellipse.png",
-        "front.png",
-        "lyapunov.png",
-        "nyquist.png",
+        "ellipse.svg",
+        "front.svg",
+        "lyapunov.svg",
+        "nyquist.svg",
         "report.html",
-        "root_locus.png",
+        "root_locus.svg",
     ]
     assert sorted(path.name for path in (folder / "out").iterdir()) == names
     assert Design.load(folder / "out" / "design.toml").L.tolist() == done.found["L"]

@@ -215,7 +215,7 @@ def test_the_fastest_certified_gains_of_the_paper_example(quickest: Design) -> N
     judged = check(
         scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma})
     )
-    assert judged["rate"] == pytest.approx(quickest.best.rate, rel=1e-6)
+    assert judged.rate == pytest.approx(quickest.best.rate, rel=1e-6)
 
 
 def test_the_knee_beats_the_present_gains_in_everything(knee: Design) -> None:
@@ -437,7 +437,7 @@ def test_a_design_in_a_scenario(quickest: Design, tmp_path: Path) -> None:
         observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma}
     )
     assert (simulate(by_file).x_hat == simulate(by_hand).x_hat).all()
-    assert check(by_file)["certified"]
+    assert check(by_file).certified
 
 
 def test_a_design_of_ragged_numbers_is_refused(quickest: Design, tmp_path: Path) -> None:
@@ -497,7 +497,8 @@ def test_a_design_that_does_not_fit(
 def test_check_of_the_paper_example() -> None:
     gains = (([12.0, 15.0], 2.0), ([1.0, 1.5], 10.0), ([2.0, 3.0], 10.0))
     verdicts = [
-        check(scene(observer={"method": "certified", "L": L, "gamma": gamma})) for L, gamma in gains
+        check(scene(observer={"method": "certified", "L": L, "gamma": gamma})).summary()
+        for L, gamma in gains
     ]
     assert [found["certified"] for found in verdicts] == [False, True, True]
     assert [found["rate"] for found in verdicts] == pytest.approx([0.024, 0.441, 0.323], abs=6e-4)
@@ -515,21 +516,23 @@ def test_check_of_the_paper_example() -> None:
 
 
 def test_check_of_what_has_no_certificate() -> None:
-    found = check(scene(observer={"method": "luenberger", "poles": [-4.0, -10.0]}))
+    found = check(scene(observer={"method": "luenberger", "poles": [-4.0, -10.0]})).summary()
     assert (found["certified"], found["rate"]) == (None, None)
     assert found["identifiable"]["centre"]
     force = check(
         scene(controller={"method": "pd", "k_p": 1.0, "k_d": 1.0}, simulation={"duration": 4.0})
-    )
+    ).summary()
     assert not force["identifiable"]["right"]
     assert "never reached" in force["reasons"][0]
-    both = check(scene(**COUPLED))
+    both = check(scene(**COUPLED)).summary()
     assert [part["width"] for part in both["identifiable"]] == [True, True]
-    biased = check(scene(disturbance={"kind": "step", "amplitude": 0.5}))
+    biased = check(scene(disturbance={"kind": "step", "amplitude": 0.5})).summary()
     assert (biased["identifiable"]["centre"], biased["std"]["centre"]) == (False, None)
     assert "calibrate the input" in biased["cures"][0]
     assert biased["states"] == [False, True]
-    growing = check(scene(observer={"method": "certified", "L": [-2000.0, 0.0], "gamma": 1.0}))
+    growing = check(
+        scene(observer={"method": "certified", "L": [-2000.0, 0.0], "gamma": 1.0})
+    ).summary()
     assert growing["rate"] is None
     assert "the error grows along the reference" in growing["reasons"]
 

@@ -207,4 +207,4 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
     done = run("run", scenario, "--out", out)
     assert done.returncode in (0, 1)
     assert done.stderr == ""
-    assert {path.name for path in out.iterdir()} >= {"figure.png", "report.html"}
+    assert {path.name for path in out.iterdir()} >= {"figure.svg", "report.html"}

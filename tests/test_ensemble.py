@@ -372,10 +372,10 @@ def test_the_command_prints_what_it_found_and_how_to_see_a_run(
     assert command[2:4] == ["undeadzone", "run"]
     written = {
         "runs.npz",
-        "distributions.png",
-        "over_time.png",
-        "tornado.png",
-        "influence.png",
+        "distributions.svg",
+        "over_time.svg",
+        "tornado.svg",
+        "influence.svg",
         "report.html",
     }
     assert {path.name for path in (tmp_path / "out").iterdir()} == written

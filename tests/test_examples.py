@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone.synthesis.check import affirmed
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RUNS: dict[str, uz.Run] = {}
@@ -106,10 +105,10 @@ def test_a_geared_motor_is_told_that_its_play_is_symmetric() -> None:
     assert result.rms_estimation < 5e-3
     np.testing.assert_allclose(result.widths, 0.12, atol=0.01)
     scenario = uz.read(FOLDER / "motor_position.toml")
-    assert affirmed(uz.check(scenario))
+    assert uz.check(scenario).affirmed
     vague = msgspec.structs.replace(scenario.observer, centre=None)
     alone = msgspec.structs.replace(scenario, observer=vague)
-    assert not affirmed(uz.check(alone))
+    assert not uz.check(alone).affirmed
 
 
 def test_pendulum() -> None:

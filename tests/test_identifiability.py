@@ -474,7 +474,7 @@ def test_only_readings_that_arrive_count(time: str) -> None:
         scenario = scene(sensor={"dropout": dropout}, simulation=simulation)
         run = simulate(scenario, check_step=False)
         (verdict,) = run.info.identifiable
-        asked = check(scenario)
+        asked = check(scenario).summary()
         for judged in (verdict, asked["identifiable"]):
             assert [judged[name] for name in ("right", "left", "width", "centre")] == [known] * 4
         if not known:
@@ -483,7 +483,8 @@ def test_only_readings_that_arrive_count(time: str) -> None:
 
 
 def test_lost_readings_widen_by_the_root_of_their_share() -> None:
-    whole, half = (check(scene(sensor={"noise": 0.01, "dropout": p}))["std"] for p in (0.0, 0.75))
+    checks = (check(scene(sensor={"noise": 0.01, "dropout": p})) for p in (0.0, 0.75))
+    whole, half = (checked.known[0].std for checked in checks)
     assert half["right"] == pytest.approx(2 * whole["right"], rel=1e-9)
 
 
@@ -521,7 +522,7 @@ def test_whatever_is_constant_hides_the_centre(kind: str, tmp_path: Path) -> Non
     tables = table(disturbance=SLOW[kind], simulation={"duration": 8.0, "step": 0.01})
     scenario = convert(tables, tmp_path)
     (verdict,) = simulate(scenario, check_step=False).info.identifiable
-    for judged in (verdict, check(scenario)["identifiable"]):
+    for judged in (verdict, check(scenario).summary()["identifiable"]):
         known = [judged[name] for name in ("right", "left", "width", "centre")]
         assert known == [False, False, True, False]
     assert "constant input bias" in verdict["reasons"][0]
@@ -539,7 +540,7 @@ def test_a_disturbance_that_swings_hides_nothing(tmp_path: Path) -> None:
     ]
     for disturbance in swings:
         tables = table(disturbance=disturbance, simulation={"duration": 8.0, "step": 0.01})
-        assert check(convert(tables, tmp_path))["identifiable"]["centre"]
+        assert check(convert(tables, tmp_path)).known[0].centre
 
 
 def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
@@ -563,7 +564,7 @@ def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
         assert "practically not" in verdict["reasons"][0]
         deviations.append(verdict["std"]["centre"])
     assert deviations[0] == pytest.approx(deviations[1], rel=0.02)
-    asked = check(scene(plant=plants[0], **common))
+    asked = check(scene(plant=plants[0], **common)).summary()
     assert not asked["identifiable"]["centre"]
     assert "practically not" in asked["reasons"][-1]
 

@@ -330,11 +330,11 @@ def test_progress_is_told_of_work_done(told: list[int], paper: Paper) -> None:
 def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Path]) -> None:
     names = {path.name for path in written}
     for number in FIGURES:
-        assert {f"figure_{number}.png", f"figure_{number}_2sin.png"} <= names
-    assert {"paper.json", "variants.csv", "report.html", "silence.png"} <= names
+        assert {f"figure_{number}.svg", f"figure_{number}_2sin.svg"} <= names
+    assert {"paper.json", "variants.csv", "report.html", "silence.svg"} <= names
     assert {path.name for path in written[0].parent.iterdir()} == names
     for path in written:
-        assert path.suffix != ".png" or path.read_bytes().startswith(b"\x89PNG")
+        assert path.suffix != ".svg" or path.read_bytes().startswith(b"<?xml")
     stored = json.loads((written[0].parent / "paper.json").read_text(encoding="utf-8"))
     assert stored == json.loads(json.dumps(paper.summary()))
     assert {"id", "claim", "measured", "verdict"} <= set(stored["claims"][0])

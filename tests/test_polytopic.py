@@ -407,7 +407,7 @@ def test_check_judges_a_nonlinear_scenario_on_its_region() -> None:
     }
 
     def judged(region: Any) -> dict[str, Any]:
-        return check(scene(**table, region=region))
+        return check(scene(**table, region=region)).summary()
 
     silent = judged(None)
     wide = judged({"x": [[-1, 1], [-4, 4]], "u": [-20, 20]})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import undeadzone
 from scenes import scene
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.ensemble.result import Ensemble
@@ -24,13 +26,16 @@ from undeadzone.report.arena_figures import cell, envelope
 from undeadzone.report.arm_figures import joint_rows, offset
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
-from undeadzone.report.figures import overview, plot, rows_below, rows_beside
-from undeadzone.report.html import Html, html, page, paragraph, picture, run_page, section, table
+from undeadzone.report.figures import overview, rows_below, rows_beside
+from undeadzone.report.html import Html, Origin, html, page, paragraph, picture, section, table
+from undeadzone.report.plot import KINDS, plot
 from undeadzone.report.proof_figures import nyquist, proof_of
-from undeadzone.report.style import png, sheet, write
+from undeadzone.report.run_page import run_page
+from undeadzone.report.style import image, png, sheet, write
 from undeadzone.report.trade_figures import ELLIPSE, ellipse
 from undeadzone.report.tune_figures import history
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import read
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.files import write_text
@@ -40,6 +45,7 @@ from undeadzone.tuning.result import Tuned
 from undeadzone.tuning.tune import tune
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
+IMAGE = "data:image/svg+xml;base64,"
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
 
@@ -94,7 +100,7 @@ def two_outputs() -> Run:
 
 def check_page(text: str) -> Auditor:
     found = Auditor(text)
-    assert all(address.startswith("data:image/png;base64,") for address in found.addresses)
+    assert all(address.startswith((IMAGE, "#")) for address in found.addresses)
     assert not {"script", "link", "iframe", "object"} & set(found.tags)
     assert "@import" not in text
     assert "url(" not in text
@@ -102,7 +108,7 @@ def check_page(text: str) -> Auditor:
 
 
 def test_a_run_s_page_is_self_contained_escaped_and_complete(run: Run) -> None:
-    found = check_page(run_page(run, [overview(run)]))
+    found = check_page(run_page(run, [image(overview(run), "svg")]))
     assert found.tags.count("img") == 1
     assert NASTY in found.text
     assert "diverged" in found.text
@@ -111,7 +117,55 @@ def test_a_run_s_page_is_self_contained_escaped_and_complete(run: Run) -> None:
 def test_a_page_without_figures(two_outputs: Run) -> None:
     found = check_page(run_page(two_outputs, []))
     assert "img" not in found.tags
-    assert found.tags.count("table") == 2
+    assert found.tags.count("table") == 7  # numbers, widths, L, gamma, K, the same again, symbols
+
+
+def test_a_page_leads_to_its_sections_and_tells_how_to_repeat_it(run: Run) -> None:
+    origin = Origin("undeadzone run 'a <b>.toml'", "# as given\n[plant]\n", 7)
+    text = run_page(run, [image(overview(run), "svg")], origin=origin)
+    found = check_page(text)
+    anchors = [address[1:] for address in found.addresses if address.startswith("#")]
+    assert anchors == re.findall(r'<h2 id="([^"]+)">', text)
+    assert {"numbers", "widths", "gains", "the-same-again", "symbols"} <= set(anchors)
+    for words in (origin.command, "# as given", undeadzone.__version__):
+        assert words in found.text
+    assert re.search(r"seed\s*7", found.text)
+    for gain in run.info.gains["L"]:
+        assert f"{gain[0]:.4g}" in found.text
+
+
+def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
+    again = tmp_path / "again.toml"
+    again.write_text(run.info.scenario, encoding="utf-8")
+    np.testing.assert_array_equal(simulate(read(again), check_step=False).z, run.z)
+    assert run.info.version == undeadzone.__version__
+    own = simulate(
+        scene(simulation=SAMPLED), controller=lambda t, estimate, r: 3.0 * (r - estimate.z)
+    )
+    assert own.info.scenario == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("z^ and x~", "z\u0302 and x\u0303"),
+        ("d_r^ − d_l", "d\u0302<sub>r</sub> − d<sub>l</sub>"),
+        ("m/s^2, d_right, z^2, A_d_r", "m/s^2, d_right, z^2, A_d_r"),
+    ],
+)
+def test_symbols_are_those_of_the_figures(text: str, shown: str) -> None:
+    assert html(text) == shown
+
+
+def test_figures_on_a_page_stay_legible_on_a_phone(run: Run) -> None:
+    page_of_run = run_page(run, [image(overview(run), "svg")])
+    least = re.search(r"min-width:(\d+)px", page_of_run)
+    assert least is not None
+    assert int(least[1]) == 720  # of 10 inches: three quarters of them
+
+
+def test_the_same_figure_gives_the_same_svg(run: Run) -> None:
+    assert image(overview(run), "svg") == image(overview(run), "svg")
 
 
 def test_everything_that_is_not_html_is_escaped() -> None:
@@ -119,10 +173,10 @@ def test_everything_that_is_not_html_is_escaped() -> None:
         page(
             NASTY,
             section(NASTY, paragraph(NASTY), table([NASTY], [[NASTY], [1.0], [None], [True]])),
-            picture(png(sheet([["a"]], "t")[0]), NASTY),
+            picture(image(sheet([["a"]], "t")[0], "svg"), NASTY),
         )
     )
-    assert found.text.count(NASTY) == 7
+    assert found.text.count(NASTY) == 8  # once in the contents
     assert "script" not in found.tags
 
 
@@ -132,7 +186,7 @@ def test_everything_that_is_not_html_is_escaped() -> None:
         (Html("<b>"), "<b>"),
         (None, "&ndash;"),
         (True, "yes"),
-        (0.1234567, "0.12346"),
+        (0.1234567, "0.1235"),
         (12345678, "12345678"),
         ("a<b", "a&lt;b"),
     ],
@@ -225,9 +279,9 @@ def title(figure: Figure) -> str:
 def test_plot_writes_any_result(
     kind: str, suffix: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    result = request.getfixturevalue(kind)
-    path = plot(result, str(tmp_path / f"figure{suffix}"))
-    assert path == tmp_path / f"figure{suffix}"
+    path = tmp_path / f"figure{suffix}"
+    figure = request.getfixturevalue(kind).plot(str(path))
+    assert isinstance(figure, Figure)
     assert path.stat().st_size > 1000
 
 
@@ -267,8 +321,7 @@ def test_a_lost_ensemble_is_drawn_over_time_or_refused(ensemble: Ensemble) -> No
 
 @pytest.mark.parametrize("wrong", [None, "run.npz", 3.0, {"z": [1.0]}, np.zeros(3)])
 def test_plot_of_anything_else_says_what_it_expects(wrong: Any, tmp_path: Path) -> None:
-    kinds = "a Run, an Estimation, an Ensemble, a Design or a Tuned"
-    expected = f"expected {kinds}, found {type(wrong).__name__}"
+    expected = f"expected {KINDS}, found {type(wrong).__name__}"
     with pytest.raises(InputError, match=expected):
         plot(wrong, tmp_path / "figure.png")
     assert not list(tmp_path.iterdir())

@@ -6,6 +6,9 @@ import functools
 import json
 import multiprocessing
 import random
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -226,3 +229,78 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
         identify(**log, order=1, keep=path)
     with pytest.raises(InputError, match=r"another problem \(options differ\)"):
         identify(**log, order=2, keep=path, resume=True)
+
+
+# --- The command
+
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "arena"]
+METHODS = "luenberger,high_gain,certified,super_twisting"
+
+
+def arena(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """The command, to its end."""
+    command = [*COMMAND, str(scenario), "--methods", METHODS, "--out", str(out), *more]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def stopped(how: int, partial: Path, command: list[str], cwd: Path) -> tuple[int, str]:
+    """Exit code and messages of a command that is stopped once it has kept something."""
+    with subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=heard_signals,
+    ) as process:  # fmt: skip
+        while process.poll() is None and not (partial.exists() and _answers(partial) >= 1):
+            time.sleep(0.002)
+        process.send_signal(how)
+        _, said = process.communicate(timeout=60)
+        return process.returncode, said
+
+
+def _answers(partial: Path) -> int:
+    """How many lines follow the first one."""
+    return partial.read_bytes().count(b"\n") - 1
+
+
+def heard_signals() -> None:
+    """A background job ignores SIGINT unless it is told otherwise."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    return small().save(tmp_path / "mine.toml")
+
+
+def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
+    """Kill -9 leaves the file with what is done, and --resume ends as if nothing had happened."""
+    tuning = ("--tune", "--budget", "6", "--processes", "1")
+    whole = arena(mine, tmp_path / "whole", *tuning)
+    assert whole.returncode == 0, whole.stderr
+    assert "3 methods x 1 scenario x 6 candidates = 18 runs" in whole.stderr
+    out = tmp_path / "killed"
+    command = [*COMMAND, str(mine), "--methods", METHODS, "--out", str(out), *tuning]
+    code, _ = stopped(signal.SIGKILL, out / "tuned.toml.partial", command, tmp_path)
+    assert code == -signal.SIGKILL
+    assert not (out / "tuned.toml").exists()
+    refused = arena(mine, out, *tuning)
+    assert refused.returncode == 2
+    assert "--resume" in refused.stderr
+    resumed = arena(mine, out, *tuning, "--resume")
+    assert resumed.returncode == 0, resumed.stderr
+    assert (out / "tuned.toml").read_text() == (tmp_path / "whole/tuned.toml").read_text()
+    assert not (out / "tuned.toml.partial").exists()
+
+
+def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
+    command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "2"]
+    partial = tmp_path / "arena-results/results.json.partial"
+    code, said = stopped(signal.SIGINT, partial, command, tmp_path)
+    assert code == 130, said
+    assert "6 methods x 1 scenario x 2 seeds = 12 runs; less than a minute" in said
+    assert "continue with --resume" in said
+    done = subprocess.run(
+        [*command, "--resume"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "high_gain" in done.stdout
+    assert not partial.parent.exists()

@@ -454,9 +454,9 @@ def test_the_page_plays_the_arm_from_itself_alone(both: tuple[Run, Run], tmp_pat
     assert [path.name for path in written] == [
         "run.npz",
         "run.csv",
-        "figure.png",
-        "tip.png",
-        "phase.png",
+        "figure.svg",
+        "tip.svg",
+        "phase.svg",
         "report.html",
     ]
     text = written[-1].read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from undeadzone.analysis.certificate.design_file import Design
-from undeadzone.cli.common import json_line, json_text, print_pairs, print_table
+from undeadzone.cli.common import json_text, print_blocks
 from undeadzone.ensemble.blocks import journal, table_file
 from undeadzone.ensemble.blocks.job import Layout
 from undeadzone.errors import FileError, InputError
@@ -30,6 +30,7 @@ from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support import files
 from undeadzone.support.files import read_bytes, require_folder
+from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import UNPRINTABLE, printable
 from undeadzone.support.text import json_line as escaped_json
 
@@ -103,12 +104,14 @@ def test_json_means_the_same_without_control_characters(text: str) -> None:
 
 
 def test_tables_and_pairs_hold_no_line_of_others(capsys: pytest.CaptureFixture[str]) -> None:
-    print_pairs({"scenario": FORGED, FORGED: [FORGED, 1.0]})
-    print_table([("a", "b"), (FORGED, "c")])
+    blocks = [{"scenario": FORGED, FORGED: [FORGED, 1.0]}, [("a", "b"), (FORGED, "c")], FORGED]
+    print_blocks(blocks)
     shown = capsys.readouterr().out
     assert not steers(shown)
-    assert shown.count("\n") == 5
-    assert not any(line.startswith("certificate") for line in shown.splitlines())
+    assert shown.count("\n") == 8
+    for width in (None, 10, 40):
+        lines = text_of(blocks, width).splitlines()
+        assert not any(line.startswith("certificate") for line in lines)
 
 
 def test_pages_hold_no_control_characters() -> None:
@@ -155,8 +158,7 @@ def test_json_has_no_bare_nan(capsys: pytest.CaptureFixture[str]) -> None:
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
 
-    for text in (json_text(values), json_line(values)):
-        assert json.loads(text, parse_constant=refuse) == expected
+    assert json.loads(json_text(values), parse_constant=refuse) == expected
 
 
 def test_watch_prints_json_whatever_it_reads(tmp_path: Path) -> None:

@@ -413,7 +413,7 @@ def test_the_command(tmp_path: Path) -> None:
     tuned = read(tmp_path / "out" / "tuned.toml")
     assert len(found["parameters"]) == 3
     assert all(numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"])
-    for name in ("history.png", "around.png"):
+    for name in ("history.svg", "around.svg"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
     words = ["--budget", "4", "--no-figures"]
     path = str(tmp_path / "out" / "tuned.toml")

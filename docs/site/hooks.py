@@ -31,7 +31,15 @@ PROJECT = (
     "mutants/RESULTS.md",
 )
 FIRST = {
-    "Start": ["index.md", "install.md", "tour.md", "which.md", "glossary.md", "faq.md"],
+    "Start": [
+        "index.md",
+        "install.md",
+        "tour.md",
+        "command_line.md",
+        "which.md",
+        "glossary.md",
+        "faq.md",
+    ],
     "The problem": [
         "model.md",
         "play.md",

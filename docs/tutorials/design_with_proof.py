@@ -17,7 +17,7 @@ scenario = uz.Scenario(
     controller=uz.StateFeedback(poles=[-8.0, -10.0]),
 )
 checked = uz.check(scenario)
-print(checked["certified"], *checked["reasons"], sep="\n")
+print(checked.certified, *checked.reasons, sep="\n")
 
 # %% [markdown]
 # These gains make A - L C fast, but nothing can be proved of them. `design` finds others.

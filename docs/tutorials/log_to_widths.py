@@ -38,4 +38,4 @@ print("of the reading:                ", np.std((y - z)[inside]))
 with open("mine.toml", "w") as file:
     file.write(answer.scenario())
 scenario = uz.read("mine.toml")
-print(uz.check(scenario)["identifiable"])
+print(uz.check(scenario))

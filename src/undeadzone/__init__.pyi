@@ -81,7 +81,7 @@ from .plants.robots.options import URDF as URDF
 from .plants.robots.options import ElasticJoint as ElasticJoint
 from .plants.robots.options import OneLink as OneLink
 from .plants.robots.options import TwoLink as TwoLink
-from .report.figures import plot as plot
+from .report.plot import plot as plot
 from .scenario.ensemble_table import Distribution as Distribution
 from .scenario.ensemble_table import Vary as Vary
 from .scenario.reader import read as read
@@ -108,6 +108,7 @@ from .simulation.estimation import Estimation as Estimation
 from .simulation.online import Online as Online
 from .simulation.run import Run as Run
 from .simulation.simulate import simulate as simulate
+from .synthesis.check import Check as Check
 from .synthesis.check import check as check
 from .synthesis.design import design as design
 from .synthesis.gain_search import Weights as Weights

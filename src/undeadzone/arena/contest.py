@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
@@ -35,7 +36,12 @@ from undeadzone.support import shown
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
+from undeadzone.support.progress import in_notebook
 from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 RULES: Mapping[str, Any] = {
     "tail": TAIL,
@@ -130,17 +136,26 @@ class Contest(NamedTuple):
             )
         return flat
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The leaderboard that `undeadzone arena` prints."""
         return shown.text(self.blocks())
 
     def _repr_html_(self) -> str:
-        """The same, for a notebook."""
-        return shown.html(self.blocks())
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone arena` prints."""
         return in_words(self.rows, len(self.scenarios), len(self.seeds))
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: Path) -> Path:
         """Write the summary as JSON. Raises FileError."""
@@ -165,21 +180,22 @@ def run_contest(
         seeds: of the runs of each method on each scenario.
         numbers: of the knobs, by method.
         processes: at once; None: one per processor.
-        progress: called with the number of runs just done.
+        progress: called with the number of runs just done; None: a bar in a notebook.
         keep: file that keeps results, to be deleted once the contest is; None: none.
         resume: take up what a stopped contest left in `keep`.
 
     Raises:
         InputError: or a subclass.
     """
-    compete = functools.partial(
-        score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=progress
-    )
-    if keep is None:
-        results = compete()
-    else:
-        kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
-        with kept.kept():
-            results = compete(kept=kept)
+    with in_notebook(progress, "arena", None) as advance:
+        compete = functools.partial(
+            score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=advance
+        )
+        if keep is None:
+            results = compete()
+        else:
+            kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
+            with kept.kept():
+                results = compete(kept=kept)
     references = {name for name, method in catalogue().items() if method.reference}
     return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))

@@ -207,14 +207,19 @@ def _names(methods: Sequence[str] | Mapping[str, Method] | None) -> list[str]:
     return [require(name) for name in methods]
 
 
+def processes_for(jobs: int, processes: int | None) -> int:
+    """How many processes work at once on so many jobs; processes: at most, None: one per CPU."""
+    allowed = (os.cpu_count() or 1) if processes is None else processes
+    return max(1, min(jobs // FEW, allowed))
+
+
 def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, list[Result]]]:
     """Results by number of the job, as they come.
 
     Processes are started anew, so that nothing is inherited.
     """
-    allowed = (os.cpu_count() or 1) if processes is None else processes
-    count = min(len(jobs) // FEW, allowed)
-    if count <= 1:
+    count = processes_for(len(jobs), processes)
+    if count == 1:
         yield from ((k, _try(job)) for k, job in enumerate(jobs))
         return
     with processes_of(count) as pool:

@@ -41,7 +41,7 @@ def group() -> None:
     undeadzone arena mine.toml        compare all methods on it
     undeadzone identify log.csv       find plant and dead zone from a log of a real plant
     undeadzone estimate mine.toml log.csv  let its observer follow a recorded log
-    undeadzone watch mine.toml < log  estimate from samples as they come
+    undeadzone watch mine.toml        estimate from samples as they come on stdin
     undeadzone arm robot.urdf         show the arm in a URDF file, and write a scenario for it
     undeadzone export mine.toml       write the observer as C for a microcontroller
 

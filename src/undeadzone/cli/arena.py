@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,13 +10,14 @@ import click
 
 from undeadzone.cli.common import (
     confined,
+    named_files,
+    origin,
     print_blocks,
     print_json,
-    print_table,
-    progress,
     say,
     writable,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.arena.contest import Contest
@@ -111,9 +113,9 @@ def arena(
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
     knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
-    over the scenarios, and the worst, with 95 % intervals. With --html, --out or --tune what is
-    done is kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. See
-    docs/arena.md.
+    over the scenarios, and the worst, with 95 % intervals. Says on stderr how many runs that are
+    and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
+    crash --resume goes on. See docs/arena.md.
     """
     from undeadzone.arena.scenario_sets import from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
@@ -122,29 +124,42 @@ def arena(
     own = from_files(scenarios, confine)
     folder = out or FOLDER
     writes = tuning or html or out is not None
-    if writes:
-        writable(folder)
-    elif resume:
-        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     if tuning:
+        writable(folder)
         return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json, resume)
-    contest = _held(
-        names,
-        own or built_in("held_out"),
-        tuple(range(seeds)),
-        tuned,
-        processes,
-        folder / "results.json.partial" if writes else None,
-        resume,
-    )
-    written = _written(contest, folder, bool(own)) if writes else []
-    if writes:
-        (folder / "results.json.partial").unlink(missing_ok=True)
+    keep = folder / "results.json.partial" if _keeps(folder, writes) else None
+    grounds = own or built_in("held_out")
+    try:
+        contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
+        written = _written(contest, folder, bool(own)) if writes else []
+        if keep is not None:
+            keep.unlink(missing_ok=True)
+    finally:
+        with suppress(OSError):  # it holds something
+            folder.rmdir()
     if as_json:
-        print_json(contest.summary() | {"files": [str(path) for path in written]})
+        print_json(contest.summary(), written)
     else:
         _print(contest, written)
     return 0
+
+
+def _keeps(folder: Path, writes: bool) -> bool:
+    """Whether what is done can be kept in a folder.
+
+    Raises:
+        FileError: it cannot, though something is to be written there anyway.
+    """
+    from undeadzone.errors import FileError
+
+    try:
+        writable(folder)
+    except FileError as error:
+        if writes:
+            raise
+        say(f"arena: nothing is kept meanwhile: {error}", err=True)
+        return False
+    return True
 
 
 def _names(methods: str) -> list[str]:
@@ -162,13 +177,17 @@ def _held(
     keep: Path | None,
     resume: bool,
 ) -> Contest:
-    """The contest, held."""
+    """The contest, held; its size is told before."""
     from undeadzone.arena.contest import run_contest
+    from undeadzone.arena.effort import in_words
     from undeadzone.arena.entry import numbers
-    from undeadzone.arena.methods import catalogue
+    from undeadzone.arena.leaderboard import FRAME
+    from undeadzone.arena.methods import catalogue, require
 
-    methods = len(catalogue()) if names is None else len(names) + 2
-    runs = len(grounds) * len(seeds) * methods
+    chosen = list(catalogue()) if names is None else [require(name) for name in names]
+    every = list(dict.fromkeys([*FRAME, *chosen]))
+    say(f"arena: {in_words(every, grounds, len(seeds), 'seed', processes)}", err=True)
+    runs = len(grounds) * len(seeds) * len(every)
     with progress("arena", runs, "runs") as advance:
         return run_contest(names, grounds, seeds, numbers(tuned), processes, advance, keep, resume)
 
@@ -183,11 +202,14 @@ def _tune(
     resume: bool,
 ) -> int:
     """Tune methods, write and print their numbers."""
+    from undeadzone.arena.effort import in_words
     from undeadzone.arena.methods import catalogue, require
     from undeadzone.arena.tune import tune
     from undeadzone.arena.tuned_file import save
 
     chosen = list(catalogue()) if names is None else [require(name) for name in names]
+    adjustable = [name for name in chosen if catalogue()[name].knobs]
+    say(f"arena: {in_words(adjustable, grounds, budget, 'candidate', processes)}", err=True)
     with progress("tuning", len(chosen), "methods") as advance:
         tuned = tune(
             chosen,
@@ -203,7 +225,7 @@ def _tune(
     if as_json:
         import msgspec
 
-        print_json(msgspec.to_builtins(tuned) | {"files": [str(path)]})
+        print_json(msgspec.to_builtins(tuned), [path])
     else:
         _print_tuned(tuned, path)
     return 0
@@ -218,7 +240,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone.support.files import write_text
 
     written = [contest.save(folder / "results.json")]
-    written += write_arena(contest, traced(contest), folder)
+    written += write_arena(contest, traced(contest), folder, origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:
@@ -232,9 +254,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    print_blocks(contest.blocks())
-    if written:
-        say(f"written: {', '.join(map(str, written))}")
+    print_blocks(contest.blocks(), named_files(written))
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:
@@ -244,6 +264,4 @@ def _print_tuned(tuned: Tuned, path: Path) -> None:
         regret = f"{found.before:.3f} -> {found.regret:.3f}"
         knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
         rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
-    print_table(rows)
-    say()
-    say(f"written: {path}")
+    print_blocks([rows], named_files([path]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json, print_pairs, print_table, say
+from undeadzone.cli.common import common, folder_for, print_blocks, print_json
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -54,13 +54,10 @@ def arm(
     written = [] if folder is None else [_started(found, robot, folder)]
     weak = _weak(found)
     if as_json:
-        print_json(_in_numbers(found) | {"files": [str(path) for path in written]})
+        print_json(_in_numbers(found), written)
     else:
-        print_pairs(_in_words(found, robot))
-        say()
-        print_table([HEAD, *_rows(found)])
-        say()
-        say(_advice(found, weak, written, robot))
+        advice = _advice(found, weak, written, robot)
+        print_blocks([_in_words(found, robot), [HEAD, *_rows(found)], advice])
     return 1 if weak else 0
 
 

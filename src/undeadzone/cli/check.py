@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,18 +12,17 @@ from undeadzone.cli.common import (
     folder_for,
     json_text,
     named_files,
+    origin,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
+    with_schema,
 )
-
-if TYPE_CHECKING:
-    from undeadzone.synthesis.assessment import Gains
+from undeadzone.support.progress import on_terminal as progress
 
 
 @click.command(
-    epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict "
-    "&& open verdict/report.html"
+    epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
+    "verdict/report.html"
 )
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @confined
@@ -46,38 +44,26 @@ def check(
     from undeadzone.scenario.reader import read
     from undeadzone.support.files import write_text
     from undeadzone.synthesis.assessment import assess, attack
-    from undeadzone.synthesis.check import affirmed
-    from undeadzone.synthesis.check import summary as summary_of
-    from undeadzone.synthesis.words import in_words
+    from undeadzone.synthesis.check import checked
 
-    checked = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-check")
     written = []
     with progress("judging", None) as advance:
-        assessment = assess(resolve_scenario(checked), listen=True)
-        near = None if assessment.gains is None else assessment.gains.nearest
-        summary = summary_of(assessment)
-        summary["nearest"] = None if near is None else _in_numbers(near)
+        result = checked(assess(resolve_scenario(read(scenario, confine)), listen=True))
         if folder is not None:
-            written.append(write_text(json_text(summary) + "\n", folder / "check.json"))
+            text = json_text(with_schema(result.summary()))
+            written.append(write_text(text + "\n", folder / "check.json"))
         if folder is not None and not no_figures:
             from undeadzone.report.gains_page import write_gains
 
-            attempts = attack(assessment)
+            attempts = attack(result.assessment)
+            seed = result.scenario.simulation.seed
             advance(1)
-            written += write_gains(assessment, attempts, folder)
+            written += write_gains(
+                result.assessment, attempts, folder, origin=origin(scenario, seed)
+            )
     if as_json:
-        print_json(summary | {"files": [str(path) for path in written]})
+        print_json(result.summary(), written)
     else:
-        print_pairs(in_words(summary, checked) | named_files(written))
-    return 0 if affirmed(summary) else 1
-
-
-def _in_numbers(gains: Gains) -> dict[str, Any]:
-    """Gains and what they are worth, for JSON."""
-    return {
-        "L": gains.L.tolist(),
-        "gamma": gains.gamma.tolist(),
-        "margin": gains.certificate.margin,
-        "rate": gains.rates.rate,
-    }
+        print_blocks(result.blocks(), named_files(written))
+    return 0 if result.affirmed else 1

@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shlex
+import shutil
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from undeadzone.support.shown import Block, aligned, columns
+from undeadzone.support.shown import Block
 from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from undeadzone.report.html import Origin
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-PATIENCE = 2.0  # [s] before a progress bar appears
-SETTING_UP = "setting up"  # what it says before the first step
+LARGE = 1e7  # [bytes] of a table of signals that is written unasked
+SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may be added
+COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
+# Where a cell begins, or after what is judged: right yes, left NO.
+VERDICT = re.compile(
+    r"(?:(?<=  )|(?<=right )|(?<=left )|(?<=width )|(?<=centre ))"
+    r"(?:yes|NO|ON TRUST|LEFT|never settles|at the end of its range)\b"
+    r"|^(?:DIVERGED|NOT EXACT|REFUSED)\b"
+)
 
 
 def common(command: Command) -> Command:
@@ -44,6 +53,25 @@ def common(command: Command) -> Command:
     return out(as_json(no_figures(command)))
 
 
+def csv_option(command: Command) -> Command:
+    """Add --csv."""
+    words = f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB."
+    return click.option("--csv", "as_csv", is_flag=True, help=words)(command)
+
+
+def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
+    """Whether a table of signals is written, and else the line that says so.
+
+    Args:
+        as_csv: whether --csv is given.
+        size: of the table [bytes].
+        name: of its file.
+    """
+    if as_csv or size <= LARGE:
+        return True, {}
+    return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
+
+
 def confined(command: Command) -> Command:
     """Add --confine."""
     option = click.option(
@@ -54,6 +82,23 @@ def confined(command: Command) -> Command:
         help="Refuse files that the scenario names outside of DIR, as a service should.",
     )
     return option(command)
+
+
+def origin(path: Path | None, seed: int | None = None) -> Origin:
+    """What it takes to get a result again, for its page: the command, and the scenario as given.
+
+    Args:
+        path: of the scenario; None: there is none.
+        seed: of every random number; None: there is none, or several.
+    """
+    from undeadzone.report.html import Origin
+    from undeadzone.support.files import read_text
+
+    text = ""
+    if path is not None:
+        with suppress(OSError, ValueError):  # it was there when the command began
+            text = read_text(path)
+    return Origin(shlex.join(["undeadzone", *sys.argv[1:]]), text, seed)
 
 
 def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
@@ -83,13 +128,24 @@ def writable(folder: Path) -> Path:
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
-    """The line that names the files written, for `print_pairs`; nothing where there are none."""
+    """The line that names the files written, for `print_blocks`; nothing where there are none."""
     return {"written": ", ".join(map(str, written))} if written else {}
 
 
-def print_json(value: Any) -> None:
-    """One JSON object on stdout."""
-    click.echo(json_text(value))
+def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) -> None:
+    """One JSON object on stdout, which begins with the version of its schema (docs/json.md).
+
+    Args:
+        value: the result.
+        written: files, that are named at its end; None: the command writes none.
+    """
+    files = {} if written is None else {"files": [str(path) for path in written]}
+    click.echo(json_text(with_schema(value) | files))
+
+
+def with_schema(value: Mapping[str, Any]) -> dict[str, Any]:
+    """A result under the version of its schema."""
+    return {"schema": SCHEMA, **value}
 
 
 def say(text: str = "", err: bool = False) -> None:
@@ -104,118 +160,41 @@ def json_text(value: Any) -> str:
     return json.dumps(finite(value), indent=2, allow_nan=False)
 
 
-def json_line(value: Any) -> str:
-    """A value as JSON in one line; numbers that are not finite become null."""
-    from undeadzone.support.arrays import finite
-
-    return json.dumps(finite(value), allow_nan=False)
-
-
-def print_pairs(pairs: dict[str, Any], err: bool = False) -> None:
-    """Aligned `name  value` lines; a list takes a line for each of its entries.
+def print_blocks(
+    blocks: Sequence[Block], last: Mapping[str, Any] | None = None, err: bool = False
+) -> None:
+    """Blocks of a result, an empty line between them: folded and coloured on a terminal.
 
     Args:
-        pairs: the values by name.
+        blocks: what is printed.
+        last: lines `name  value` at the end.
         err: whether they go to stderr.
     """
-    for line in aligned(pairs):
-        say(line, err)
-
-
-def print_table(rows: Sequence[Sequence[str]]) -> None:
-    """Aligned columns, the first row their heads."""
-    for line in columns(rows):
-        say(line)
-
-
-def print_blocks(blocks: Sequence[Block]) -> None:
-    """Blocks of a result, an empty line between them."""
-    click.echo(text_of(blocks))
-
-
-@contextmanager
-def progress(
-    what: str, total: int | None, unit: str | None = None
-) -> Iterator[Callable[[int], None]]:
-    """A function to call with the steps just done.
-
-    A bar appears on stderr once 2 s have passed, if stderr is a terminal. Until the first step it
-    says that something is set up.
-
-    Args:
-        what: words in front of the bar.
-        total: steps in all; None: unknown.
-        unit: what is counted; with it the bar shows how many per second.
-    """
-    if not sys.stderr.isatty():
-        yield lambda done: None
+    if last:
+        *before, end = blocks
+        joined = [{**end, **last}] if isinstance(end, Mapping) else [end, last]
+        blocks = [*before, *joined]
+    stream = sys.stderr if err else sys.stdout
+    if not stream.isatty():
+        click.echo(text_of(blocks), err=err)
         return
-    bar = _Bar(what, total, unit)
-    try:
-        yield bar.advance
-    finally:
-        bar.stop()
+    text = text_of(blocks, shutil.get_terminal_size().columns)
+    click.echo(painted(text) if _coloured() else text, err=err)
 
 
-class _Bar:
-    """A progress bar that appears once PATIENCE has passed, even if no step is done by then."""
+def painted(text: str) -> str:
+    """A text whose verdicts are coloured; the lines that name a scenario stay as they are."""
+    lines = []
+    for line in text.split("\n"):
+        lines.append(line if line.startswith("scenario") else VERDICT.sub(_paint, line))
+    return "\n".join(lines)
 
-    def __init__(self, what: str, total: int | None, unit: str | None) -> None:
-        self._what, self._total, self._unit = what, total, unit
-        self._began = time.monotonic()
-        self._seen = 0  # steps done
-        self._bar: Progress | None = None
-        self._task: TaskID | None = None
-        self._stopped = False
-        self._lock = threading.Lock()  # steps are told from several threads, the bar starts in one
-        self._timer = threading.Timer(PATIENCE, self._start)
-        self._timer.daemon = True
-        self._timer.start()
 
-    def advance(self, done: int) -> None:
-        """Show that so many steps more are done."""
-        with self._lock:
-            self._seen += done
-            self._show()
+def _paint(found: re.Match[str]) -> str:
+    """A verdict in its colour."""
+    return click.style(found[0], fg=COLOURS.get(found[0], "red"), bold=True)
 
-    def stop(self) -> None:
-        """Take the bar away."""
-        self._timer.cancel()
-        with self._lock:
-            if self._bar is not None:
-                self._bar.stop()
-            self._stopped = True
 
-    def _start(self) -> None:
-        """Draw the bar."""
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )
-        with self._lock:
-            if self._stopped:
-                return
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task(SETTING_UP, total=self._total, rate="")
-            self._show()
-            self._bar.start()
-
-    def _show(self) -> None:
-        """Bring the bar up to date, if there is one; the lock is held."""
-        if self._bar is None or self._task is None or not self._seen:
-            return
-        elapsed = time.monotonic() - self._began
-        rate = f"{self._seen / elapsed:,.0f} {self._unit}/s" if self._unit else ""
-        self._bar.update(self._task, description=self._what, completed=self._seen, rate=rate)
+def _coloured() -> bool:
+    """Whether colours are wanted (no-color.org)."""
+    return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

@@ -12,14 +12,18 @@ from undeadzone.cli.common import (
     confined,
     folder_for,
     named_files,
+    origin,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
+    from undeadzone.report.html import Origin
     from undeadzone.scenario.schema import Scenario
+    from undeadzone.support.shown import Block
+    from undeadzone.synthesis.check import Check
 
 
 def powers(
@@ -43,7 +47,8 @@ def powers(
 
 
 @click.command(
-    epilog="Example: undeadzone design examples/paper_5sin.toml --out mine && open mine/report.html"
+    epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
+    "mine/report.html"
 )
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
@@ -122,31 +127,38 @@ def design(
     with progress("designing", rounds(aim)) as advance:
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
     designed = with_gains(planned, result)
-    summary = assess_gains(designed)
-    written = [] if folder is None else _written(result, designed, folder, not no_figures)
+    judged = assess_gains(designed)
+    written = (
+        []
+        if folder is None
+        else _written(result, designed, folder, not no_figures, origin(scenario, seed))
+    )
     if as_json:
-        print_json(_numbers(result) | summary | {"files": [str(path) for path in written]})
+        known = judged.summary()
+        del known["nearest"]  # those found are certified
+        print_json(_numbers(result) | known, written)
     else:
-        print_pairs(_words(result, summary, designed) | named_files(written))
+        print_blocks(_words(result, judged), named_files(written))
     return 0
 
 
 def _print_impossible(scenario: Scenario, path: Path, reason: str, as_json: bool) -> None:
     """Print why no gains can be certified."""
     if as_json:
-        print_json({"title": scenario.title, "certified": False, "reasons": [reason], "files": []})
+        print_json({"title": scenario.title, "certified": False, "reasons": [reason]}, [])
         return
-    print_pairs(
-        {
-            "scenario": scenario.title,
-            "certified": "NO gains can be",
-            "why": reason,
-            "next": f"undeadzone check {path} says what can be known",
-        }
-    )
+    words = {
+        "scenario": scenario.title,
+        "certified": "NO gains can be",
+        "why": reason,
+        "next": f"undeadzone check {path} says what can be known",
+    }
+    print_blocks([words])
 
 
-def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) -> list[Path]:
+def _written(
+    design: Design, scenario: Scenario, folder: Path, figures: bool, again: Origin
+) -> list[Path]:
     """The files of a design: design.toml always, figures and page where wanted.
 
     Args:
@@ -154,6 +166,7 @@ def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) ->
         scenario: that has these gains.
         folder: for the files.
         figures: whether figures and page are wanted.
+        again: what it takes to get the same design.
     """
     written = [design.save(folder / "design.toml")]
     if figures:
@@ -163,7 +176,7 @@ def _written(design: Design, scenario: Scenario, folder: Path, figures: bool) ->
 
         assessment = assess(resolve_scenario(scenario))
         attempts = attack(assessment, design.seed)
-        written += write_gains(assessment, attempts, folder, design)
+        written += write_gains(assessment, attempts, folder, design, again)
     return written
 
 
@@ -175,14 +188,14 @@ def _numbers(design: Design) -> dict[str, Any]:
     return numbers.pop("best") | numbers
 
 
-def _words(design: Design, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+def _words(design: Design, judged: Check) -> list[Block]:
     """A design in words, and what `check` says of it."""
     import msgspec
 
     from undeadzone.analysis.certificate.design_words import in_words as design_in_words
-    from undeadzone.synthesis.words import in_words
 
-    checked = in_words(summary, scenario)
-    checked.pop("observer")
+    first, *others = judged.blocks()
+    assert isinstance(first, dict)
+    checked = {name: words for name, words in first.items() if name != "observer"}
     own = design_in_words(msgspec.to_builtins(design))
-    return own | {name: checked.pop(name) for name in own if name in checked} | checked
+    return [own | {name: checked.pop(name) for name in own if name in checked} | checked, *others]

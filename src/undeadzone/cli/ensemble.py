@@ -11,11 +11,12 @@ import click
 from undeadzone.cli.common import (
     common,
     confined,
+    origin,
     print_blocks,
     print_json,
-    progress,
     writable,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.ensemble.result import Ensemble
@@ -102,9 +103,9 @@ def ensemble(
     if not no_figures:
         from undeadzone.report.ensemble_page import write_ensemble
 
-        written += write_ensemble(result, summary, folder)
+        written += write_ensemble(result, summary, folder, origin(scenario, result.info.seed))
     if as_json:
-        print_json(summary | {"files": [str(name) for name in written]})
+        print_json(summary, written)
     else:
         _print(result, summary, folder, written)
     return 1 if summary["diverged"]["value"] else 0
@@ -134,4 +135,4 @@ def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: lis
         "see one": f"undeadzone run {shlex.quote(str(written[0]))} --replay {worst[0]}",
         "written": f"{folder}: {', '.join(path.name for path in written)}",
     }
-    print_blocks([*result.blocks(summary), last])
+    print_blocks(result.blocks(summary), last)

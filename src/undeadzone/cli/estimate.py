@@ -9,13 +9,16 @@ import click
 from undeadzone.cli.common import (
     common,
     confined,
+    csv_option,
     folder_for,
     named_files,
+    origin,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
+    wanted_table,
 )
-from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, strict_option
+from undeadzone.cli.log_table import columns_option, exit_code, strict_option
+from undeadzone.support.progress import on_terminal as progress
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
@@ -24,6 +27,7 @@ from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, stric
 @columns_option
 @strict_option
 @click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
+@csv_option
 @confined
 @common
 def estimate(
@@ -32,6 +36,7 @@ def estimate(
     columns: str | None,
     strict: bool,
     causal: bool,
+    as_csv: bool,
     confine: Path | None,
     out: Path | None,
     as_json: bool,
@@ -41,11 +46,11 @@ def estimate(
 
     A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
     Times must fit simulation.step. Prints the widths, what was missing, and whether the
-    innovations are what the observer claims; writes estimate.npz, estimate.csv, figure.png and
-    report.html to DIR (default: LOG-estimate). `kalman`, `censored`, `extended` and `auto` are
-    smoothed too: what the whole log says of each sample. The scenario needs no [reference], no
-    [controller], no widths.
-    Exit code 1: the record is not consistent with what the observer claims.
+    innovations are what the observer claims; writes estimate.npz, estimate.csv (if it has at most
+    10 MB), figure.svg and report.html to DIR (default: LOG-estimate). `kalman`, `censored`,
+    `extended` and `auto` are smoothed too: what the whole log says of each sample. The scenario
+    needs no [reference], no [controller], no widths. Exit code 1: the record is not consistent with
+    what the observer claims.
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
@@ -62,11 +67,13 @@ def estimate(
             smoothing=not causal,
             progress=advance,
         )
-    written = []
+    written: list[Path] = []
+    tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
-        written = write_estimation(result, folder, not no_figures)
+        written = write_estimation(result, folder, not no_figures, tables, origin(scenario))
     if as_json:
-        print_json(result.summary() | {"files": [str(path) for path in written]})
+        print_json(result.summary(), written)
     else:
-        print_pairs(log_pairs(result.info) | named_files(written))
+        left_out = left_out if written else {}
+        print_blocks(result.blocks(), named_files(written) | left_out)
     return exit_code(result.info)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import confined, print_json, print_pairs, print_table
+from undeadzone.cli.common import confined, print_blocks, print_json
+
+if TYPE_CHECKING:
+    from undeadzone.support.shown import Block
 
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
@@ -89,9 +92,10 @@ def export(
         print_json(result.report | {"written": files})
     else:
         words = _page_in_words if to == "page" else _in_words
-        print_pairs(words(result.report, files))
+        blocks: list[Block] = [words(result.report, files)]
         if check and result.report["accuracy"] is not None:
-            print_table(_table(result.report["accuracy"]))
+            blocks.append(_table(result.report["accuracy"]))
+        print_blocks(blocks)
     return 0 if result.passed else 1
 
 

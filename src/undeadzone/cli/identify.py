@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json, print_pairs, progress, writable
+from undeadzone.cli.common import (
+    common,
+    folder_for,
+    named_files,
+    origin,
+    print_blocks,
+    print_json,
+    writable,
+)
 from undeadzone.cli.log_table import columns_option, strict_option
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.identification.outputs import IdentifiedOutputs
@@ -80,9 +89,10 @@ def identify(
     if keep is not None:
         keep.unlink(missing_ok=True)
     if as_json:
-        print_json(answer.numbers() | {"files": [str(path) for path in written]})
+        print_json(answer.numbers(), written)
     else:
-        print_pairs(_lines(answer, [str(path) for path in written], reason))
+        why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
+        print_blocks(answer.blocks(), why | named_files(written))
     return 0 if is_found else 1
 
 
@@ -106,17 +116,7 @@ def _pages(answer: Answers, folder: Path, source: str, figures: bool) -> list[Pa
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):
-        return written + write_identified(answer, folder, source)
+        return written + write_identified(answer, folder, source, origin(None))
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
-        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}")
+        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
     return written
-
-
-def _lines(answer: Answers, written: list[str], reason: str | None) -> dict[str, Any]:
-    """The lines of the answer, and what was written."""
-    lines = answer.summary()
-    if reason is not None:
-        lines["no scenario"] = reason.removeprefix("scenario: ")
-    if written:
-        lines["written"] = ", ".join(written)
-    return lines

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import common, print_json, print_table, say
+from undeadzone.cli.common import common, print_blocks, print_json, say
 from undeadzone.errors import FileError
 
 
@@ -45,7 +45,7 @@ def init(
     for path, text in texts.items():
         write_text(text, path)
     if as_json:
-        print_json({"files": [str(path) for path in texts]})
+        print_json({}, list(texts))
     else:
         first = next(iter(texts))
         say(f"wrote {', '.join(map(str, texts))}{_next(first)}")
@@ -60,7 +60,7 @@ def _listed(as_json: bool) -> int:
     if as_json:
         print_json({"examples": found})
     else:
-        print_table([("example", "shows"), *found.items()])
+        print_blocks([[("example", "shows"), *found.items()]])
         say("write one: undeadzone init --example two_link")
     return 0
 

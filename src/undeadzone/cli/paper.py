@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_json, progress
+from undeadzone.cli.common import common, folder_for, origin, print_json
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +18,7 @@ NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that ho
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
-@click.command(epilog="Example: undeadzone paper --out results && open results/report.html")
+@click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
 @common
 def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     """Run the paper's example as printed and repaired, and check every claim.
@@ -28,14 +29,14 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     from undeadzone.paper import audit, write
 
     folder = folder_for(out, no_figures, "paper-results")
-    written = []
+    written: list[Path] = []
     with progress("auditing the paper", None) as advance:
         result = audit(progress=advance)
         if folder is not None:
-            written = write(result, folder, figures=not no_figures, progress=advance)
+            written = write(result, folder, not no_figures, progress=advance, origin=origin(None))
     summary = result.summary()
     if as_json:
-        print_json(summary)
+        print_json(summary, written)
     else:
         _print(summary, written)
     return 0

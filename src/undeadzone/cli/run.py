@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from undeadzone.cli.common import (
     common,
     confined,
+    csv_option,
     folder_for,
     named_files,
+    origin,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
+    wanted_table,
     writable,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
+    from undeadzone.report.html import Origin
     from undeadzone.scenario.schema import Scenario
     from undeadzone.simulation.run import Run
 
@@ -43,12 +47,14 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     metavar="FILE",
     help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
 )
+@csv_option
 @confined
 @common
 def run(
     scenario: Path,
     replay: int | None,
     animation: Path | None,
+    as_csv: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -57,9 +63,9 @@ def run(
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
-    certificate holds. Writes run.npz, run.csv, figure.png and report.html to DIR (default:
-    NAME-results); with --no-figures and no --out it writes nothing. Exit code 1: it diverged,
-    half the step changes it by more than 1 %, or its widths cannot be identified.
+    certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.svg and report.html
+    to DIR (default: NAME-results); with --no-figures and no --out it writes nothing. Exit code 1:
+    it diverged, half the step changes it by more than 1 %, or its widths cannot be identified.
 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
     folder: run-NUMBER-results), computed again with its own numbers and noise, and says whether it
@@ -78,16 +84,20 @@ def run(
         result, rival = _simulated(scenario, animation is not None, confine)
     else:
         result, deviation = _replayed(scenario, replay, confine)
-    written = _written(result, rival, folder, animation, not no_figures)
+    given = origin(scenario if replay is None else None, result.info.seed)
+    again = given if given.scenario else given._replace(scenario=result.info.scenario)
+    tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
+    written = _written(result, rival, folder, animation, not no_figures, tables, again)
     if as_json:
         summary = result.summary()
         if rival is not None:
             summary["compare"] = rival.summary()
         if replay is not None:
             summary["replayed"] = {"run": replay, "deviation": deviation}
-        print_json(summary | {"files": [str(path) for path in written]})
+        print_json(summary, written)
     else:
-        _print(result, written, deviation, rival)
+        left_out = left_out if folder is not None else {}
+        _print(result, deviation, rival, named_files(written) | left_out)
     known = result.fully_identifiable or not result.adapts
     sound = result.diverged_at is None and not result.inexact
     return 0 if sound and known else 1
@@ -129,10 +139,10 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
 
 def _steps(scenario: Scenario) -> int:
     """How many steps are simulated: of each observer, of its twin of half the step, of `heard`."""
+    from undeadzone.simulation.simulate import steps
+
     observers = 1 if scenario.compare is None else 2
-    each = 3 if scenario.simulation.time == "continuous" else 1
-    total = (observers * each + 1) * scenario.simulation.duration
-    return round(total / max(scenario.simulation.step, 1e-12))
+    return observers * steps(scenario) + steps(scenario, check_step=False)
 
 
 def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float]:
@@ -156,14 +166,20 @@ def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float
 
 
 def _written(
-    result: Run, rival: Run | None, folder: Path | None, animation: Path | None, figures: bool
+    result: Run,
+    rival: Run | None,
+    folder: Path | None,
+    animation: Path | None,
+    figures: bool,
+    tables: bool,
+    again: Origin,
 ) -> list[Path]:
     """The files of a run, once they are written."""
     written = []
     if folder is not None:
         from undeadzone.report.run_files import write_run
 
-        written += write_run(result, folder, figures, rival)
+        written += write_run(result, folder, figures, rival, tables, again)
     if animation is not None:
         from undeadzone.report.animation import frames, movie
 
@@ -172,21 +188,24 @@ def _written(
     return written
 
 
-def _print(result: Run, written: list[Path], deviation: float | None, rival: Run | None) -> None:
-    """Print what a run came to."""
-    shown = result.in_words()
+def _print(result: Run, deviation: float | None, rival: Run | None, files: dict[str, Any]) -> None:
+    """Print what a run came to; files: the lines on what was written."""
+    last = {}
     if rival is not None:
-        shown["compared"] = _compared(rival)
+        last["compared"] = _compared(rival)
     if deviation == 0:
-        shown["replayed"] = "as in the ensemble, to the last bit"
+        last["replayed"] = "as in the ensemble, to the last bit"
     elif deviation is not None:
-        shown["replayed"] = f"off by {deviation:.1g} of the ensemble: another processor or version"
-    print_pairs(shown | named_files(written))
+        last["replayed"] = f"off by {deviation:.1g} of the ensemble: another processor or version"
+    print_blocks(result.blocks(), last | files)
 
 
 def _compared(rival: Run) -> str:
     """What a rival's run came to."""
+    from undeadzone.support.text import with_unit
+
     if rival.diverged_at is not None:
         return f"{rival.name} diverges at {rival.diverged_at:g} s"
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
-    return f"{rival.name}: rms z - r {rival.rms_tracking:.4g} {rival.info.units.output}{tip}"
+    rms = with_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
+    return f"{rival.name}: rms z - r {rms}{tip}"

@@ -12,10 +12,11 @@ from undeadzone.cli.common import (
     confined,
     folder_for,
     named_files,
+    origin,
+    print_blocks,
     print_json,
-    print_pairs,
-    progress,
 )
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
@@ -99,7 +100,8 @@ def tune(
         "observer.L" = { between = [0.01, 100.0], log = true }
 
     Prints the numbers found and what they are worth on held-out runs, others than those tuned on.
-    Writes tuned.toml, the scenario with these numbers, and figures to DIR (default: NAME-tune);
+    Writes tuned.toml, the scenario with these numbers, and figures and report.html to DIR (default:
+    NAME-tune);
     with --no-figures and no --out it writes nothing. What candidates cost is kept in DIR meanwhile:
     after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
@@ -120,13 +122,13 @@ def tune(
     if keep is not None:
         keep.unlink(missing_ok=True)
     if folder is not None and not no_figures:
-        from undeadzone.report.tune_figures import write_figures
+        from undeadzone.report.tune_page import write_tuned
 
-        written += write_figures(result, folder)
+        written += write_tuned(result, folder, origin(scenario, result.seed))
     if as_json:
-        print_json(result.summary() | {"files": [str(path) for path in written]})
+        print_json(result.summary(), written)
     else:
-        print_pairs(in_words(result.summary()) | named_files(written))
+        print_blocks([in_words(result.summary())], named_files(written))
     return 0 if result.improved and result.certified else 1
 
 

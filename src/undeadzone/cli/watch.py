@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import confined, print_pairs
-from undeadzone.cli.log_table import columns_option, exit_code, log_pairs, strict_option
+from undeadzone.cli.common import SCHEMA, confined, print_blocks
+from undeadzone.cli.log_table import columns_option, exit_code, strict_option
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 
 
-@click.command(epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv")
+@click.command(
+    epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
+    "type samples.csv | undeadzone watch mine.toml > estimates.csv"
+)
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
@@ -48,6 +51,7 @@ def watch(
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.simulation.follow_text import TextLog
     from undeadzone.simulation.follower import Follower
+    from undeadzone.simulation.log_words import in_words
 
     watched = read_for_logs(scenario, confine)
     follower = Follower(watched, live=True)
@@ -58,10 +62,10 @@ def watch(
         _follow(log, follower, as_json)
     except (KeyboardInterrupt, Terminated):  # a live log ends this way
         if follower.samples:
-            print_pairs(log_pairs(log.info(follower)), err=True)
+            print_blocks(in_words(log.info(follower)), err=True)
         raise
     info = log.info(follower)
-    print_pairs(log_pairs(info), err=True)
+    print_blocks(in_words(info), err=True)
     return exit_code(info)
 
 
@@ -121,6 +125,6 @@ def _json(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
 
     parts = {name: part for name, part in _parts(estimate, sides).items() if part.shape[1]}
     lists = [part.tolist() for part in parts.values()]
-    names = ("t", *parts)
-    rows = zip(t.tolist(), *lists, strict=True)
+    names = ("schema", "t", *parts)
+    rows = zip(len(t) * [SCHEMA], t.tolist(), *lists, strict=True)
     return msgspec.json.Encoder().encode_lines(dict(zip(names, row, strict=True)) for row in rows)

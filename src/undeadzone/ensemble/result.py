@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
@@ -24,6 +24,10 @@ from undeadzone.statistics.intervals import LEVEL, describe, proportion
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
@@ -254,7 +258,7 @@ class Ensemble:
         }
         return finite(summary)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The tables that `undeadzone ensemble` prints."""
         return shown.text(self.blocks(self.summary()))
 
@@ -265,6 +269,15 @@ class Ensemble:
     def blocks(self, summary: dict[str, Any]) -> list[Block]:
         """The tables that `undeadzone ensemble` prints, of a summary."""
         return in_words(self.info, summary, int(self.diverged.sum()))
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

@@ -23,6 +23,7 @@ from undeadzone.scenario.reader import anchored, parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.support import toml
+from undeadzone.support.progress import in_notebook
 
 RECORDED = 256  # runs whose signals make the bands
 
@@ -47,7 +48,8 @@ def run_ensemble(
         resume: continue what an interrupted call left there, and leave a finished file as it is
         workers: number of local processes that compute; default: this one
         cluster: address of a Dask cluster that computes instead
-        progress: called from this thread with the number of runs just done
+        progress: called from this thread with the number of runs just done; None: a bar in a
+            notebook
 
     Returns:
         The ensemble; the columns of a saved one stay on disk and are read as they are used.
@@ -63,12 +65,17 @@ def run_ensemble(
     make = functools.partial(prepare, scenario)
     if workers is None and cluster is None:
         make = functools.partial(_as_it_is, batch)
-    compute = functools.partial(
-        run_blocks.run, make, workers=workers, cluster=cluster, progress=progress
-    )
-    if path is None:
-        return _in_memory(batch, compute)
-    path = Path(path)
+    with in_notebook(progress, "running", batch.layout.runs, "runs") as advance:
+        compute = functools.partial(
+            run_blocks.run, make, workers=workers, cluster=cluster, progress=advance
+        )
+        if path is None:
+            return _in_memory(batch, compute)
+        return _on_disk(batch, compute, Path(path), resume)
+
+
+def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bool) -> Ensemble:
+    """The ensemble whose blocks `compute` keeps beside the file that it becomes."""
     partial = path.with_name(f"{path.name}.partial")
     if resume and not partial.exists():
         finished = _finished(path, batch)

@@ -10,9 +10,9 @@ from undeadzone.support.shown import Block
 from undeadzone.support.text import label
 
 METRICS: Final = {
-    "rms_tracking": "rms z - r, last 2 s",
-    "rms_estimation": "rms z - z^, last 2 s",
-    "rms_tip": "rms distance of the tip from its path, last 2 s",
+    "rms_tracking": "rms z - r, last {last} s",
+    "rms_estimation": "rms z - z^, last {last} s",
+    "rms_tip": "rms distance of the tip from its path, last {last} s",
     "d_error": "largest |d^ - d|, at the end",
     "settling_time": "settling time",
     "peak_tracking": "peak |z - r|",
@@ -70,7 +70,8 @@ def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     for key, name in METRICS.items():
         if key in metrics:
             quantiles = [_interval(metrics[key][column]) for column in ("median", "p95", "p99")]
-            rows.append((label(name, unit_of_column(key, info.units)), *quantiles))
+            words = name.format(last=f"{min(LAST, info.duration):g}")
+            rows.append((label(words, unit_of_column(key, info.units)), *quantiles))
     return rows
 
 

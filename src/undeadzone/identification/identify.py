@@ -19,6 +19,7 @@ from undeadzone.identification.outputs import IdentifiedOutputs
 from undeadzone.identification.readers import log_of_arrays, read_log
 from undeadzone.identification.result import Identified
 from undeadzone.support.answers import Answers
+from undeadzone.support.progress import in_notebook
 
 
 def identify(
@@ -71,7 +72,7 @@ def identify(
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
-        progress: called with the number of steps just done.
+        progress: called with the number of steps just done; None: a bar in a notebook.
         keep: file that keeps what was fitted, to be deleted once the answer is; None: none.
         resume: take up what a stopped call left in `keep`.
 
@@ -107,9 +108,20 @@ def identify(
         integrators=int(integrators),
     ).checked()
     logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns, strict)]
-    advance = progress or _ignore
-    if keep is None:
-        return _identified(logs, options, advance)
+    with in_notebook(progress, "identifying", None) as advance:
+        if keep is None:
+            return _identified(logs, options, advance)
+        return _kept(logs, options, advance, keep, resume)
+
+
+def _kept(
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    keep: Path,
+    resume: bool,
+) -> Identified | IdentifiedOutputs:
+    """The answer; what was fitted is kept in a file. Raises InputError."""
     answers = Answers(keep, _problem(logs, options), "fits", resume)
     climbs = KeptClimbs(answers)
     with answers.kept():
@@ -148,10 +160,6 @@ def _identified(
         alone = [log.of_output(k) for log in logs]
         answers.append(identify_output(to_grid(alone, options.resample), options, advance, climbs))
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
-
-
-def _ignore(done: int) -> None:
-    """Nothing to report to."""
 
 
 def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -> list[Log]:

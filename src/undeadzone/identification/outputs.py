@@ -6,13 +6,19 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from undeadzone.errors import InputError
 from undeadzone.identification.result import Identified
 from undeadzone.identification.to_scenario import scenario_text
+from undeadzone.support import shown
 from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,13 +65,29 @@ class IdentifiedOutputs:
             each[name] = one.numbers()
         return dict(finite({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
 
-    def summary(self) -> dict[str, Any]:
-        """The answers in words, as the command prints them."""
-        lines: dict[str, Any] = {}
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone identify` prints, one for each output."""
+        blocks: list[Block] = []
         for name, one in zip(self.names, self.outputs, strict=True):
-            for title, text in one.summary().items():
-                lines[f"{name}: {title}"] = text
-        return lines
+            blocks += [{"output": name, **one.summary()}]
+        return blocks
+
+    def __repr__(self) -> str:
+        """The table that `undeadzone identify` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write all numbers as JSON.

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,14 @@ from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_smoother import smoothed_with_spread
 from undeadzone.identification.summary import in_words, numbers
 from undeadzone.identification.to_scenario import scenario_text
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 class States(NamedTuple):
@@ -158,6 +164,27 @@ class Identified:
     def summary(self) -> dict[str, Any]:
         """The answer in words, as the command prints it."""
         return in_words(self.answer)
+
+    def blocks(self) -> list[Block]:
+        """The table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    def __repr__(self) -> str:
+        """The table that `undeadzone identify` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write all numbers as JSON.

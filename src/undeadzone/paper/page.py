@@ -14,7 +14,17 @@ from undeadzone.paper.example import AMPLITUDES, READINGS
 from undeadzone.paper.facts import forced
 from undeadzone.paper.figures import Trio, figure, silence
 from undeadzone.paper.printed import DEFINITION
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    folded,
+    page,
+    paragraph,
+    picture,
+    section,
+    table,
+    tag,
+)
 from undeadzone.report.style import write
 from undeadzone.support.files import write_text
 
@@ -32,7 +42,7 @@ _COLOURS: Final = {
 def write_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None = None
 ) -> list[Path]:
-    """Write silence.png, and figures 3-8 for r = 5 sin and for r = 2 sin. Raises FileError.
+    """Write silence.svg, and figures 3-8 for r = 5 sin and for r = 2 sin. Raises FileError.
 
     Args:
         paper: the audit
@@ -40,28 +50,31 @@ def write_figures(
         progress: called with 1 for each numbered figure written
 
     Returns:
-        silence.png; figure_3.png ... figure_8.png for r = 5 sin; figure_3_2sin.png ... for 2 sin.
+        silence.svg; figure_3.svg ... figure_8.svg for r = 5 sin; figure_3_2sin.svg ... for 2 sin.
     """
     evidence = paper.evidence
-    written = [write(silence(*forced(AMPLITUDES[0])), folder / "silence.png")]
+    written = [write(silence(*forced(AMPLITUDES[0])), folder / "silence.svg")]
     trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
         for number in FIGURES:
             drawn = figure(number, Trio(*trio), f"r = {amplitude:g} sin 2πt")
-            written.append(write(drawn, folder / f"figure_{number}{suffix}.png"))
+            written.append(write(drawn, folder / f"figure_{number}{suffix}.svg"))
             if progress is not None:
                 progress(1)
     return written
 
 
-def write_report(paper: Paper, images: list[Path], path: Path) -> Path:
+def write_report(
+    paper: Paper, images: list[Path], path: Path, origin: Origin | None = None
+) -> Path:
     """Write one self-contained HTML page with everything. Raises FileError.
 
     Args:
         paper: the audit
         images: as `write_figures` gave them
         path: of the page
+        origin: what it takes to get the same again; None: nobody can
     """
     silent, *numbered = images
     intro = (
@@ -78,6 +91,7 @@ def write_report(paper: Paper, images: list[Path], path: Path) -> Path:
         section("Figures 3-8", *_figures(numbered)),
         section("Numbers against their closed forms", _facts(paper)),
         section("Where each equation went", _equations()),
+        origin=origin,
     )
     return write_text(text, path)
 

@@ -9,11 +9,16 @@ from pathlib import Path
 from undeadzone.paper.audit import Paper, Progress
 from undeadzone.paper.page import write_figures, write_report
 from undeadzone.paper.printed import Outcome, Variant
+from undeadzone.report.html import Origin
 from undeadzone.support.files import replacing, write_text
 
 
 def write(
-    paper: Paper, folder: Path, figures: bool = True, progress: Progress | None = None
+    paper: Paper,
+    folder: Path,
+    figures: bool = True,
+    progress: Progress | None = None,
+    origin: Origin | None = None,
 ) -> list[Path]:
     """Write paper.json and variants.csv, and figures 3-8 and report.html where wanted.
 
@@ -22,6 +27,7 @@ def write(
         folder: where the files go; created if needed
         figures: whether figures and report are written, too
         progress: called with 1 for each figure written
+        origin: what it takes to get the same again; None: nobody can
 
     Returns:
         The paths of the files.
@@ -36,7 +42,7 @@ def write(
     ]
     if figures:
         images = write_figures(paper, folder, progress)
-        written += [*images, write_report(paper, images, folder / "report.html")]
+        written += [*images, write_report(paper, images, folder / "report.html", origin)]
     return written
 
 

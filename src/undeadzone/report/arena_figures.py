@@ -36,7 +36,12 @@ COLOURS: Final = (ESTIMATE, READING, PRINTED, OTHER)
 def places(rows: Sequence[Row], title: str) -> Figure:
     """Median and worst regret of every method with their intervals, the best on top."""
     figure, panels = sheet([["all"]], title, height=0.24 * len(rows) + 1.2)
-    axes = panels["all"]
+    leaderboard(panels["all"], rows)
+    return figure
+
+
+def leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
+    """Median and worst regret of every method with their intervals, the best on top."""
     at = np.arange(len(rows))[::-1]  # heights of the methods
     medians = [row.median_regret for row in rows]
     worst = [row.worst_regret for row in rows]
@@ -55,7 +60,6 @@ def places(rows: Sequence[Row], title: str) -> Figure:
     regret = f"regret of the rms of z − r, with 95 % intervals; {left_edge}"
     finish(axes, "", "", regret, legend=0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return figure
 
 
 def _place(
@@ -85,7 +89,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     """
     from matplotlib.colors import LogNorm
 
-    width, height = 2.6 + 0.52 * len(scenarios), 0.25 * len(rows) + 1.6
+    width, height = max(6.4, 2.6 + 0.52 * len(scenarios)), 0.25 * len(rows) + 1.6
     figure, panels = sheet([["all"]], "Regret by scenario", width=width, height=height)
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])

@@ -11,8 +11,8 @@ from undeadzone.arena.leaderboard import CAP, NAIVE, ZERO, Row, regrets
 from undeadzone.arena.metric import TAIL
 from undeadzone.arena.traces import Trace
 from undeadzone.report.arena_figures import costs, heat, places, traces
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table
-from undeadzone.report.style import write
+from undeadzone.report.html import Html, Origin, folded, page, paragraph, section, table
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
@@ -69,29 +69,29 @@ HEAD: Final = (
 )
 
 
-def write_arena(contest: Contest, runs: Sequence[Trace], folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder. Raises FileError.
+def write_arena(
+    contest: Contest, runs: Sequence[Trace], folder: Path, origin: Origin | None = None
+) -> list[Path]:
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
         contest: what is shown
         runs: of some methods, as `traces.traced` gives them
         folder: where the files go; created if needed
+        origin: what it takes to get the same again; None: nobody can
 
     Returns:
         The paths of the files.
     """
-    written, images = [], {}
-    for name, figure in figures(contest, runs).items():
-        path = write(figure, folder / f"{name}.png")
-        written.append(path)
-        images[name] = path.read_bytes()
-    return [*written, write_text(arena_page(contest, images), folder / "report.html")]
+    written = write_figures(figures(contest, runs), folder)
+    text = arena_page(contest, images_of(written), origin)
+    return [*written.values(), write_text(text, folder / "report.html")]
 
 
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """The figures by name; runs: of some methods, as `traces.traced` gives them."""
     drawn = {
-        "leaderboard": places(contest.rows, _runs(contest)),
+        "leaderboard": places(contest.rows, size_in_words(contest)),
         "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
     }
     if runs:
@@ -100,21 +100,20 @@ def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     return drawn
 
 
-def arena_page(contest: Contest, images: Mapping[str, bytes]) -> str:
-    """The page; images: PNGs by the names of `figures`."""
-    shown = dict.fromkeys(CAPTIONS, Html(""))
-    for name, image in images.items():
-        shown[name] = picture(image, CAPTIONS[name])
-    leaderboard = table(HEAD, [_cells(row) for row in contest.rows])
+def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
+    """The page; images: SVGs by the names of `figures`; else see `write_arena`."""
+    shown = pictures(images, CAPTIONS)
+    leaderboard = [*pick(shown, "leaderboard"), table(HEAD, map(_cells, contest.rows))]
     rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
     return page(
         "The arena",
         _verdict(contest),
-        section("Leaderboard", shown["leaderboard"], leaderboard, paragraph(NOTE, "note")),
-        section("Scenario by scenario", shown["scenarios"], _settings(contest)),
-        section("What it looks like", shown["trajectories"]),
-        section("What it costs", shown["cost"]),
+        section("Leaderboard", *leaderboard, paragraph(NOTE, "note")),
+        section("Scenario by scenario", *pick(shown, "scenarios"), _settings(contest)),
+        section("What it looks like", *pick(shown, "trajectories")),
+        section("What it costs", *pick(shown, "cost")),
         section("Rules", *rules),
+        origin=origin,
     )
 
 
@@ -141,7 +140,7 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.3g}")
 
 
-def _runs(contest: Contest) -> str:
+def size_in_words(contest: Contest) -> str:
     """How many methods, scenarios and runs there are."""
     parts = [
         _count(len(contest.rows), "method"),
@@ -162,7 +161,7 @@ def _verdict(contest: Contest) -> Html:
         return paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
     regret = f"{first.median_regret:.3f} {_interval(first.median_interval)}"
-    text = f"{_runs(contest)}. Least median regret: {first.method}, {regret}"
+    text = f"{size_in_words(contest)}. Least median regret: {first.method}, {regret}"
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
         second = rest[0]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from undeadzone.ensemble.result import WIDTHS, Ensemble
+from undeadzone.ensemble.result import MAIN, WIDTHS, Ensemble
 from undeadzone.report.style import (
     ESTIMATE,
     PRINTED,
@@ -17,6 +17,7 @@ from undeadzone.report.style import (
     floor_of,
     sheet,
 )
+from undeadzone.simulation.run import LAST
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support.arrays import Floats
 
@@ -25,23 +26,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WORDS: Final = {
-    "rms_tracking": "rms of z − r over the last 2 s",
-    "rms_estimation": "rms of z − z^ over the last 2 s",
-    "rms_tip": "rms distance of the tip from its path over the last 2 s",
+    "rms_tracking": "rms of z − r",
+    "rms_estimation": "rms of z − z^",
+    "rms_tip": "rms distance of the tip from its path",
     "peak_tracking": "largest |z − r|",
     "settling_time": "settling time",
     "silent_fraction": "share of silent samples",
     "rms_input": "rms of u",
     WIDTHS: "largest |d^ − d| at the end",
 }
+LATE: Final = ("rms_tracking", "rms_estimation", "rms_tip")  # metrics of the end of a run
 MARKS: Final = {"median": (0.5, TRUTH), "95 %": (0.95, READING), "99 %": (0.99, PRINTED)}
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
 
 
-def words(quantity: str) -> str:
-    """What a metric or the error of a width is, in words."""
+def words(quantity: str, duration: float | None = None) -> str:
+    """What a metric or the error of a width is, in words.
+
+    Args:
+        quantity: its name.
+        duration: of a run [s]; with it the words say over which time the metric is taken.
+    """
     if quantity in WORDS:
-        return WORDS[quantity]
+        late = duration is not None and quantity in LATE
+        when = f" over the last {min(LAST, duration or LAST):g} s" if late else ""
+        return WORDS[quantity] + when
     edge, _, output = quantity.partition("_error[")
     if not output:
         return quantity
@@ -71,10 +80,17 @@ def distributions(result: Ensemble) -> Figure:
         of_bins, of_runs = "", ""
         if name == names[0]:
             of_bins, of_runs = "share of runs in each bin [%]", "share of runs beyond it"
-        quantity = WORDS[name]
+        quantity = words(name, result.info.duration)
         finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
         finish(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
     return figure
+
+
+def distribution(axes: Axes, result: Ensemble) -> None:
+    """How the errors of the runs are distributed."""
+    _histogram(axes, np.sort(result.sample(MAIN)))
+    quantity = axis_label(words(MAIN, result.info.duration), result.unit(MAIN))
+    finish(axes, _runs(result), "share of runs in each bin [%]", quantity, legend=2)
 
 
 def _distributed(result: Ensemble) -> list[str]:

@@ -13,10 +13,11 @@ import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.errors import InputError
-from undeadzone.report.ensemble_figures import WORDS, distributions, over_time, words
-from undeadzone.report.html import Html, folded, page, paragraph, picture, section, table, tag
+from undeadzone.report.ensemble_figures import distributions, over_time, words
+from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.sensitivity_figures import influence, tornado
-from undeadzone.report.style import write
+from undeadzone.simulation.run import LAST
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label
 
@@ -60,40 +61,45 @@ def first_of_ensemble(result: Ensemble) -> Figure:
     return figure
 
 
-def write_ensemble(result: Ensemble, summary: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder. Raises FileError.
+def write_ensemble(
+    result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: Origin | None = None
+) -> list[Path]:
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
         result: what is shown
         summary: the result's
         folder: where the files go; created if needed
+        origin: what it takes to get the same again; None: what the ensemble itself knows of it
 
     Returns:
         The paths of the files.
     """
-    written, images = [], {}
-    for name, figure in figures(result, summary).items():
-        path = write(figure, folder / f"{name}.png")
-        written.append(path)
-        images[name] = path.read_bytes()
-    text = ensemble_page(result, summary, images)
-    return [*written, write_text(text, folder / "report.html")]
+    written = write_figures(figures(result, summary), folder)
+    text = ensemble_page(result, summary, images_of(written), origin)
+    return [*written.values(), write_text(text, folder / "report.html")]
 
 
-def ensemble_page(result: Ensemble, summary: Mapping[str, Any], images: Mapping[str, bytes]) -> str:
-    """The page of an ensemble; images: PNGs by the names of `figures`."""
-    shown = dict.fromkeys(CAPTIONS, Html(""))
-    for name, image in images.items():
-        shown[name] = picture(image, CAPTIONS[name])
-    parts = [section("Distributions", *_distributions(result, summary), shown["distributions"])]
+def ensemble_page(
+    result: Ensemble,
+    summary: Mapping[str, Any],
+    images: Mapping[str, bytes],
+    origin: Origin | None = None,
+) -> str:
+    """The page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
+    shown = pictures(images, CAPTIONS)
+    distributed = [*_distributions(result, summary), *pick(shown, "distributions")]
+    parts = [section("Distributions", *distributed)]
     if "over_time" in images:
         parts.append(section("Over time", shown["over_time"]))
     if result.varied:
-        decisive = [*_sensitivities(summary), shown["tornado"], shown["influence"]]
+        decisive = [*_sensitivities(summary), *pick(shown, "tornado", "influence")]
         parts.append(section("What decides", *decisive))
     parts.append(section("The worst runs", *_worst(result, summary)))
     parts.append(section("What was asked", *_asked(result)))
-    return page(f"Ensemble: {result.info.title}", _verdict(result, summary), *parts)
+    own = Origin(scenario=result.info.scenario, seed=result.info.seed)
+    title = f"Ensemble: {result.info.title}"
+    return page(title, _verdict(result, summary), *parts, origin=origin or own)
 
 
 def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
@@ -110,7 +116,7 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
         parts.append(tag("span", f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
         worst = summary["metrics"][MAIN]["p99"]
-        limit = f"{WORDS[MAIN]} at most {worst['value']:.4g}"
+        limit = f"{words(MAIN, result.info.duration)} at most {worst['value']:.4g}"
         if result.unit(MAIN) != "1":
             limit += f" {result.unit(MAIN)}"
         parts.append(tag("span", f"{limit} in 99 % of the runs that did not diverge"))
@@ -136,7 +142,7 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     rows = []
     for name, values in summary["metrics"].items():
         if not name.startswith(("d_right[", "d_left[")):
-            rows.append(_distribution(name, values, result.unit(name)))
+            rows.append(_distribution(name, values, result.unit(name), result.info.duration))
     beyond = 100 * summary["metrics"][MAIN]["max"]["beyond"]
     note = (
         "In parentheses: 95 % intervals; a dash is a value that these runs do not bound. "
@@ -146,11 +152,13 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     return [table(("", *COLUMNS.values(), "largest"), rows), paragraph(note, "note")]
 
 
-def _distribution(name: str, values: Mapping[str, Any], unit: str) -> tuple[Any, ...]:
-    """The row of a metric."""
+def _distribution(
+    name: str, values: Mapping[str, Any], unit: str, duration: float
+) -> tuple[Any, ...]:
+    """The row of a metric of runs of some duration [s]."""
     cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
     largest = _bounded(name, values["max"], values["max"]["value"])
-    return (label(words(name), unit).replace(" ", "\u00a0"), *cells, largest)
+    return (label(words(name, duration), unit).replace(" ", "\u00a0"), *cells, largest)
 
 
 def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
@@ -183,7 +191,7 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
         "partial": "the same, others held",
         "first_order": "share of the variance, alone",
     }
-    note = f"On the {WORDS[MAIN]}, of the runs that did not diverge; 95 % intervals in parentheses."
+    note = f"On the {words(MAIN)}, of the runs that did not diverge; 95 % intervals in parentheses."
     if any(each["total_order"] is not None for each in sensitivities.values()):
         columns["total_order"] = "with interactions"
     else:
@@ -198,7 +206,7 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
 def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
     """The worst runs, the one at the median, and the command that shows one of them."""
     units = [label(name, result.unit(name)) for name in result.varied]
-    head = ("run", label(WORDS[MAIN], result.unit(MAIN)), *units)
+    head = ("run", label(words(MAIN, result.info.duration), result.unit(MAIN)), *units)
     parts = [table(head, map(_run_row, summary["worst"]))]
     typical = summary["typical"]
     if typical is not None:
@@ -220,6 +228,7 @@ def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
 def _asked(result: Ensemble) -> list[Html]:
     """What was run, over which values, and the scenario."""
     info = result.info
+    lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     lines = [
         ("observer", info.method),
         ("time", f"{info.time}, step {info.step:g} s, {info.duration:g} s"),
@@ -227,9 +236,8 @@ def _asked(result: Ensemble) -> list[Html]:
         ("drawn by", f"{info.sampling}, seed {info.seed}"),
         (
             "settled",
-            f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| for the last 2 s",
+            f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}",
         ),
-        ("undeadzone", info.version),
     ]
     parts = [table(("what", "value"), lines)]
     if result.varied:
@@ -238,4 +246,4 @@ def _asked(result: Ensemble) -> list[Html]:
             ends = float(np.min(column)), float(np.max(column))
             ranges.append((label(name, result.unit(name)), *ends))
         parts.append(table(("varied", "least", "largest"), ranges))
-    return [*parts, folded("The scenario", tag("pre", info.scenario))]
+    return parts

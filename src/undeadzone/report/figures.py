@@ -1,15 +1,9 @@
-"""Figures of a run, and the one figure that says most of any result.
-
-A run's figure shows what the sensor read, what the observer made of it, and how far off it was.
-"""
+"""The figure of a run: what the sensor read, what the observer made of it, how far off it was."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, overload
+from typing import TYPE_CHECKING
 
-from undeadzone.errors import InputError
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -24,7 +18,6 @@ from undeadzone.report.style import (
     shade_gap,
     shade_zone,
     sheet,
-    write,
 )
 from undeadzone.simulation.run import Run
 
@@ -32,70 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.ensemble.result import Ensemble
-    from undeadzone.simulation.estimation import Estimation
-    from undeadzone.tuning.result import Tuned
-
-    Result: TypeAlias = Run | Estimation | Ensemble | Design | Tuned
-
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
-
-
-@overload
-def plot(result: Result, path: None = None) -> Figure: ...
-@overload
-def plot(result: Result, path: str | os.PathLike[str]) -> Path: ...
-def plot(result: Result, path: str | os.PathLike[str] | None = None) -> Figure | Path:
-    """Draw the first figure of a result's report.
-
-    A Run: output, reading and estimate, errors, widths, V. An Ensemble: how its metrics are
-    distributed, or, where every run diverged, its errors over time. An Estimation: readings,
-    estimates, widths, innovations along a log. A Design: its certificate in
-    the frequency domain. A Tuned: every candidate, and the scenario before and after on held-out
-    runs.
-
-    Args:
-        result: a Run, an Estimation, an Ensemble, a Design or a Tuned
-        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none
-
-    Returns:
-        The path of the file that was written; without a path the Matplotlib figure.
-
-    Raises:
-        InputError: the result is none of these, or holds nothing that can be drawn
-        FileError: the suffix is another one, or the file cannot be written
-    """
-    figure = first_figure(result)
-    return figure if path is None else write(figure, Path(path))
-
-
-def first_figure(result: Result) -> Figure:
-    """The figure that a result's report shows first; see `plot`. Raises InputError."""
-    if isinstance(result, Run):
-        return overview(result)
-    # imported here, so that whoever draws runs alone does not wait for them
-    from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.ensemble.result import Ensemble
-    from undeadzone.report.ensemble_page import first_of_ensemble
-    from undeadzone.report.log_figures import log_overview
-    from undeadzone.report.proof_figures import positive_realness, proof_of
-    from undeadzone.report.tune_figures import history
-    from undeadzone.simulation.estimation import Estimation
-    from undeadzone.tuning.result import Tuned
-
-    if isinstance(result, Estimation):
-        return log_overview(result)
-    if isinstance(result, Ensemble):
-        return first_of_ensemble(result)
-    if isinstance(result, Design):
-        return positive_realness(proof_of(result))
-    if isinstance(result, Tuned):
-        return history(result)
-    raise InputError(
-        "plot: expected a Run, an Estimation, an Ensemble, a Design or a Tuned, found "
-        f"{type(result).__name__}"
-    )
 
 
 def overview(run: Run) -> Figure:
@@ -111,7 +41,7 @@ def overview(run: Run) -> Figure:
         figure, panels = sheet(rows_below(outputs, run.V is not None), run.info.title)
     for i in range(outputs):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
-        _output(panels[f"output {i}"], run, i, of)
+        output(panels[f"output {i}"], run, i, of)
         _errors(panels[f"error {i}"], run, i, of)
         _widths(panels[f"widths {i}"], run, i, of)
     if run.V is not None:
@@ -141,7 +71,7 @@ def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
     return [*rows, ["V"] * 12] if with_V else rows
 
 
-def _output(axes: Axes, run: Run, i: int, of: str) -> None:
+def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     """Output i over its dead zone: reference, reading, truth and estimate; of: its name."""
     shown = run.shown
     t = run.t[shown]

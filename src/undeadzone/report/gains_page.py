@@ -21,10 +21,10 @@ from undeadzone.report.gains_sections import (
     trade_section,
     verdict,
 )
-from undeadzone.report.html import Html, page, paragraph, picture, section, table
+from undeadzone.report.html import Html, Origin, page, paragraph, section, table
 from undeadzone.report.locus_figures import root_locus
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.proof_figures import courses, nyquist
-from undeadzone.report.style import write
 from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
 from undeadzone.support.files import write_text
@@ -76,52 +76,58 @@ def figures(
 
 
 def write_gains(
-    of: Assessment, tried: Attacks | None, folder: Path, design: Design | None = None
+    of: Assessment,
+    tried: Attacks | None,
+    folder: Path,
+    design: Design | None = None,
+    origin: Origin | None = None,
 ) -> list[Path]:
-    """Write the figures as PNG and report.html to a folder. Raises FileError.
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
         of, tried, design: see `figures`
         folder: where the files go; created if needed
+        origin: what it takes to get the same again; None: nobody can
 
     Returns:
         The paths of the files.
     """
-    written, images = [], {}
-    for name, figure in figures(of, tried, design).items():
-        path = write(figure, folder / f"{name}.png")
-        written.append(path)
-        images[name] = path.read_bytes()
-    text = gains_page(of, tried, images, design)
-    return [*written, write_text(text, folder / "report.html")]
+    written = write_figures(figures(of, tried, design), folder)
+    text = gains_page(of, tried, images_of(written), design, origin)
+    return [*written.values(), write_text(text, folder / "report.html")]
 
 
 def gains_page(
-    of: Assessment, tried: Attacks | None, images: Mapping[str, bytes], design: Design | None = None
+    of: Assessment,
+    tried: Attacks | None,
+    images: Mapping[str, bytes],
+    design: Design | None = None,
+    origin: Origin | None = None,
 ) -> str:
     """The page of an assessment.
 
     Args:
-        of, tried, design: see `figures`
-        images: PNGs by the names of `figures`
+        of, tried, design, origin: see `write_gains`
+        images: SVGs by the names of `figures`
     """
-    shown = {name: picture(image, CAPTIONS[name]) for name, image in images.items()}
+    shown = pictures(images, CAPTIONS)
     sections = [section("What was asked", _asked(of, design))]
     if of.gains is None:
         sections.append(section("No rate", paragraph(_why_no_rate(of))))
     else:
-        guarantee = [*guarantee_section(of.gains, tried), *_pick(shown, "nyquist", "lyapunov")]
-        speed = [*speed_section(of.gains), *_pick(shown, "root_locus")]
+        guarantee = [*guarantee_section(of.gains, tried), *pick(shown, "nyquist", "lyapunov")]
+        speed = [*speed_section(of.gains), *pick(shown, "root_locus")]
         sections.append(section("The gains", *gains_section(of.gains, design)))
         sections.append(section("What is guaranteed", *guarantee))
         sections.append(section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *_pick(shown, "ellipse")]
+    knowledge = [*knowledge_section(of), *pick(shown, "ellipse")]
     sections.append(section("What can be known", *knowledge))
     if design is not None:
-        trade = [*trade_section(design), *_pick(shown, "front")]
+        trade = [*trade_section(design), *pick(shown, "front")]
         sections.append(section("The trade", *trade))
     kind = "Check" if design is None else "Design"
-    return page(f"{kind}: {of.problem.scenario.title}", verdict(of), *sections)
+    title = f"{kind}: {of.problem.scenario.title}"
+    return page(title, verdict(of), *sections, origin=origin)
 
 
 def _why_no_rate(of: Assessment) -> str:
@@ -132,11 +138,6 @@ def _why_no_rate(of: Assessment) -> str:
             "tells; frequencies and rates are for linear models."
         )
     return "The observer has no constant gains L, gamma."
-
-
-def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
-    """The pictures of these names that there are."""
-    return [shown[name] for name in names if name in shown]
 
 
 def _asked(of: Assessment, design: Design | None) -> Html:

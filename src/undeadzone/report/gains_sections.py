@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.html import Html, folded, paragraph, table, tag
-from undeadzone.simulation.listening_words import in_words
+from undeadzone.report.html import Html, folded, join, paragraph, table, tag
+from undeadzone.simulation.listening_words import in_words, on_trust
+from undeadzone.support.text import label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 SCORES: Final = {
@@ -155,6 +157,13 @@ def speed_section(gains: Gains) -> list[Html]:
     return parts
 
 
+def trust(listens: Sequence[float | None]) -> Html | None:
+    """How strongly readings move each z^, marked where the model is taken on trust."""
+    if not listens:
+        return None
+    return tag("span", in_words(listens), "mid" if on_trust(listens) else "")
+
+
 def knowledge_section(of: Assessment) -> list[Html]:
     """Which widths an optimal estimator can know, how well, why not, and what would help."""
     unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
@@ -162,13 +171,13 @@ def knowledge_section(of: Assessment) -> list[Html]:
     for i, known in enumerate(of.known):
         rows.append((i, *(_known(known, name) for name in DIRECTIONS)))
     question = (
-        f"Whether an optimal estimator can know it, and its standard deviation [{unit}] after "
-        f"{duration:g} s at the scenario's noise:"
+        "Whether an optimal estimator can know it, and its "
+        f"{label('standard deviation', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
     parts = [paragraph(question), table(head, rows)]
     if of.listens:
-        parts.append(paragraph(f"How strongly readings move z^: {in_words(of.listens)}."))
+        parts.append(paragraph(join(["How strongly readings move z^:", trust(of.listens)])))
     for i, known in enumerate(of.known):
         where = f"Output {i}: " if len(of.known) > 1 else ""
         parts += [paragraph(f"{where}{reason}.") for reason in known.reasons]
@@ -213,5 +222,5 @@ def _front_table(design: Design) -> Html:
 
 
 def numbers(values: Any) -> str:
-    """Numbers to five digits, with commas."""
-    return ", ".join(f"{value:.5g}" for value in np.atleast_1d(values))
+    """Numbers to four digits, with commas."""
+    return ", ".join(f"{value:.4g}" for value in np.atleast_1d(values))

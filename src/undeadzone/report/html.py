@@ -6,18 +6,13 @@ Plain strings are escaped, and a page fetches nothing.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from undeadzone import __version__
-from undeadzone.report.style import png
-from undeadzone.simulation.listening_words import in_words
-from undeadzone.simulation.run import Run
 from undeadzone.support.text import printable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _CSS: Final = """
 :root { color-scheme: light dark; --text: #1d2129; --soft: #5c6370; --paper: #fdfdfc; \
@@ -29,21 +24,36 @@ _CSS: Final = """
 body { margin: 2.5rem auto; max-width: 72rem; padding: 0 1.2rem; background: var(--paper); \
 color: var(--text);
        font: 16px/1.55 system-ui, sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.25; margin-bottom: .3rem; } \
+h1 { font-size: 1.7rem; line-height: 1.25; margin-bottom: .3rem; overflow-wrap: anywhere; } \
 h2 { font-size: 1.25rem; margin-top: 2.6rem; border-bottom: 1px solid var(--line); }
 p { max-width: 52rem; } .note { color: var(--soft); font-size: .9rem; } a { color: var(--link); }
+nav { font-size: .9rem; margin: .6rem 0 1.4rem; } nav a { margin-right: 1.1rem; } \
 .wide { overflow-x: auto; } \
 table { border-collapse: collapse; font-size: .88rem; margin: 1rem 0; }
 th, td { text-align: left; vertical-align: top; padding: .35rem .7rem; \
 border-bottom: 1px solid var(--line); } th { background: var(--head); }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td { font-variant-numeric: tabular-nums; } td.number { text-align: right; } \
+td.number, td.whole, td .yes, td .no { white-space: nowrap; }
 .yes { color: var(--yes); font-weight: 600; } .mid { color: var(--mid); font-weight: 600; } \
 .no { color: var(--no); font-weight: 600; }
+sub { line-height: 0; } pre { font-size: .82rem; line-height: 1.4; overflow-x: auto; \
+background: var(--head); padding: .7rem; border-radius: 6px; }
 figure { margin: 1.2rem 0; } \
-img { max-width: 100%; background: #fff; border: 1px solid var(--line); border-radius: 6px; }
+img { width: 100%; box-sizing: border-box; background: #fff; border: 1px solid var(--line); \
+border-radius: 6px; }
 figcaption { color: var(--soft); font-size: .9rem; max-width: 52rem; } \
 details { margin: 1rem 0; } summary { cursor: pointer; }
+@media (max-width: 40rem) { body { margin: 1.2rem auto; padding: 0 .8rem; } \
+th, td { padding: .3rem .45rem; } }
+@media print { nav { display: none; } }
 """  # a line that ends in a backslash goes on in the next
+
+LONG: Final = 40  # characters of an interval at most
+_HAT: Final = "\u0302"
+_TILDE: Final = "\u0303"
+_ERRORS: Final = re.compile(r"\b([xyzd])~")
+_ESTIMATES: Final = re.compile(r"\b([xyzdwu])\^(?![\d(])")
+_EDGES: Final = re.compile(r"\bd_([rl])(\^?)(?!\w)")
 
 
 class Html(NamedTuple):
@@ -55,7 +65,8 @@ class Html(NamedTuple):
 def html(value: Any) -> str:
     """The HTML of a value.
 
-    An `Html` stays as it is, numbers have five digits, None is a dash, the rest is escaped text.
+    An `Html` stays as it is, numbers have four digits, None is a dash, the rest is escaped text
+    with `symbols`.
     """
     if isinstance(value, Html):
         return value.text
@@ -64,8 +75,26 @@ def html(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return escape(f"{value:.5g}")
-    return escape("\n".join(map(printable, str(value).split("\n"))))
+        return escape(f"{value:.4g}")
+    return symbols(escaped(str(value)))
+
+
+def escaped(text: str) -> str:
+    """A text of several lines as HTML, nothing in it changed."""
+    return escape("\n".join(map(printable, text.split("\n"))))
+
+
+def symbols(text: str) -> str:
+    """Letters as in the figures: z^, x~, d_r, d_l^ with hats, tildes and indices."""
+    text = _ESTIMATES.sub(rf"\1{_HAT}", text)
+    text = _ERRORS.sub(rf"\1{_TILDE}", text)
+    return _EDGES.sub(_edge, text)
+
+
+def _edge(found: re.Match[str]) -> str:
+    """The letter of an edge, or of its estimate."""
+    hat = _HAT if found[2] else ""
+    return f"d{hat}<sub>{found[1]}</sub>"
 
 
 def join(parts: Iterable[Any]) -> Html:
@@ -85,8 +114,14 @@ def paragraph(text: Any, style: str = "") -> Html:
 
 
 def section(title: str, *parts: Any) -> Html:
-    """A heading and what stands under it."""
-    return join([tag("h2", title), *parts])
+    """A heading, to which the contents lead, and what stands under it."""
+    heading = Html(f'<h2 id="{_anchor(title)}">{html(title)}</h2>')
+    return join([heading, *parts])
+
+
+def _anchor(title: str) -> str:
+    """The address of a section within its page."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def folded(title: str, *parts: Any) -> Html:
@@ -95,125 +130,134 @@ def folded(title: str, *parts: Any) -> Html:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
-    """A table; numbers are set right.
+    """A table; columns of numbers are set right.
 
     Args:
         head: the columns' names
         rows: a value for each column; see `html`
     """
+    cells = list(rows)
+    numeric = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]
     names = tag("tr", join(tag("th", name) for name in head))
-    body = join(_row(row) for row in rows)
+    body = join(_row(row, numeric) for row in cells)
     inner = f"<thead>{names.text}</thead><tbody>{body.text}</tbody>"
     return Html(f'<div class="wide"><table>{inner}</table></div>')
 
 
-def _row(cells: Sequence[Any]) -> Html:
-    """A row of a table."""
-    return tag("tr", join(tag("td", cell, _cell_style(cell)) for cell in cells))
+def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
+    """A row of a table; numeric: which columns hold numbers alone."""
+    styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
+    parts = [tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
+    return tag("tr", join(parts))
 
 
-def _cell_style(cell: Any) -> str:
-    """The class of a cell: that of numbers, or none."""
-    is_number = isinstance(cell, int | float) and not isinstance(cell, bool)
-    return "number" if is_number else ""
+def _cell_style(cell: Any, numeric: bool) -> str:
+    """The class of a cell: that of a column of numbers, of words that stay in one line, or none."""
+    if numeric:
+        return "number"
+    interval = isinstance(cell, str) and len(cell) < LONG and re.search(r"±| to \S+\)$", cell)
+    return "whole" if interval else ""
+
+
+def _is_number(cell: Any) -> bool:
+    """Whether a cell may stand in a column of numbers."""
+    return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+
+
+def source(text: str) -> Html:
+    """A text as it is, such as a scenario."""
+    return Html(f"<pre>{escaped(text)}</pre>")
 
 
 def picture(image: bytes, caption: str) -> Html:
-    """A PNG image, embedded, with its caption."""
+    """An SVG image, embedded, with its caption.
+
+    Where the page is narrower than three quarters of it, it is scrolled: its words stay legible.
+    """
+    width = re.search(rb'<svg[^>]* width="([\d.]+)pt"', image)
+    assert width is not None
+    least = round(float(width[1]))  # as many px as the image has pt: at three quarters
     data = base64.b64encode(image).decode("ascii")
-    img = f'<img alt="{html(caption)}" src="data:image/png;base64,{data}">'
-    return Html(f"<figure>{img}{tag('figcaption', caption).text}</figure>")
+    img = (
+        f'<img alt="{escape(printable(caption))}" src="data:image/svg+xml;base64,{data}" '
+        f'style="min-width:{least}px;max-width:{round(least / 0.75)}px">'
+    )
+    return Html(f'<figure><div class="wide">{img}</div>{tag("figcaption", caption).text}</figure>')
 
 
-def page(title: str, *parts: Any) -> str:
-    """A whole document that needs nothing but itself."""
+class Origin(NamedTuple):
+    """What it takes to get a result again.
+
+    Attributes:
+        command: that was given; empty where there was none.
+        scenario: its text, as given; empty where there is none.
+        seed: of every random number; None: there is none, or several.
+    """
+
+    command: str = ""
+    scenario: str = ""
+    seed: int | None = None
+
+
+def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
+    """A whole document that needs nothing but itself.
+
+    It begins with its contents, and ends with how to get the same again and with its symbols.
+
+    Args:
+        title: of the page.
+        parts: pieces of HTML or text, most of them a `section`.
+        origin: what it takes to get the same again; None: nobody can.
+    """
     head = (
         '<meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html(title)}</title><style>{_CSS}</style>"
+        f"<title>{escaped(title)}</title><style>{_CSS}</style>"
     )
-    origin = paragraph(f"Written by undeadzone {__version__}.", "note")
-    body = join([tag("h1", title), *parts, origin])
+    again = [] if origin is None else [_again(origin)]
+    below = join([*parts, *again, _LEGEND])
+    body = join([tag("h1", title), _contents(below), below, paragraph(_WRITTEN, "note")])
     return (
         f'<!doctype html>\n<html lang="en"><head>{head}</head>\n'
         f"<body>\n{body.text}\n</body></html>\n"
     )
 
 
-_OVERVIEW: Final = (
-    "Output, reading and estimate; errors; widths against the truth; "
-    "the Lyapunov function where there is one."
+def _contents(below: Html) -> Html:
+    """Links to the sections."""
+    found = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', below.text)
+    links = [f'<a href="#{anchor}">{words}</a>' for anchor, words in found]
+    return Html(f"<nav>{' '.join(links)}</nav>")
+
+
+def _again(origin: Origin) -> Html:
+    """How to get the same again."""
+    rows: list[tuple[str, Any]] = []
+    if origin.command:
+        rows.append(("command", Html(f"<code>{escaped(origin.command)}</code>")))
+    rows.append(("undeadzone", __version__))
+    if origin.seed is not None:
+        rows.append(("seed", str(origin.seed)))
+    parts = [table(("what", "value"), rows)]
+    if origin.scenario:
+        parts.append(folded("The scenario", source(origin.scenario)))
+    return section("The same again", *parts)
+
+
+_WRITTEN: Final = f"Written by undeadzone {__version__}."
+_SYMBOLS: Final = (
+    ("z, y, r", "output of the plant, reading of the sensor, reference"),
+    ("x, u", "state of the plant, its input"),
+    ("d_r, d_l", "widths of the dead zone to the right and to the left: y = 0 for -d_l < z < d_r"),
+    ("x^, z^, d_r^, d_l^", "estimates of the observer"),
+    ("x~, d~", "their errors, truth less estimate"),
+    ("d_r + d_l, d_r − d_l", "the width of the whole zone; twice its centre"),
+    ("L, γ, K", "gains of the observer for x^ and for the widths; of the controller, u = −K x^"),
+    ("V", "storage (Lyapunov) function of the error; with a certificate it never rises"),
+    ("±", "one standard deviation, that the observer claims"),
 )
-
-
-def run_page(
-    run: Run, figures: Sequence[Figure], rival: Run | None = None, first: Sequence[Any] = ()
-) -> str:
-    """The page of one run.
-
-    It shows what comes first, the run's figures, its numbers, and what its readings can tell.
-
-    Args:
-        run: what is shown
-        figures: of the run; see `figures.overview`
-        rival: a run beside whose numbers those of the run stand
-        first: pieces of HTML above the figures
-    """
-    reasons: list[str] = []
-    for verdict in run.info.identifiable:
-        reasons += verdict["reasons"]
-    return page(
-        run.info.title,
-        *first,
-        *(picture(png(figure), _OVERVIEW) for figure in figures),
-        section("Numbers", _numbers_table(run, rival)),
-        section(
-            "Widths, and what these readings can tell of them",
-            _widths_table(run),
-            *map(paragraph, reasons),
-        ),
-    )
-
-
-def _numbers_table(run: Run, rival: Run | None) -> Html:
-    """The numbers of a run, beside those of a rival if there is one."""
-    columns = [_numbers(run)]
-    if rival is not None:
-        columns.append(_numbers(rival))
-    head = ("what", "value", "compared with")[: 1 + len(columns)]
-    return table(head, [(name, *(column[name] for column in columns)) for name in columns[0]])
-
-
-def _widths_table(run: Run) -> Html:
-    """The estimated and the true widths of each output, and which of them readings can tell."""
-    unit = run.info.units.output
-    rows = []
-    verdicts = zip(run.outputs, run.widths, run.info.identifiable, strict=True)
-    for i, (name, (right, left), verdict) in enumerate(verdicts):
-        true_right, true_left = run.info.widths[2 * i : 2 * i + 2]
-        known = [verdict[key] for key in ("right", "left", "width", "centre")]
-        rows.append((name, float(right), true_right, float(left), true_left, *known))
-    estimates = (f"d_r^ [{unit}]", "true", f"d_l^ [{unit}]", "true")
-    knowledge = ("right known", "left", "d_r + d_l", "d_r − d_l")
-    return table(("output", *estimates, *knowledge), rows)
-
-
-def _numbers(run: Run) -> dict[str, Any]:
-    """The numbers of a run, in words."""
-    unit = run.info.units.output
-    numbers: dict[str, Any] = {
-        "observer": run.name,
-        "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
-        "diverged at [s]": run.diverged_at,
-        f"rms of z − r, last 2 s [{unit}]": run.rms_tracking,
-        f"rms of z − z^, last 2 s [{unit}]": run.rms_estimation,
-    }
-    if run.rms_tip is not None:
-        numbers["rms distance of the tip from its path, last 2 s [m]"] = run.rms_tip
-    return numbers | {
-        "share of silent samples": run.silent_fraction,
-        "how strongly readings move z^": in_words(run.info.listens) if run.info.listens else None,
-        "certificate found for these gains": run.info.certified,
-        "largest rise of V above an earlier value, relative to its largest": run.largest_rise_of_V,
-        "integration error (against half the step)": run.info.integration_error,
-    }
+_LEGEND: Final = section(
+    "Symbols",
+    table(("symbol", "meaning"), _SYMBOLS),
+    paragraph("In figures: grey the dead zone, pale the truth.", "note"),
+)

@@ -47,7 +47,7 @@ def figures(found_log: Identified) -> dict[str, Figure]:
         hidden.
     """
     drawn = {
-        "overview": _overview(found_log),
+        "overview": overview(found_log),
         "residual_map": _residual_map(found_log),
         "residual": _residual(found_log),
     }
@@ -73,31 +73,43 @@ def _time(found_log: Identified) -> str:
     return "t [samples]" if found_log.answer.evidence.grid.counted else "t [s]"
 
 
-def _overview(found_log: Identified) -> Figure:
+def overview(found_log: Identified) -> Figure:
     """z^, y and zone over time, the held-out part shaded; sides below."""
-    answer = found_log.answer
-    grid, part = answer.evidence.grid, _shown(found_log)
+    data, part = found_log.answer.fit.objective.data, _shown(found_log)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
-    axes = panels["signals"]
-    t = grid.t[part]
-    _zone_bands(axes, found_log)
-    y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, (answer.fit.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
-    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
-    data = answer.fit.objective.data
-    held_out = ~trained_part(data, answer.options.held_out)
-    for each in panels.values():
-        each.fill_between(
-            t, 0, 1, where=held_out[part], color=ZONE, alpha=0.12, linewidth=0,
-            transform=each.get_xaxis_transform(),
-        )  # fmt: skip
-    finish(axes, "Output and reading; shaded: held out", label("z, y", _unit(found_log)), "")
+    signals(panels["signals"], found_log)
     side = np.where(data.ok, data.side, np.nan)[part]
+    t = found_log.answer.evidence.grid.t[part]
+    _shade_held_out(panels["sides"], found_log)
     panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
     panels["sides"].set_ylim(-1.3, 1.3)
     finish(panels["sides"], "Side of the readings", "", _time(found_log), legend=0)
     return figure
+
+
+def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
+    """z^, y and zone over time, the held-out part shaded; of: name of the output."""
+    answer, part = found_log.answer, _shown(found_log)
+    grid = answer.evidence.grid
+    t = grid.t[part]
+    _zone_bands(axes, found_log)
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(t, (answer.fit.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    _shade_held_out(axes, found_log)
+    title = f"Output{of} and reading; shaded: held out"
+    finish(axes, title, label("z, y", _unit(found_log)), "")
+
+
+def _shade_held_out(axes: Axes, found_log: Identified) -> None:
+    """Shade what had no part in the fit that checks."""
+    answer, part = found_log.answer, _shown(found_log)
+    held_out = ~trained_part(answer.fit.objective.data, answer.options.held_out)
+    axes.fill_between(
+        answer.evidence.grid.t[part], 0, 1, where=held_out[part], color=ZONE, alpha=0.12,
+        linewidth=0, transform=axes.get_xaxis_transform(),
+    )  # fmt: skip
 
 
 def _zone_bands(axes: Axes, found_log: Identified) -> None:
@@ -140,7 +152,8 @@ def _residual_map(found_log: Identified) -> Figure:
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
-    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5)
+    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5,
+              rasterized=True)  # fmt: skip
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = 1.96 * residuals.std * scale
     axes.fill_between(x, curve - band, curve + band, color=PRINTED, alpha=0.25, linewidth=0)
@@ -149,7 +162,7 @@ def _residual_map(found_log: Identified) -> Figure:
     finish(axes, "Residual by z^", label("y - E[y | z^]", unit), label(r"$\hat z$", unit))
     axes = panels["static"]
     axes.plot((fit.z * scale)[ok], answer.evidence.grid.y[ok], ".", color=READING,
-              markersize=1.5, alpha=0.5, label="readings")  # fmt: skip
+              markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))

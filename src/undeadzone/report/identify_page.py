@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 from undeadzone.identification.result import Identified
 from undeadzone.identification.summary import HEADS, rivals_in_words
-from undeadzone.report.html import Html, page, paragraph, picture, section, table, tag
+from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
 from undeadzone.report.identify_figures import figures
-from undeadzone.report.style import write
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.support.files import write_text
+from undeadzone.support.text import label, with_deviation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,13 +29,16 @@ CAPTIONS = {
 }
 
 
-def write_identified(found_log: Identified, folder: Path, source: str) -> list[Path]:
-    """Write figures as PNG and report.html to a folder.
+def write_identified(
+    found_log: Identified, folder: Path, source: str, origin: Origin | None = None
+) -> list[Path]:
+    """Write figures as SVG and report.html to a folder.
 
     Args:
         found_log: the answer.
         folder: where to.
         source: name of the log.
+        origin: what it takes to get the same again; None: nobody can.
 
     Returns:
         What was written.
@@ -42,21 +46,24 @@ def write_identified(found_log: Identified, folder: Path, source: str) -> list[P
     Raises:
         FileError: a file cannot be written.
     """
-    written = {}
-    for name, figure in figures(found_log).items():
-        written[name] = write(figure, folder / f"{name}.png")
-    images = {name: path.read_bytes() for name, path in written.items()}
-    text = identified_page(found_log, images, source)
+    written = write_figures(figures(found_log), folder)
+    text = identified_page(found_log, images_of(written), source, origin)
     return [*written.values(), write_text(text, folder / "report.html")]
 
 
-def identified_page(found_log: Identified, images: Mapping[str, bytes], source: str) -> str:
+def identified_page(
+    found_log: Identified,
+    images: Mapping[str, bytes],
+    source: str,
+    origin: Origin | None = None,
+) -> str:
     """The page of an answer.
 
     Args:
         found_log: the answer.
-        images: PNGs by the names of `identify_figures.figures`.
+        images: SVGs by the names of `identify_figures.figures`.
         source: name of the log.
+        origin: what it takes to get the same again; None: nobody can.
 
     Returns:
         HTML that needs nothing but itself.
@@ -68,25 +75,19 @@ def identified_page(found_log: Identified, images: Mapping[str, bytes], source: 
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
             rows.append((name, text))
-    shown = {}
-    for name, image in images.items():
-        shown[name] = picture(image, CAPTIONS[name])
+    shown = pictures(images, CAPTIONS)
     return page(
         f"Identified: {source}",
         head,
         *map(paragraph, answer.reasons),
-        section("The answer", table(("what", "value"), rows), *_pick(shown, "overview")),
-        section("Hidden output", *_pick(shown, "hidden")),
-        section("Is it a dead zone?", *_rivals(found_log), *_pick(shown, "residual_map")),
+        section("The answer", table(("what", "value"), rows), *pick(shown, "overview")),
+        section("Hidden output", *pick(shown, "hidden")),
+        section("Is it a dead zone?", *_rivals(found_log), *pick(shown, "residual_map")),
         *_place(found_log),
-        section("How sure are the widths?", _stages(found_log), *_pick(shown, "profiles")),
-        section("Order and residual", _orders(found_log), *_pick(shown, "residual")),
+        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
+        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+        origin=origin,
     )
-
-
-def _pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
-    """The pictures that there are."""
-    return [shown[name] for name in names if name in shown]
 
 
 def _rivals(found_log: Identified) -> list[Html]:
@@ -110,8 +111,8 @@ def _place(found_log: Identified) -> list[Html]:
     if place is None:
         return []
     words = (
-        f"lambda = {place.lam:.3g} +- {place.half:.2g}: 1 is a zone of the sensor, 0 friction in"
-        f" the plant. By lambda: {place.by_lambda}; by comparing models: {place.by_rivals};"
+        f"λ = {with_deviation(place.lam, place.half)} (95 %): 1 is a zone of the sensor, 0"
+        f" friction in the plant. By λ: {place.by_lambda}; by comparing models: {place.by_rivals};"
         f" together: {place.verdict}."
     )
     rows = sorted(place.behind.items(), key=lambda row: row[1])
@@ -135,18 +136,13 @@ def _stages(found_log: Identified) -> Html:
     rows = []
     for name, (right, left) in answer.evidence.widths.stages.items():
         halves = answer.evidence.widths.halves[name]
-        rows.append(
-            (
-                names[name],
-                right * answer.scale,
-                halves["right"] * answer.scale,
-                left * answer.scale,
-                halves["left"] * answer.scale,
-            )
-        )
+        cells = []
+        for edge, value in (("right", right), ("left", left)):
+            cells.append(with_deviation(value * answer.scale, halves[edge] * answer.scale))
+        rows.append((names[name], *cells))
     unit = answer.evidence.grid.output_unit
-    heads = ("likelihood of", f"d_r [{unit}]", "+-", f"d_l [{unit}]", "+-")
-    return table(heads, rows)
+    heads = [label(f"{edge} ± half of 95 %", unit) for edge in ("d_r", "d_l")]
+    return table(("likelihood of", *heads), rows)
 
 
 def _orders(found_log: Identified) -> Html:

@@ -75,6 +75,7 @@ def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
     """Poles (factors x poles) coloured by the factor of a gain, and those of a silent sensor."""
     factors = np.repeat(FACTORS, poles.shape[1])
     dots = axes.scatter(poles.real, poles.imag, c=factors, s=3, cmap="viridis", linewidths=0)
+    dots.set_rasterized(True)  # thousands
     without, chosen = poles[0], poles[CHOSEN]
     axes.plot(
         silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent"

@@ -39,17 +39,25 @@ def log_overview(result: Estimation) -> Figure:
         rows.append([f"output {i}"] * 2)
         rows.append([f"widths {i}", f"innovation {i}"])
     figure, panels = sheet(rows, result.info.title)
-    shown = slice(None, None, max(1, result.t.size // POINTS))
+    shown = _shown(result)
     for i, name in enumerate(result.outputs):
         of = f" {name}" if len(result.outputs) > 1 else ""
-        _output(panels[f"output {i}"], result, i, of, shown)
+        output(panels[f"output {i}"], result, i, of, shown)
         _widths(panels[f"widths {i}"], result, i, of, shown)
         _innovations(panels[f"innovation {i}"], result, i, of, shown)
     return figure
 
 
-def _output(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
-    """Reading and estimates of output i over its estimated dead zone."""
+def _shown(result: Estimation) -> slice:
+    """The samples that are drawn."""
+    return slice(None, None, max(1, result.t.size // POINTS))
+
+
+def output(
+    axes: Axes, result: Estimation, i: int = 0, of: str = "", shown: slice | None = None
+) -> None:
+    """Reading and estimates of output i over its estimated dead zone; of: its name."""
+    shown = _shown(result) if shown is None else shown
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
     if result.info.sensor == "play":
@@ -105,12 +113,13 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     innovation = result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
-        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2)
+        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2, rasterized=True)
         finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
         return
     normalised = innovation[used] / result.innovation_std[shown, i][used]
     limited = np.clip(normalised, -2 * FAR, 2 * FAR)
-    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label="innovation / its std")
+    name = "innovation / its std"
+    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
         axes.axhline(bound, color=REFERENCE, linewidth=0.8)
     _statistic(axes, t, result.B[shown, i])

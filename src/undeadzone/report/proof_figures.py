@@ -76,6 +76,15 @@ def positive_realness(proof: Certificate) -> Figure:
     return figure
 
 
+def least_real_part(axes: Axes, proof: Certificate) -> None:
+    """The real part of 1 + G, or the eigenvalues of its Hermitian part, over frequency."""
+    w = _frequencies(proof.dynamics)
+    worst_at = np.inf if proof.frequency is None else proof.frequency
+    H = _response(proof.dynamics, proof.W, w)
+    _eigenvalues(axes, w, H, proof.margin, worst_at)
+    finish(axes, _verdict(proof, worst_at), "", "ω [rad/s]", legend=0)
+
+
 def _verdict(proof: Certificate, worst_at: float) -> str:
     """The least real part, where it is attained [rad/s], and whether it certifies."""
     at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.ensemble.result import JUDGED, MAIN, Ensemble
-from undeadzone.report.ensemble_figures import SPREAD, WORDS
+from undeadzone.report.ensemble_figures import SPREAD, words
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -60,7 +60,7 @@ def tornado(sensitivities: Sensitivities, metric: str = MAIN) -> Figure | None:
     if not sensitivities:
         return None
     names = list(sensitivities)[:ROWS]
-    title, height = f"What decides the {WORDS.get(metric, metric)}", 1.6 + 0.34 * len(names)
+    title, height = f"What decides the {words(metric)}", 1.6 + 0.34 * len(names)
     figure, panels = sheet([["rank", "share"]], title, height=height)
     rank, share = panels["rank"], panels["share"]
     _ranks(rank, [sensitivities[name]["partial"] for name in names])
@@ -150,7 +150,7 @@ def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN
     values = np.where(result.diverged, np.nan, result.column(metric))
     runs = _marked(result, values, metric)
     scale = _scale(values[runs.shown])
-    quantity = axis_label(WORDS.get(metric, metric), result.unit(metric))
+    quantity = axis_label(words(metric, result.info.duration), result.unit(metric))
     labels = [axis_label(plain(name), result.unit(name)) for name in names]
     for name, x_label in zip(names, labels, strict=True):
         _over_one(panels[name], result.column(name), values, runs, scale)
@@ -185,7 +185,10 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
     shown, diverged = runs.shown, runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
-    axes.plot(x[shown], y[shown], ".", color=ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha)
+    axes.plot(
+        x[shown], y[shown], ".", color=ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
+        rasterized=True,
+    )  # fmt: skip
     _trend(axes, x[shown], y[shown])
     _mark(axes, x, y, runs)
     if diverged.size:

@@ -33,6 +33,7 @@ FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive 
 
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 DPI: Final = 110
+FINE: Final = 200  # of what is no curve in an SVG: thousands of dots
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 
@@ -164,7 +165,8 @@ def plot_magnitude(
     peaks = np.maximum.reduceat(size, starts)
     floor = floor_of(peaks)
     axes.set_yscale("log")
-    axes.plot(t, np.maximum(size, floor), color=colour, alpha=0.22, linewidth=0.7)
+    faint = np.maximum(size, floor)
+    axes.plot(t, faint, color=colour, alpha=0.22, linewidth=0.7, rasterized=True)
     axes.plot(t[starts], np.maximum(peaks, floor), color=colour, label=name)
 
 
@@ -183,12 +185,21 @@ def write(figure: Figure, path: Path) -> Path:
         expected = ", ".join(SUFFIXES)
         raise FileError(f"{path}: cannot write a figure with this name; it must end in {expected}")
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=DPI)
+        temporary.write_bytes(image(figure, path.suffix.lower()[1:]))
     return path
 
 
 def png(figure: Figure) -> bytes:
     """The figure as PNG bytes."""
+    return image(figure, "png")
+
+
+def image(figure: Figure, kind: str) -> bytes:
+    """The figure as bytes of a PNG, PDF or SVG; the same figure gives the same SVG."""
+    import matplotlib
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
+    undated: dict[str, Any] = {"metadata": {"Date": None}} if kind == "svg" else {}
+    with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
+        figure.savefig(buffer, format=kind, dpi=FINE if kind == "svg" else DPI, **undated)
     return buffer.getvalue()

@@ -97,11 +97,11 @@ def ellipses(of: Assessment) -> Figure:
     title = f"What {of.problem.scenario.simulation.duration:g} s of readings tell of the widths"
     figure, panels = sheet([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
     for i, name in enumerate(names):
-        _region(panels[name], of, i)
+        deviations(panels[name], of, i)
     return figure
 
 
-def _region(axes: Axes, of: Assessment, i: int) -> None:
+def deviations(axes: Axes, of: Assessment, i: int) -> None:
     """The 95 % region of the widths of output i, with its title and labels."""
     known, sensor, unit = of.known[i], of.problem.sensor, of.problem.scenario.units.output
     truth = np.array([sensor.right[i], sensor.left[i]])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
-from undeadzone.report.ensemble_figures import WORDS
+from undeadzone.report.ensemble_figures import words
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -20,7 +19,6 @@ from undeadzone.report.style import (
     finish,
     plain,
     sheet,
-    write,
 )
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.parameters import Parameter
@@ -37,14 +35,6 @@ COLUMNS: Final = 3
 STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
-def write_figures(result: Tuned, folder: Path) -> list[Path]:
-    """Write history.png and around.png to a folder. Raises FileError."""
-    return [
-        write(history(result), folder / "history.png"),
-        write(around(result, slices(result)), folder / "around.png"),
-    ]
-
-
 def slices(result: Tuned) -> dict[str, Sweep]:
     """The metric of the first scenario on held-out runs, over each tuned number alone."""
     what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
@@ -59,16 +49,21 @@ def history(result: Tuned) -> Figure:
     """Every candidate in order, and the scenario before and after on held-out runs."""
     rows = [["trials", "trials", "trials", "held_out"]]
     figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
-    _candidates(panels["trials"], result)
+    candidates(panels["trials"], result)
     words = _words(result)
-    finish(panels["trials"], "Candidates, on the runs tuned on", words, "candidate", legend=3)
     _compare(panels["held_out"], result)
     finish(panels["held_out"], "On held-out runs", words, "", legend=0)
     return figure
 
 
-def _candidates(axes: Axes, result: Tuned) -> None:
+def candidates(axes: Axes, result: Tuned) -> None:
     """The cost of every candidate by the stage that tried it, and the best so far."""
+    _costs(axes, result)
+    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+
+
+def _costs(axes: Axes, result: Tuned) -> None:
+    """Candidates as dots, those not certified as crosses, the best so far as a line."""
     cost = np.array([trial.cost for trial in result.trials])
     kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
     best = np.minimum.accumulate(np.where(kept, cost, np.inf))
@@ -122,7 +117,7 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
 
 def _words(result: Tuned) -> str:
     """The statistic and the metric that were tuned for."""
-    return f"{result.what.statistic} {WORDS.get(result.what.metric, result.what.metric)}"
+    return f"{result.what.statistic} {words(result.what.metric)}"
 
 
 def _places(parameter: Parameter, value: float) -> Floats:

@@ -23,6 +23,7 @@ from undeadzone.plants.region import box
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario import reference_path as paths
+from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.time_step import (
     checked_time,
@@ -117,7 +118,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if scenario.region is not None:
         box(scenario.region, model)
     return Problem(
-        scenario,
+        with_units(scenario, true),
         plant,
         model,
         flow,

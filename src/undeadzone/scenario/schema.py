@@ -23,7 +23,7 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.scenario.unnamed import usual_controller, usual_observer
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Disturbance, Signal
-from undeadzone.support import toml
+from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Array
 from undeadzone.support.files import write_text
 
@@ -102,7 +102,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         disturbance: a signal added to the input; default: none.
         tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
-        units: names of units for labels and columns.
+        units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
         declared: claims that the methods of `undeadzone arena` get.
@@ -189,3 +189,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             return toml.dumps(self)
         except InputError:
             return repr(self)
+
+    def _repr_html_(self) -> str:
+        """The same, for a notebook."""
+        return shown.source(str(self))

@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
+import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
+from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
+from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
@@ -26,6 +29,7 @@ from undeadzone.simulation.verdicts import (
     constant_inputs,
     linear_verdicts,
 )
+from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
 
 
@@ -253,7 +257,26 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
         sensor=problem.sensor.kind,
+        scenario=_text(scenario),
+        version=undeadzone.__version__,
+        seed=scenario.simulation.seed,
+        gains=_gains(problem),
     )
+
+
+def _text(scenario: Scenario) -> str:
+    """The scenario as TOML; empty where it holds a function of Python."""
+    try:
+        return toml.dumps(scenario)
+    except InputError:
+        return ""
+
+
+def _gains(problem: Problem) -> dict[str, list[Any]]:
+    """The constant gains of observer and controller, by name."""
+    traits = problem.observer.traits
+    gains = {"L": traits.L, "gamma": traits.gamma, "K": problem.controller.K}
+    return {name: np.asarray(gain).tolist() for name, gain in gains.items() if gain is not None}
 
 
 def _parameter(plant: System, name: str) -> float:

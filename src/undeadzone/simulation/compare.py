@@ -12,7 +12,8 @@ from undeadzone.errors import InputError
 from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
-from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.simulate import simulate, steps
+from undeadzone.support.progress import in_notebook
 from undeadzone.support.toml import tables
 
 
@@ -23,7 +24,8 @@ def compare(
 
     Args:
         scenario: what to simulate; its `compare` names the other observer.
-        progress: called with the number of steps just done, of both runs.
+        progress: called with the number of steps just done, of both runs; None: a bar in a
+            notebook.
 
     Returns:
         The run of the scenario's own observer and that of the other. Each `info.label` says what
@@ -38,8 +40,9 @@ def compare(
             'shown beside the first, such as method = "luenberger"'
         )
     rival = msgspec.structs.replace(scenario, observer=scenario.compare)
-    first = simulate(scenario, progress=progress)
-    second = simulate(rival, progress=progress)
+    with in_notebook(progress, "simulating", 2 * steps(scenario)) as advance:
+        first = simulate(scenario, progress=advance)
+        second = simulate(rival, progress=advance)
     one, other = labels(scenario.observer, scenario.compare)
     return _labelled(first, one), _labelled(second, other)
 

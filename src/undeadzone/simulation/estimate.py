@@ -23,6 +23,7 @@ from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.progress import in_notebook
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 
@@ -54,7 +55,7 @@ def estimate(
         strict: whether a line that cannot be read is an error; else its sample is missing.
         smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
             whole log.
-        progress: called with the number of samples just done.
+        progress: called with the number of samples just done; None: a bar in a notebook.
 
     Returns:
         The estimates along the log, the final widths, and whether the record is consistent.
@@ -75,8 +76,9 @@ def estimate(
         raise InputError("estimate: expected a log or arrays, found both")
     else:
         regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
-    estimated, sides, B = follower.follow(regular, progress)
-    smoothed = _smoothed(follower, regular, progress) if smoothing else {}
+    with in_notebook(progress, "estimating", None) as advance:
+        estimated, sides, B = follower.follow(regular, advance)
+        smoothed = _smoothed(follower, regular, advance) if smoothing else {}
     return _collected(regular, estimated, sides, B, known(), smoothed)
 
 

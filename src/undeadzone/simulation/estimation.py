@@ -5,12 +5,26 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from undeadzone.simulation.log_info import LogInfo
-from undeadzone.simulation.run_columns import to_columns, unit_of
-from undeadzone.simulation.run_file import read, write
+from undeadzone.simulation.log_words import in_words
+from undeadzone.simulation.run_columns import (
+    arrays_of,
+    output_names,
+    signals_of,
+    to_columns,
+    to_pandas,
+    unit_of,
+)
+from undeadzone.simulation.run_file import read, table_size, write
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,9 +89,7 @@ class Estimation:
     @property
     def outputs(self) -> list[str]:
         """The names of the outputs: an arm's joints where it has one for each, else numbers."""
-        if len(self.info.joints) == self.y.shape[1]:
-            return list(self.info.joints)
-        return [str(i) for i in range(self.y.shape[1])]
+        return output_names(self.info.joints, self.y.shape[1])
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the log, ready for JSON; lists where there are several outputs."""
@@ -93,9 +105,30 @@ class Estimation:
         numbers["smoothed"] = self.z_smooth is not None
         return finite(numbers)
 
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone estimate` prints."""
+        return in_words(self.info)
+
+    def __repr__(self) -> str:
+        """The tables that `undeadzone estimate` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
+
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..."""
-        return to_columns(self._signals())
+        return to_columns(signals_of(self))
 
     def unit(self, name: str) -> str:
         """The unit of a signal or of one of its columns.
@@ -119,7 +152,12 @@ class Estimation:
             FileError: it cannot be written.
             InputError: the name ends otherwise.
         """
-        return write(Path(path), self.info, self._signals())
+        return write(Path(path), self.info, signals_of(self))
+
+    @property
+    def table_size(self) -> float:
+        """About how many bytes its `.csv` has."""
+        return table_size(signals_of(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Estimation:
@@ -131,27 +169,10 @@ class Estimation:
         Raises:
             FileError: it cannot be read, or holds no estimates of a log.
         """
-        values = read(Path(path), SIGNALS, REQUIRED, LogInfo)
+        values = read(Path(path), *arrays_of(cls), LogInfo)
         values.pop("V")  # which runs of a simulation have
         return cls(**values)
 
-    def _signals(self) -> dict[str, Floats]:
-        """The signals that there are, by name."""
-        every = {name: getattr(self, name) for name in SIGNALS}
-        return {name: value for name, value in every.items() if value is not None}
-
     def to_pandas(self) -> Any:
         """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        import pandas as pd
-
-        columns = self.columns()
-        t = pd.Index(columns.pop("t"), name="t")
-        return pd.DataFrame(columns, index=t)
-
-
-SIGNALS = tuple(field.name for field in dataclasses.fields(Estimation) if field.name != "info")
-REQUIRED = tuple(
-    field.name
-    for field in dataclasses.fields(Estimation)
-    if field.name in SIGNALS and field.default is dataclasses.MISSING
-)
+        return to_pandas(self)

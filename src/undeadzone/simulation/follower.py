@@ -13,6 +13,7 @@ from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.problem import known_actuator, modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
@@ -52,7 +53,7 @@ class Follower:
             graph_of(built)
         self.observer = built
         self.samples = 0
-        self._scenario = scenario
+        self._scenario = with_units(scenario, self.model)
         self._numeric = built if isinstance(built, NumericObserver) else None
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
         self._tests: list[Consistency] | None = None

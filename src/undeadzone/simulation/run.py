@@ -5,17 +5,30 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.simulation.run_columns import judgement, to_columns, unit_of
-from undeadzone.simulation.run_file import read, write
+from undeadzone.simulation.run_columns import (
+    arrays_of,
+    judgement,
+    output_names,
+    signals_of,
+    to_columns,
+    to_pandas,
+    unit_of,
+)
+from undeadzone.simulation.run_file import read, table_size, write
 from undeadzone.simulation.run_info import Info as Info
-from undeadzone.simulation.run_words import in_words
+from undeadzone.simulation.run_words import Errors, in_words
 from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -94,6 +107,11 @@ class Run:
         return last_samples(self.t)
 
     @property
+    def lasting(self) -> float:
+        """The time over which errors are measured, at the end: 2 s, or all of a shorter run [s]."""
+        return min(LAST, float(self.t[-1] - self.t[0]))
+
+    @property
     def diverged_at(self) -> float | None:
         """The time [s] at which a signal left 1e12 times its scale or was no number, or None.
 
@@ -170,9 +188,7 @@ class Run:
     @property
     def outputs(self) -> list[str]:
         """The names of the outputs: an arm's joints where it has one for each, else numbers."""
-        if len(self.info.joints) == self.z.shape[1]:
-            return list(self.info.joints)
-        return [str(i) for i in range(self.z.shape[1])]
+        return output_names(self.info.joints, self.z.shape[1])
 
     @property
     def silent_fraction(self) -> float:
@@ -236,22 +252,41 @@ class Run:
         }
         return finite(numbers)
 
-    def in_words(self) -> dict[str, Any]:
-        """The lines that `undeadzone run` prints, by what they are about."""
-        last = min(LAST, float(self.t[-1] - self.t[0]))
-        return in_words(self.info, self.summary(), last)
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone run` prints."""
+        return in_words(self.info, self.summary(), self._errors(), self.lasting)
 
-    def __str__(self) -> str:
-        """The table that `undeadzone run` prints."""
-        return shown.text([self.in_words()])
+    def _errors(self) -> dict[str, Errors]:
+        """The errors of each output over the last 2 s, by its name."""
+        tracked = self.info.tracked
+        errors = {}
+        for i, name in enumerate(self.outputs):
+            tracking = None
+            if i in tracked:
+                tracking = _rms((self.z[:, i] - self.r[:, tracked.index(i)])[self.last])
+            errors[name] = Errors(tracking, _rms((self.z - self.z_hat)[self.last, i]))
+        return errors
+
+    def __repr__(self) -> str:
+        """The tables that `undeadzone run` prints."""
+        return shown.text(self.blocks())
 
     def _repr_html_(self) -> str:
         """The same and a figure, for a notebook."""
-        return shown.display(self, [self.in_words()])
+        return shown.display(self, self.blocks())
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
-        return to_columns(self._signals())
+        return to_columns(signals_of(self))
 
     def unit(self, name: str) -> str:
         """The unit of a signal or of one of its columns.
@@ -275,7 +310,12 @@ class Run:
             FileError: it cannot be written.
             InputError: the name ends otherwise.
         """
-        return write(Path(path), self.info, self._signals())
+        return write(Path(path), self.info, signals_of(self))
+
+    @property
+    def table_size(self) -> float:
+        """About how many bytes its `.csv` has."""
+        return table_size(signals_of(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
@@ -287,28 +327,11 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(**read(Path(path), ARRAYS, REQUIRED))
-
-    def _signals(self) -> dict[str, Floats]:
-        """The signals that there are, by name."""
-        every = {name: getattr(self, name) for name in ARRAYS}
-        return {name: value for name, value in every.items() if value is not None}
+        return cls(**read(Path(path), *arrays_of(cls)))
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        import pandas as pd
-
-        columns = self.columns()
-        t = pd.Index(columns.pop("t"), name="t")
-        return pd.DataFrame(columns, index=t)
-
-
-ARRAYS = tuple(field.name for field in dataclasses.fields(Run) if field.name != "info")
-REQUIRED = tuple(
-    field.name
-    for field in dataclasses.fields(Run)
-    if field.name in ARRAYS and field.default is dataclasses.MISSING
-)
+        return to_pandas(self)
 
 
 def last_samples(t: Floats) -> slice:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +34,37 @@ UNITS: Final = {
     "tip_hat": "m",
     "tip_r": "m",
 }
+
+
+def arrays_of(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of the signals that a result may have, and of those without which it is none.
+
+    Args:
+        kind: a dataclass whose fields are signals, and `info`.
+    """
+    fields = [field for field in dataclasses.fields(kind) if field.name != "info"]
+    required = [field.name for field in fields if field.default is dataclasses.MISSING]
+    return tuple(field.name for field in fields), tuple(required)
+
+
+def signals_of(result: Any) -> dict[str, Floats]:
+    """The signals that a result has, by name."""
+    every = {name: getattr(result, name) for name in arrays_of(type(result))[0]}
+    return {name: value for name, value in every.items() if value is not None}
+
+
+def output_names(joints: Sequence[str], count: int) -> list[str]:
+    """The names of outputs: an arm's joints where it has one for each, else numbers."""
+    return list(joints) if len(joints) == count else [str(i) for i in range(count)]
+
+
+def to_pandas(result: Any) -> Any:
+    """A pandas DataFrame indexed by t, one column per scalar signal of a result; needs pandas."""
+    import pandas as pd
+
+    columns = to_columns(signals_of(result))
+    t = pd.Index(columns.pop("t"), name="t")
+    return pd.DataFrame(columns, index=t)
 
 
 def to_columns(signals: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -21,6 +21,7 @@ from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_pla
 from undeadzone.support.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
+DIGITS: Final = 20  # bytes of a number in a `.csv`, about
 NO_SUM: Final = 64 * "0"
 
 # What NumPy, msgspec and the zip file around them raise of a file that is no run.
@@ -45,6 +46,11 @@ def write(path: Path, info: Any, signals: Mapping[str, Floats]) -> Path:
     else:
         raise InputError(f"{path}: the name must end in .npz or .csv")
     return path
+
+
+def table_size(signals: Mapping[str, Floats]) -> float:
+    """About how many bytes the `.csv` of signals has."""
+    return DIGITS * sum(float(column.size) for column in to_columns(signals).values())
 
 
 def read(

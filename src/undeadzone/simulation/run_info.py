@@ -46,6 +46,11 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         uncertain: the parameters that the observer estimates, and their true values.
         label: what tells its observer from one that it is compared with; empty: the method does.
         adapts: whether the observer estimates the widths.
+        scenario: what was run, as TOML; empty where no text can hold it.
+        version: of undeadzone.
+        seed: of every random number.
+        gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), where constant;
+            in sampled time L and gamma are those of one step.
         listens: share of an error of the model that z^ follows, of each output; None where it
             cannot be told; empty: not measured (`simulation.listening`).
         sensor: its kind.
@@ -71,3 +76,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     scales: list[float] = []
     listens: list[float | None] = []
     sensor: str = "deadzone"
+    scenario: str = ""
+    version: str = ""
+    seed: int = 0
+    gains: dict[str, list[Any]] = {}

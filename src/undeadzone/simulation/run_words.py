@@ -2,24 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.analysis.identifiability.words import yes_no
 from undeadzone.simulation.listening_words import in_words as listening_in_words
 from undeadzone.simulation.run_info import Info
-from undeadzone.support.text import with_deviation
+from undeadzone.support.shown import Block, Rows
+from undeadzone.support.text import label, with_deviation, with_unit
 
 
-def in_words(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, Any]:
-    """What a run came to, by what it is about.
+class Errors(NamedTuple):
+    """Errors of one output over the end of a run.
+
+    Attributes:
+        tracking: rms of z - r; None where the output is not tracked.
+        estimation: rms of z - z^.
+    """
+
+    tracking: float | None
+    estimation: float
+
+
+def in_words(
+    info: Info, summary: Mapping[str, Any], outputs: Mapping[str, Errors], last: float
+) -> list[Block]:
+    """What a run came to: pairs, and of several outputs a table with their rows.
 
     Args:
         info: of the run.
         summary: of the run.
+        outputs: errors of each output by its name.
         last: time over which errors are measured, at the end [s].
     """
-    shown = _errors(info, summary, last) | _proof(summary) | _identifiable(info)
+    single = len(outputs) == 1
+    shown = _errors(info, summary, last, single) | _proof(summary) | _identifiable(info, outputs)
     if summary["diverged_at"] is not None:
         shown["DIVERGED"] = f"at {summary['diverged_at']:g} s"
     elif summary["inexact"]:
@@ -29,22 +47,24 @@ def in_words(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, A
             f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
             "no results; use a smaller simulation.step"
         )
-    return shown
+    return [shown] if single else [shown, _rows(info, summary, outputs)]
 
 
-def _errors(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, Any]:
-    """The errors of a run, its estimates and how often it was silent."""
-    unit, when = info.units.output, f"(last {last:g} s)"
+def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -> dict[str, Any]:
+    """The errors of a run, its estimates and how often it was silent; single: has one output."""
+    when = f"(last {last:g} s)"
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
-        "rms z - r": f"{_number(summary['rms_tracking'])} {unit} {when}",
-        "rms z - z^": f"{_number(summary['rms_estimation'])} {unit} {when}",
     }
+    for name, key in (("rms z - r", "rms_tracking"), ("rms z - z^", "rms_estimation")):
+        shown[name] = f"{with_unit(_number(summary[key]), info.units.output)} {when}"
     if summary.get("rms_tip") is not None:
         shown["rms tip"] = f"{summary['rms_tip']:.4g} m from its path {when}"
-    shown["d_right"] = _widths(summary, "d_right", info.widths[0::2])
-    shown["d_left"] = _widths(summary, "d_left", info.widths[1::2])
+    if single:
+        for key, true in (("d_right", info.widths[0]), ("d_left", info.widths[1])):
+            width = _width(summary[key], summary[f"{key}_std"])
+            shown[key] = f"{with_unit(width, info.units.output)} (true {true:.6g})"
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
         shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"
@@ -53,6 +73,24 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float) -> dict[str, An
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     return shown
+
+
+def _rows(info: Info, summary: Mapping[str, Any], outputs: Mapping[str, Errors]) -> Rows:
+    """A row for each output: its errors, widths, and what its readings tell."""
+    unit = info.units.output
+    heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
+    what = "joint" if info.joints and list(info.joints) == list(outputs) else "output"
+    rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
+    for i, (name, errors) in enumerate(outputs.items()):
+        tracking = "" if errors.tracking is None else f"{errors.tracking:.4g}"
+        widths: list[str] = []
+        for key, true in (("d_right", info.widths[2 * i]), ("d_left", info.widths[2 * i + 1])):
+            std = summary[f"{key}_std"]
+            widths += [_width(summary[key][i], None if std is None else std[i]), f"{true:.6g}"]
+        verdict = info.identifiable[i]
+        told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
+        rows.append((name, tracking, f"{errors.estimation:.4g}", *widths, told))
+    return rows
 
 
 def _proof(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,35 +110,20 @@ def _proof(summary: Mapping[str, Any]) -> dict[str, Any]:
     return shown
 
 
-def _identifiable(info: Info) -> dict[str, Any]:
-    """What the readings of a run tell of each output's widths."""
-    shown: dict[str, Any] = {}
-    several = len(info.identifiable) > 1
-    for i, verdict in enumerate(info.identifiable):
-        output = info.joints[i] if len(info.joints) == len(info.identifiable) else f"output {i}"
-        where = f" of {output}" if several else ""
-        shown[f"identifiable{where}"] = "; ".join([yes_no(verdict), *verdict["reasons"]])
-    return shown
+def _identifiable(info: Info, outputs: Mapping[str, Errors]) -> dict[str, Any]:
+    """What the readings tell of the widths of one output; of several, why not all of them."""
+    if len(outputs) == 1:
+        verdict = info.identifiable[0]
+        return {"identifiable": "; ".join([yes_no(verdict), *verdict["reasons"]])}
+    why = []
+    for name, verdict in zip(outputs, info.identifiable, strict=True):
+        why += [f"{name}: {reason}" for reason in verdict["reasons"]]
+    return {"why": why} if why else {}
 
 
-def _widths(summary: Mapping[str, Any], key: str, true: list[float]) -> str:
-    """The final estimates of one edge of each output, with deviations where known, and the truth.
-
-    Args:
-        summary: of the run.
-        key: d_right or d_left.
-        true: the true widths (p).
-    """
-    widths, truth = _listed(summary[key]), ", ".join(f"{width:.6g}" for width in true)
-    if summary[f"{key}_std"] is None:
-        return f"{', '.join(_number(width, '.6g') for width in widths)} (true {truth})"
-    stds = _listed(summary[f"{key}_std"])
-    return f"{', '.join(map(with_deviation, widths, stds))} (true {truth})"
-
-
-def _listed(value: Any) -> list[Any]:
-    """The numbers of all outputs, which are no list where there is one."""
-    return value if isinstance(value, list) else [value]
+def _width(value: float | None, std: float | None) -> str:
+    """The final estimate of an edge, with its deviation where known."""
+    return _number(value, ".6g") if std is None else with_deviation(value, std)
 
 
 def _number(value: float | None, form: str = ".4g") -> str:

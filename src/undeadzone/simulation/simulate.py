@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
 import casadi as ca
+import msgspec
 import numpy as np
 
 from undeadzone.engine import interpret
@@ -26,6 +28,7 @@ from undeadzone.simulation.run import Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+from undeadzone.support.progress import in_notebook
 
 if TYPE_CHECKING:
     from undeadzone.engine.lanes import Kernel
@@ -50,7 +53,8 @@ def simulate(
         scenario: what to simulate.
         check_step: in continuous time, run again with half the step and report the difference as
             `integration_error`.
-        progress: called with the number of steps just done, from two threads.
+        progress: called with the number of steps just done, from two threads; None: a bar in a
+            notebook.
         engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes);
             they agree to the last bits. auto: compiled if it was compiled before, or if the run is
             longer than a compilation.
@@ -66,15 +70,27 @@ def simulate(
     """
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
-    if controller is not None:
-        problem = _under(controller, problem, engine)
-        exogenous = inputs.exogenous(problem)
-        signal = live.run_sample_by_sample(
-            problem, problem.observer, exogenous, progress, controller
-        )
-        return collect(problem, signal, None, began)
-    signal, error = _signals(problem, check_step, progress, engine)
+    with in_notebook(progress, "simulating", steps(scenario, check_step)) as advance:
+        if controller is not None:
+            problem = _under(controller, problem, engine)
+            return _run_under(controller, problem, advance, began)
+        signal, error = _signals(problem, check_step, advance, engine)
     return collect(problem, signal, error, began)
+
+
+def steps(scenario: Scenario, check_step: bool = True) -> int:
+    """How many steps `simulate` reports to its progress callback; arguments as there."""
+    times = 3 if check_step and scenario.simulation.time == "continuous" else 1
+    return round(times * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))
+
+
+def _run_under(law: live.ControlLaw, problem: Problem, progress: Progress, began: float) -> Run:
+    """The run of a problem whose controller is a control law in Python."""
+    exogenous = inputs.exogenous(problem)
+    signal = live.run_sample_by_sample(problem, problem.observer, exogenous, progress, law)
+    run = collect(problem, signal, None, began)
+    # No text says what the function is.
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, scenario=""))
 
 
 def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:

@@ -8,27 +8,46 @@ from __future__ import annotations
 
 import base64
 import io
+import os
+import textwrap
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from undeadzone.support.text import printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Pairs: TypeAlias = Mapping[str, Any]
 Rows: TypeAlias = Sequence[Sequence[str]]
 Block: TypeAlias = str | Pairs | Rows
 
+NARROWEST = 24  # characters of a value, however narrow the terminal
 DOTS = 110  # per inch, of figures in a notebook
 
 
-def text(blocks: Sequence[Block]) -> str:
-    """Blocks as text, an empty line between them."""
-    return "\n\n".join(map(_text, blocks))
+def text(blocks: Sequence[Block], width: int | None = None) -> str:
+    """Blocks as text, an empty line between them.
+
+    Args:
+        blocks: what is shown.
+        width: characters that a line may have: longer ones are folded, and tables that are wider
+            have a line for each cell; None: any.
+    """
+    return "\n\n".join("\n".join(_lines(block, width)) for block in blocks)
 
 
 def html(blocks: Sequence[Block]) -> str:
     """Blocks as HTML for a notebook; everything in them is escaped."""
     return "\n".join(map(_html, blocks))
+
+
+def source(words: str) -> str:
+    """A text with its lines as they are, such as a scenario, as HTML for a notebook."""
+    lines = [_escaped(line) for line in words.split("\n")]
+    return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
 def display(result: Any, blocks: Sequence[Block]) -> str:
@@ -52,35 +71,64 @@ def display(result: Any, blocks: Sequence[Block]) -> str:
     return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
-def aligned(pairs: Pairs) -> list[str]:
+def plot(result: Any, path: str | os.PathLike[str] | None, ax: Axes | None) -> Figure:
+    """The figure that `uz.plot` draws of a result; arguments as there."""
+    import undeadzone
+
+    return undeadzone.plot(result, path, ax)
+
+
+def _lines(block: Block, width: int | None) -> list[str]:
+    """One block as lines."""
+    if isinstance(block, str):
+        first, *others = _folded(printable(block), width)
+        return [first, *(f"  {line}" for line in others)]  # no line begins with words of others
+    return _aligned(block, width) if isinstance(block, Mapping) else _columns(block, width)
+
+
+def _aligned(pairs: Pairs, width: int | None) -> list[str]:
     """Lines `name  value`; a list takes a line for each of its entries."""
-    width = max(len(printable(name)) for name in pairs)
+    longest = max(len(printable(name)) for name in pairs)
     lines = []
     for name, value in pairs.items():
         head = printable(name)
         for entry in _entries(value):
-            lines.append(printable(f"{head:<{width}}  {_cell(entry)}"))
-            head = ""
+            words = printable(_cell(entry))
+            room = None if width is None else max(width - longest - 2, NARROWEST)
+            for part in _folded(words, room):
+                lines.append(f"{head:<{longest}}  {part}".rstrip())
+                head = ""
     return lines
 
 
-def columns(rows: Rows) -> list[str]:
-    """Lines of aligned columns."""
+def _columns(rows: Rows, width: int | None) -> list[str]:
+    """Lines of aligned columns; where they do not fit, a line for each cell."""
     shown = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
+        return _records(shown, width)
     lines = []
     for row in shown:
-        cells = [f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)]
+        cells = [f"{cell:<{size}}" for cell, size in zip(row, widths, strict=True)]
         lines.append("  ".join(cells).rstrip())
     return lines
 
 
-def _text(block: Block) -> str:
-    """One block as text."""
-    if isinstance(block, str):
-        return printable(block)
-    lines = aligned(block) if isinstance(block, Mapping) else columns(block)
-    return "\n".join(lines)
+def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """The rows of a table one below the other, a line `head  cell` for each cell that is filled."""
+    heads, *others = rows
+    lines: list[str] = []
+    for row in others:
+        cells = {head: cell for head, cell in zip(heads, row, strict=True) if cell}
+        lines += [*([""] if lines else []), *_aligned(cells, width)]
+    return lines
+
+
+def _folded(words: str, width: int | None) -> list[str]:
+    """A line as lines of so many characters; words that are longer stay whole."""
+    if width is None or len(words) <= width:
+        return [words]
+    return textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _html(block: Block) -> str:

@@ -28,6 +28,11 @@ def label(words: str, unit: str) -> str:
     return words if unit == "1" else f"{words} [{unit}]"
 
 
+def with_unit(words: str, unit: str) -> str:
+    """Words and unit behind them, the unit left out where it is 1."""
+    return words if unit == "1" else f"{words} {unit}"
+
+
 def with_deviation(value: float | None, std: float | None) -> str:
     """A value and its standard deviation to two digits, the value to the same place."""
     if value is None or std is None or not math.isfinite(value) or not 0 < std < math.inf:

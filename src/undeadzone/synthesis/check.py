@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import dataclasses
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,11 +18,154 @@ from undeadzone.plants.region import Box, box
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
+from undeadzone.simulation.run_columns import output_names
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block
 from undeadzone.synthesis.assessment import Assessment, Gains, assess
 from undeadzone.synthesis.knowledge import determined
+from undeadzone.synthesis.words import in_words
 
-PROOF = (
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class Bounds(NamedTuple):
+    """BIBO in numbers: int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2.
+
+    It holds for every sequence of sides, w at the input and v on y; each number is the least with
+    the other signal absent.
+
+    Attributes:
+        disturbance: L2 gain from w to z - z^ [z/u].
+        noise: L2 gain from v to z - z^ [z/y].
+    """
+
+    disturbance: float
+    noise: float
+
+
+class Nearest(NamedTuple):
+    """Certified gains near to gains that are not.
+
+    Attributes:
+        L: gain of x^ (n x p) [1/s].
+        gamma: gain of the widths (p) [1/s].
+        margin: of their proof.
+        rate: of the error along the reference [1/s].
+    """
+
+    L: Floats
+    gamma: Floats
+    margin: float
+    rate: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Check:
+    """What a scenario's own gains are worth, and what its readings can tell.
+
+    Attributes:
+        scenario: whose gains were checked, as they stand.
+        certified: whether one V proves convergence for every sequence of sides; None where the
+            method has no constant gains. A nonlinear model is certified on the scenario's region.
+        margin: of the proof; None without one.
+        frequency: where the margin is attained [rad/s]; None where there is no single one.
+        l2_gain: bounds on z - z^; None if not proved.
+        rate: of the error along the reference [1/s]; None where there is none.
+        time_constant: of the same [s]; None where the error does not die.
+        left_region: when a run of the scenario first leaves its region [s]; None if it does not.
+        never: errors that stay along the reference, whatever the gains.
+        states: which states the readings determine (n); empty of a nonlinear model.
+        known: of each output, which of right, left, width, centre the readings can tell, their
+            standard deviations [z], why not, and what would help (p).
+        listens: the share of a z 5 % larger than the model says that each z^ follows (p); below a
+            half the model is taken on trust. None: it cannot be told.
+        reasons: for every 'no'.
+        cures: what would help.
+        nearest: certified gains near to those that are not; None where there are none.
+        assessment: what the report draws.
+    """
+
+    scenario: Scenario
+    certified: bool | None = None
+    margin: float | None = None
+    frequency: float | None = None
+    l2_gain: Bounds | None = None
+    rate: float | None = None
+    time_constant: float | None = None
+    left_region: float | None = None
+    never: tuple[str, ...] = ()
+    states: tuple[bool, ...] = ()
+    known: tuple[Knowledge, ...]
+    listens: tuple[float | None, ...]
+    reasons: tuple[str, ...]
+    cures: tuple[str, ...]
+    nearest: Nearest | None
+    assessment: Assessment
+
+    @property
+    def affirmed(self) -> bool:
+        """Whether everything is answered with yes: the exit code of `undeadzone check`.
+
+        That is: the gains are certified (observers without constant gains need not be), no run
+        leaves the region, and every width can be identified.
+        """
+        covered = self.certified is not False and self.left_region is None
+        return covered and all(one.right and one.left for one in self.known)
+
+    @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        arm = self.assessment.problem.model.arm
+        return output_names([] if arm is None else arm.chain.joints, len(self.known))
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers, ready for JSON: lists where there are several outputs.
+
+        None stands where there is no finite number. They are those of `undeadzone check --json`,
+        see docs/json.md.
+        """
+        verdicts = [{name: getattr(one, name) for name in DIRECTIONS} for one in self.known]
+        numbers: dict[str, Any] = {"title": self.scenario.title}
+        numbers |= {name: getattr(self, name) for name in PROOF}
+        numbers |= {
+            "l2_gain": None if self.l2_gain is None else self.l2_gain._asdict(),
+            "never": list(self.never),
+            "states": list(self.states),
+            "identifiable": _one_or_list(verdicts),
+            "std": _one_or_list([one.std for one in self.known]),
+            "listens": _one_or_list(self.listens) if self.listens else None,
+            "reasons": list(self.reasons),
+            "cures": list(self.cures),
+            "nearest": None if self.nearest is None else _plain(self.nearest),
+        }
+        return dict(finite(numbers))
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone check` prints."""
+        return in_words(self.summary(), self.scenario, self.outputs)
+
+    def __repr__(self) -> str:
+        """The tables that `undeadzone check` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
+
+
+PROOF: Final = (
     "certified",
     "margin",
     "frequency",
@@ -31,85 +176,57 @@ PROOF = (
 )  # what `check` says of the gains, None where it cannot
 
 
-def check(scenario: Scenario) -> dict[str, Any]:
-    """What a scenario's own gains are worth, ready for JSON; lists where there are several outputs.
+def check(scenario: Scenario) -> Check:
+    """What a scenario's own gains are worth, and what its readings can tell.
 
     Args:
         scenario: whose observer's gains are checked, as they stand.
 
-    Returns:
-        Numbers that are not finite are None. By key:
-
-        - certified: whether one V proves convergence for every sequence of sides; None where the
-            method has no constant gains. A nonlinear model is certified on the scenario's region.
-        - margin, frequency [rad/s]: of the proof.
-        - l2_gain {disturbance, noise}: BIBO in numbers, int |z - z^|^2 <= V(0) + disturbance^2
-            int |w|^2 + noise^2 int |v|^2 for every sequence of sides, w at the input and v on y
-            (each the least with the other absent; None if not proved).
-        - rate [1/s], time_constant [s]: of the error along the reference.
-        - never: errors that stay.
-        - states: which are determined (none are listed of a nonlinear model).
-        - identifiable {right, left, width, centre}: what the readings can tell.
-        - std: standard deviations of the same [z].
-        - listens: the share of a z 5 % larger than the model says that z^ follows; below a half the
-            model is taken on trust.
-        - reasons: for every 'no'.
-        - cures: what would help.
-        - left_region [s]: when a run of the scenario first leaves the region, None if it does not.
-
     Raises:
         InputError: or a subclass, as `simulate` does.
     """
-    return summary(assess(resolve_scenario(scenario), listen=True))
+    return checked(assess(resolve_scenario(scenario), listen=True))
 
 
-def summary(assessment: Assessment) -> dict[str, Any]:
+def checked(assessment: Assessment) -> Check:
     """What `check` says of an assessment."""
     problem, known = assessment.problem, assessment.known
     proved, reasons = _proof(assessment)
-    several = len(known) > 1
-    identifiable = [{name: getattr(one, name) for name in DIRECTIONS} for one in known]
-    std = [one.std for one in known]
+    near = None if assessment.gains is None else assessment.gains.nearest
     cures: list[str] = []
     for one in known:
         cures += one.cures
-    return dict(
-        finite(
-            {
-                "title": problem.scenario.title,
-                **dict.fromkeys(PROOF),
-                "never": [],
-                "states": determined(problem, assessment.schedule),
-                **proved,
-                "identifiable": identifiable if several else identifiable[0],
-                "std": std if several else std[0],
-                "listens": _listens(assessment),
-                "reasons": reasons + _reasons_of_outputs(known),
-                "cures": cures,
-            }
-        )
+    return Check(
+        scenario=problem.scenario,
+        **{name: _known(value) for name, value in proved.items()},
+        states=tuple(determined(problem, assessment.schedule)),
+        known=tuple(known),
+        listens=assessment.listens,
+        reasons=(*reasons, *_reasons_of_outputs(known)),
+        cures=tuple(cures),
+        nearest=None if near is None else _nearest(near),
+        assessment=assessment,
     )
 
 
-def _listens(assessment: Assessment) -> Any:
-    """How strongly readings move each z^; None where it was not measured."""
-    listens = list(assessment.listens)
-    return listens if len(listens) > 1 else next(iter(listens), None)
+def _known(value: Any) -> Any:
+    """A value; None for a number that is not finite."""
+    return finite(value) if isinstance(value, float) else value
 
 
-def affirmed(summary: Mapping[str, Any]) -> bool:
-    """Whether `check` says yes to everything.
+def _nearest(gains: Gains) -> Nearest:
+    """Gains and what they are worth."""
+    return Nearest(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
 
-    That is: the gains are certified (observers without constant gains need not be), no run leaves
-    the region, and every width can be identified.
 
-    Args:
-        summary: what `check` said.
-    """
-    identifiable = summary["identifiable"]
-    verdicts = identifiable if isinstance(identifiable, list) else [identifiable]
-    covered = summary["certified"] is not False and summary["left_region"] is None
-    return covered and all(verdict["right"] and verdict["left"] for verdict in verdicts)
+def _plain(near: Nearest) -> dict[str, Any]:
+    """Gains for JSON."""
+    return near._asdict() | {"L": near.L.tolist(), "gamma": near.gamma.tolist()}
+
+
+def _one_or_list(values: Sequence[Any]) -> Any:
+    """A value of each output: itself where there is one output, else a list."""
+    return list(values) if len(values) > 1 else values[0]
 
 
 def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
@@ -143,7 +260,7 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
         "l2_gain": _bounded(proof, problem) if proof.certified else None,
         "rate": speed.rate,
         "time_constant": speed.time_constant,
-        "never": list(speed.never),
+        "never": tuple(speed.never),
     }, reasons
 
 
@@ -173,7 +290,7 @@ def _reasons_of_outputs(known: Sequence[Knowledge]) -> list[str]:
     return reasons
 
 
-def _bounded(proof: Certificate, problem: Problem) -> dict[str, float] | None:
+def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
     """The least L2 gains to z - z^, each with the other input absent; None if one has no proof.
 
     They are those from a disturbance of the input and from noise on the reading.
@@ -183,7 +300,7 @@ def _bounded(proof: Certificate, problem: Problem) -> dict[str, float] | None:
     noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
     if not (disturbed.check.proved and noisy.check.proved):
         return None
-    return {"disturbance": disturbed.disturbance, "noise": noisy.noise}
+    return Bounds(disturbed.disturbance, noisy.noise)
 
 
 def _left(run: Run | None, ranges: Box) -> float | None:

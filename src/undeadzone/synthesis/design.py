@@ -18,6 +18,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
+from undeadzone.support.progress import in_notebook
 from undeadzone.synthesis.candidates import Candidate, candidate_of
 from undeadzone.synthesis.gain_search import (
     RATE,
@@ -49,7 +50,8 @@ def design(
             `Weights`, the best for rate / (disturbance^a mismatch^b noise^c).
         margin: least margin of the certificate, between 0 and 1.
         seed: of the search; the same seed gives the same gains.
-        progress: called with the number of rounds just done, `rounds(maximise)` in all.
+        progress: called with the number of rounds just done, `rounds(maximise)` in all; None: a
+            bar in a notebook.
 
     Returns:
         The gains, their proof, what they are worth, and what can be known.
@@ -69,11 +71,12 @@ def design(
     present = _present(scenario, problem)
     before = None if present is None else candidate_of(task, *present)
     linear = problem.model.linear
-    if maximise == "knee":
-        result = balanced(task, linear, before, seed, progress)
-    else:
-        weights = maximise if isinstance(maximise, Weights) else RATE
-        result = fastest(task, linear, weights, seed, progress)
+    with in_notebook(progress, "designing", rounds(maximise)) as advance:
+        if maximise == "knee":
+            result = balanced(task, linear, before, seed, advance)
+        else:
+            weights = maximise if isinstance(maximise, Weights) else RATE
+            result = fastest(task, linear, weights, seed, advance)
     never = rates(linear, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,

@@ -19,6 +19,7 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.collect import actuator_unknown
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
+from undeadzone.support.progress import silent
 
 
 def trial_run(problem: Problem) -> Run | None:
@@ -35,7 +36,7 @@ def trial_run(problem: Problem) -> Run | None:
         return None
     from undeadzone.simulation.simulate import simulate
 
-    return simulate(problem.scenario, check_step=False)
+    return simulate(problem.scenario, check_step=False, progress=silent)
 
 
 def plan(problem: Problem, run: Run | None) -> Schedule:

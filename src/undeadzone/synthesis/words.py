@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.analysis.identifiability.words import yes_no
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.listening_words import in_words as share_in_words
+from undeadzone.support.shown import Block, Rows
+from undeadzone.support.text import label, with_unit
 
 REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
 
 
-def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+def in_words(summary: Mapping[str, Any], scenario: Scenario, names: Sequence[str]) -> list[Block]:
+    """What was found of a scenario's gains: pairs, and of several outputs a table with their rows.
+
+    Args:
+        summary: what `check` says.
+        scenario: that was checked.
+        names: of its outputs (p).
+    """
+    shown = pairs(summary, scenario)
+    if len(names) == 1:
+        return [shown]
+    duration = scenario.simulation.duration
+    note = label(f"±: std at best after {duration:g} s", scenario.units.output)
+    return [shown, rows(summary, names), note]
+
+
+def pairs(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """What was found of a scenario's gains, in words by what they are about.
 
     Args:
-        summary: what `check` says, with the `nearest` certified gains if there are any.
+        summary: what `check` says.
         scenario: that was checked.
     """
     reasons = [reason for reason in summary["reasons"] if not reason.startswith(REFUSED)]
@@ -35,6 +54,25 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     if summary["cures"]:
         shown["cure"] = summary["cures"]
     return shown
+
+
+def rows(summary: Mapping[str, Any], names: Sequence[str]) -> Rows:
+    """What the readings tell of each output, a row each, with the least deviations that they allow.
+
+    Arguments as of `in_words`.
+    """
+    table: list[Sequence[str]] = [("identifiable", *DIRECTIONS)]
+    for name, verdict, std in zip(names, summary["identifiable"], summary["std"], strict=True):
+        table.append((name, *(_known(verdict, std, each) for each in DIRECTIONS)))
+    return table
+
+
+def _known(verdict: Mapping[str, bool], std: Mapping[str, float | None], name: str) -> str:
+    """Whether a direction can be known, and how well."""
+    if not verdict[name]:
+        return "NO"
+    value = std.get(name)
+    return "yes" if value is None else f"yes, ± {value:.2g}"
 
 
 def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
@@ -102,24 +140,19 @@ def _listens(summary: Mapping[str, Any]) -> dict[str, str]:
     """How strongly readings move z^."""
     if summary["listens"] is None:
         return {}
-    return {"listens": share_in_words(_as_list(summary["listens"]))}
+    listens = summary["listens"]
+    return {"listens": share_in_words(listens if isinstance(listens, list) else [listens])}
 
 
 def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
-    """What the readings tell of each output, and how well at best."""
-    shown = {}
-    verdicts, deviations = _as_list(summary["identifiable"]), _as_list(summary["std"])
-    unit = "" if scenario.units.output == "1" else f" {scenario.units.output}"
-    for i, (verdict, std) in enumerate(zip(verdicts, deviations, strict=True)):
-        where = f" {i}" if len(verdicts) > 1 else ""
-        shown[f"identifiable{where}"] = yes_no(verdict)
-        known = [f"{name} {value:.2g}" for name, value in std.items() if value is not None]
-        if known:
-            duration = scenario.simulation.duration
-            shown[f"expected std{where}"] = f"{', '.join(known)}{unit} after {duration:g} s at best"
+    """What the readings tell of a single output, and how well at best."""
+    verdict, std = summary["identifiable"], summary["std"]
+    if isinstance(verdict, list):
+        return {}
+    shown = {"identifiable": yes_no(verdict)}
+    known = [f"{name} {value:.2g}" for name, value in std.items() if value is not None]
+    if known:
+        duration = scenario.simulation.duration
+        words = with_unit(", ".join(known), scenario.units.output)
+        shown["expected std"] = f"{words} after {duration:g} s at best"
     return shown
-
-
-def _as_list(value: Any) -> list[Any]:
-    """What `check` says of each output, which is no list where there is one."""
-    return value if isinstance(value, list) else [value]

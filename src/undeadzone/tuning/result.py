@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,10 @@ from undeadzone.tuning.objective import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.search import SimulatedCandidate
 from undeadzone.tuning.words import in_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
@@ -116,13 +120,22 @@ class Tuned:
                 names.append(parameter.name)
         return names
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The table that `undeadzone tune` prints."""
         return shown.text([in_words(self.summary())])
 
     def _repr_html_(self) -> str:
         """The same and a figure, for a notebook."""
         return shown.display(self, [in_words(self.summary())])
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.

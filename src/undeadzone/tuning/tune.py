@@ -19,6 +19,7 @@ from undeadzone.scenario.tune_table import TABLE, Tune
 from undeadzone.support import toml
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, scalar
+from undeadzone.support.progress import in_notebook
 from undeadzone.tuning.objective import Frame, certified_margin, objective
 from undeadzone.tuning.parameters import Parameter, named, numbers, parameters, with_numbers
 from undeadzone.tuning.result import Tuned, validate
@@ -51,7 +52,7 @@ def tune(
             scenario
         frames: what counts as 0 and as 1 in each scenario; default: the metric itself
         threads: on which to compute; default: one per processor
-        progress: called with the number of candidates just tried
+        progress: called with the number of candidates just tried; None: a bar in a notebook
         keep: file that keeps what candidates cost, to be deleted once the result is; None: none
         resume: take up what a stopped search left in `keep`
 
@@ -71,14 +72,15 @@ def tune(
     names = [p.name for p in tuned]
     probes = values_at(tuned, _probes(start))
     on = objective(what, scenarios, frames, names, probes, what.runs, seed)
-    search = Search(on, tuned, [], threads, progress)
-    if keep is None:
-        search.run(start, seed)
-        return validate(on, tuned, search.candidates, search.best, seed, threads)
-    kept = Answers(keep, _problem(scenarios, what, frames, seed), "candidates", resume)
-    with kept.kept():
-        search._replace(kept=kept).run(start, seed)
-        return validate(on, tuned, search.candidates, search.best, seed, threads)
+    with in_notebook(progress, "tuning", what.budget, "candidates") as advance:
+        search = Search(on, tuned, [], threads, advance)
+        if keep is None:
+            search.run(start, seed)
+            return validate(on, tuned, search.candidates, search.best, seed, threads)
+        kept = Answers(keep, _problem(scenarios, what, frames, seed), "candidates", resume)
+        with kept.kept():
+            search._replace(kept=kept).run(start, seed)
+            return validate(on, tuned, search.candidates, search.best, seed, threads)
 
 
 def _problem(

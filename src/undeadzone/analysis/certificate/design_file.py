@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -17,6 +18,10 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Matrix = list[list[float]]
 
@@ -135,13 +140,22 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 "the file was changed, or made for another model or sample time; design again"
             )
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The gains, their proof and their trade, as a table."""
         return shown.text([in_words(msgspec.to_builtins(self))])
 
     def _repr_html_(self) -> str:
         """The same and a figure, for a notebook."""
         return shown.display(self, [in_words(msgspec.to_builtins(self))])
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it as TOML, every number exactly.

@@ -36,6 +36,7 @@ class Chain(NamedTuple):
         torque: largest torque of the joints (N) [N m or N], infinite where there is no limit.
         speed: largest speed of the joints (N) [rad/s or m/s], infinite where there is no limit.
         friction: viscous [N m s/rad] and Coulomb [N m] coefficients (2 x N).
+        slides: whether some joint slides, so that not all are of one unit.
     """
 
     joints: tuple[str, ...]
@@ -50,6 +51,7 @@ class Chain(NamedTuple):
     torque: Floats
     speed: Floats
     friction: Floats
+    slides: bool = False
 
 
 class Arm(NamedTuple):

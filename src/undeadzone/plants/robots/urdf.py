@@ -70,6 +70,7 @@ def chain(
         torque=np.array([joint.effort for joint in moving]),
         speed=np.array([joint.velocity for joint in moving]),
         friction=np.array([joint.friction for joint in moving]).T,
+        slides=any(joint.kind == "prismatic" for joint in moving),
     )
 
 

@@ -1,0 +1,34 @@
+"""What a run of each method of the arena costs, set-up and all, in runs of the naive observer."""
+
+from __future__ import annotations
+
+import time
+
+from undeadzone.arena.effort import HEAVY, USUAL
+from undeadzone.arena.entry import numbers
+from undeadzone.arena.leaderboard import NAIVE
+from undeadzone.arena.methods import NOTHING, catalogue
+from undeadzone.arena.prior_knowledge import situation
+from undeadzone.arena.scenario_sets import scenarios
+from undeadzone.arena.trials import trial
+
+SCENARIO = "nominal"
+
+
+def table() -> str:
+    """Measured processor time, and what `arena` reckons with before it starts."""
+    setting, knobs = situation(scenarios("held_out")[SCENARIO]), numbers(None)
+
+    def seconds(name: str) -> float:
+        began = time.process_time()
+        trial(name, catalogue()[name], SCENARIO, setting, [0], knobs.get(name, NOTHING))
+        return time.process_time() - began
+
+    seconds(NAIVE)  # what is loaded at the first run
+    naive = min(seconds(NAIVE) for _ in range(3))
+    lines = ["## Effort of the arena", "", f"Scenario `{SCENARIO}`, in runs of `{NAIVE}`.", ""]
+    lines += ["| method | measured | reckoned with |", "|---|---|---|"]
+    for name in catalogue():
+        reckoned = HEAVY.get(name, USUAL)
+        lines.append(f"| {name} | {seconds(name) / naive:.1f} | {reckoned:g} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,198 @@
+"""Bars that show how far a computation is: on a terminal, or in a notebook.
+
+A notebook shows what is displayed by number, and each update takes the place of the one before:
+nothing is printed twice, and nothing is left once the computation is done.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from html import escape
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+Advance = Callable[[int], None]  # called with the number of steps just done
+PATIENCE: Final = 2.0  # [s] before a bar appears
+SETTING_UP: Final = "setting up"  # what a bar says before the first step
+PAUSE: Final = 0.2  # [s] at least between two updates of a notebook
+OF_KERNEL: Final = "JPY_PARENT_PID"  # what a kernel's own commands inherit
+
+
+def silent(done: int) -> None:
+    """Nothing is shown."""
+
+
+@contextmanager
+def in_notebook(
+    progress: Advance | None, what: str, total: int | None, unit: str | None = None
+) -> Iterator[Advance]:
+    """What a function calls with the steps just done: a bar in a notebook, unless one is given.
+
+    Args:
+        progress: what the caller gave; None: a bar in a notebook, nothing elsewhere.
+        what: words in front of the bar.
+        total: steps in all; None: unknown.
+        unit: what is counted; with it the bar shows how many per second.
+    """
+    if progress is not None:
+        yield progress
+    elif _kernel():
+        with _shown(_Page(), what, total, unit) as advance:
+            yield advance
+    else:
+        yield silent
+
+
+@contextmanager
+def on_terminal(what: str, total: int | None, unit: str | None = None) -> Iterator[Advance]:
+    """The same for a command: a bar on stderr, if that is a terminal and not a notebook's.
+
+    Arguments as of `in_notebook`.
+    """
+    if not sys.stderr.isatty() or OF_KERNEL in os.environ:
+        yield silent
+        return
+    with _shown(_Terminal(), what, total, unit) as advance:
+        yield advance
+
+
+def _kernel() -> bool:
+    """Whether this is the kernel of a notebook."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+class _Place(Protocol):
+    """Where a bar is drawn."""
+
+    def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
+        """Draw the bar, or draw it anew."""
+
+    def clear(self) -> None:
+        """Take it away."""
+
+
+@contextmanager
+def _shown(place: _Place, what: str, total: int | None, unit: str | None) -> Iterator[Advance]:
+    """A bar that appears once PATIENCE has passed; steps may be counted from several threads.
+
+    Until the first step it says that something is set up.
+    """
+    began, lock = time.monotonic(), threading.Lock()
+    seen = 0
+    over = False
+
+    def begin() -> None:
+        with lock:
+            if not over and not seen:
+                place.draw(SETTING_UP, 0, total, "")
+
+    def advance(done: int) -> None:
+        nonlocal seen
+        with lock:
+            seen += done
+            elapsed = time.monotonic() - began
+            if elapsed > PATIENCE:
+                rate = f"{seen / elapsed:,.0f} {unit}/s" if unit else ""
+                place.draw(what, seen, total, rate)
+
+    timer = threading.Timer(PATIENCE, begin)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield advance
+    finally:
+        timer.cancel()
+        with lock:
+            over = True
+            place.clear()
+
+
+class _Terminal:
+    """A bar of rich on stderr."""
+
+    def __init__(self) -> None:
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
+        """Draw the bar, or draw it anew."""
+        if self._bar is None:
+            self._start(what, total)
+        assert self._bar is not None
+        assert self._task is not None
+        self._bar.update(self._task, description=what, completed=done, rate=rate)
+
+    def clear(self) -> None:
+        """Take it away."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _start(self, what: str, total: int | None) -> None:
+        """Draw the bar."""
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._bar.start()
+        self._task = self._bar.add_task(what, total=total, rate="")
+
+
+class _Page:
+    """A bar of HTML in a notebook, beside which the same stands as text."""
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+        self._last = 0.0
+
+    def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
+        """Draw the bar, or draw it anew if the last time is a while ago.
+
+        Other threads than the main one cannot tell to which cell they belong.
+        """
+        now = time.monotonic()
+        if now - self._last < PAUSE or threading.current_thread() is not threading.main_thread():
+            return
+        self._last = now
+        share = "" if total is None else f' value="{min(done, total)}" max="{total}"'
+        count = f"{done:,}" if total is None else f"{min(done, total):,} of {total:,}"
+        words = " ".join(filter(None, (what, count, rate)))
+        html = f"{escape(what)} <progress{share}></progress> {escape(f'{count} {rate}'.strip())}"
+        self._show({"text/plain": words, "text/html": html})
+
+    def clear(self) -> None:
+        """Take it away."""
+        if self._handle is not None:
+            self._show({"text/plain": "", "text/html": ""})
+
+    def _show(self, shown: dict[str, str]) -> None:
+        """Display, in the place of what was displayed before."""
+        from IPython import display
+
+        show: Any = display.display
+
+        if self._handle is None:
+            self._handle = show(shown, raw=True, display_id=True)
+        else:
+            self._handle.update(shown, raw=True)
