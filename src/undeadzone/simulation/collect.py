@@ -14,6 +14,7 @@ from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
@@ -175,6 +176,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "consistent": estimate.consistent,
         "refused": estimate.refused,
         "restarts": estimate.restarts,
+        **_actuator(estimate),
     }
     return Run(
         t=t,
@@ -200,6 +202,24 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
 def _interleaved(right: Floats, left: Floats) -> Floats:
     """[right, left] of each output side by side (N x 2p)."""
     return np.stack((right, left), axis=2).reshape(len(right), -1)
+
+
+def _actuator(estimate: Estimate) -> dict[str, Floats]:
+    """The estimated widths of the actuators, empty where none are estimated."""
+    if not estimate.actuator_right_std.shape[1]:
+        return {}
+    return {
+        "b_hat": _interleaved(estimate.actuator_right, estimate.actuator_left),
+        "b_std": _interleaved(estimate.actuator_right_std, estimate.actuator_left_std),
+    }
+
+
+def _true_actuator(problem: Problem) -> list[float]:
+    """True [right, left] of each actuator; nothing where they are known, or there is none."""
+    drive, belief = problem.actuator, problem.belief
+    if drive is None or belief is None or belief.ranges is None:
+        return []
+    return [float(width) for width in np.stack([drive.right, drive.left], axis=1).ravel()]
 
 
 def _true_widths(problem: Problem) -> Floats:
@@ -257,6 +277,7 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
         sensor=problem.sensor.kind,
+        actuator=_true_actuator(problem),
         scenario=_text(scenario),
         version=undeadzone.__version__,
         seed=scenario.simulation.seed,

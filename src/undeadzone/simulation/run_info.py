@@ -54,6 +54,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         listens: share of an error of the model that z^ follows, of each output; None where it
             cannot be told; empty: not measured (`simulation.listening`).
         sensor: its kind.
+        actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
     """
 
     title: str
@@ -76,6 +77,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     scales: list[float] = []
     listens: list[float | None] = []
     sensor: str = "deadzone"
+    actuator: list[float] = []
     scenario: str = ""
     version: str = ""
     seed: int = 0
