@@ -1,11 +1,15 @@
 """Whether shown intervals hold the truth where the world is as declared, and where it is not.
 
 `python -m benchmarks.honesty FOLDER` keeps every part in the folder and goes on where it stopped.
+With `--orders 3` that order alone is done; parts of all orders in one folder join when all are
+asked for.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,23 +75,26 @@ def kept(folder: Path | None, claims: str, kind: str, order: int, count: int, se
         return Part(*arrays.values())
 
 
-def table(count: int = 50, seed: int = 0, folder: Path | None = None) -> str:
+def table(
+    count: int = 100, seed: int = 0, folder: Path | None = None, orders: Sequence[int] = ORDERS
+) -> str:
     """The table, from `count` problems of each order a row."""
     parts = {}
     for claims in CLAIMS:
-        for order in ORDERS:
+        for order in orders:
             for kind in KINDS:
                 parts[claims, kind, order] = kept(folder, claims, kind, order, count, seed)
     lines = ["## Honesty: intervals where the world is as declared, and where it is not\n"]
     lines += head(*COLUMNS)
     for kind in KINDS:
         for claims in CLAIMS:
-            each = [parts[claims, kind, order] for order in ORDERS]
+            each = [parts[claims, kind, order] for order in orders]
             pooled = Part(*(np.concatenate(values) for values in zip(*each, strict=True)))
             lines.append(row(kind, claims, *_cells(pooled)))
     rates = f"{RATES[0]:g} Hz to {RATES[1] / 1000:g} kHz"
     note = (
-        f"{count * len(ORDERS)} problems of orders {ORDERS} a row, {SAMPLES} readings at {rates}. "
+        f"{count * len(orders)} problems of orders {tuple(orders)} a row, "
+        f"{SAMPLES} readings at {rates}. "
         "Told: true rms, and times, before what is wrong. Of runs that miss: the share of those "
         "with a miss among the five that then call themselves not consistent."
     )
@@ -114,4 +121,10 @@ def _cells(pooled: Part) -> list[str]:
 
 
 if __name__ == "__main__":
-    print(table(folder=Path(sys.argv[1]) if sys.argv[1:] else None))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.honesty", description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, help="where parts are kept")
+    parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
+    parser.add_argument("--count", type=int, default=100, help="problems of each order a row")
+    parser.add_argument("--seed", type=int, default=0)
+    words = parser.parse_args()
+    print(table(words.count, words.seed, words.folder, words.orders))

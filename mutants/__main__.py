@@ -16,7 +16,14 @@ from mutants.changes import Place, files, mutant, places
 ROOT: Final = Path(__file__).parents[1]
 PACKAGE: Final = ROOT / "src" / "undeadzone"
 FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
-ROOMS: Final = ("numerics", "linear", "analysis", "observers/parts", "simulation/loop.py")
+LOOP: Final = ("close", "scales", "steps", "wiring")  # what a step of the closed loop is made of
+ROOMS: Final = (
+    "numerics",
+    "linear",
+    "analysis",
+    "observers/parts",
+    *(f"simulation/{name}.py" for name in LOOP),
+)
 CHEAP: Final = 3.0  # [s] of tests that are run first, and usually suffice
 ALL: Final = 30.0  # [s] of tests that are run of what these do not notice
 
@@ -26,6 +33,7 @@ def main() -> int:
     parser.add_argument("act", choices=["map", "run", "survivors"])
     parser.add_argument("tests", nargs="*", help="with map: files of tests; default: all")
     parser.add_argument("--count", type=int, default=300, help="mutants in all")
+    parser.add_argument("--rooms", nargs="+", default=ROOMS, help="of the mathematics")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=1e9, help="then stop")
     parser.add_argument("--folder", type=Path, default=FOLDER)
@@ -33,16 +41,17 @@ def main() -> int:
     if words.act == "map":
         covering.noted(ROOT, words.folder, words.tests)
     elif words.act == "run":
-        run(words.folder, words.count, words.seed, time.monotonic() + words.seconds)
+        until = time.monotonic() + words.seconds
+        run(words.folder, tuple(words.rooms), words.count, words.seed, until)
     told(words.folder / "journal")
     return 0
 
 
-def run(folder: Path, count: int, seed: int, until: float) -> None:
+def run(folder: Path, rooms: tuple[str, ...], count: int, seed: int, until: float) -> None:
     """Try mutants until there are so many, or the time is over."""
     cover = covering.read(PACKAGE, folder)
     every: list[Place] = []
-    for file in files(PACKAGE, ROOMS):
+    for file in files(PACKAGE, rooms):
         every += places(PACKAGE, file)
     random.Random(seed).shuffle(every)
     journal = folder / "journal"

@@ -29,6 +29,7 @@ from undeadzone.observers import Censored, Estimate, Kalman
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean
 from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances
+from undeadzone.observers.parts.shown_belief import ambiguous
 from undeadzone.observers.parts.unknown_inputs import (
     SMALL,
     coloured,
@@ -203,7 +204,7 @@ def test_rows_that_only_say_that_one_state_moves_another_are_exact() -> None:
 
 
 def test_the_time_scale_is_a_quarter_period() -> None:
-    assert time_scale(linear([[0, 1], [-4, 0.1]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(
+    assert time_scale(linear([[0, 1], [-4, -0.1]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(
         np.pi / 4
     )
     assert time_scale(linear([[0, 1], [0, -4]], [[0], [1]], [[1, 0]]).linear) == pytest.approx(
@@ -261,8 +262,8 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
         share * centres[1] + (1 - share) * centres[0], rel=1e-2
     )  # the ranges cut a little off
     variance = (
-        share * centre_std(small) ** 2
-        + (1 - share) * centre_std(wide) ** 2
+        share**2 * centre_std(small) ** 2
+        + (1 - share**2) * centre_std(wide) ** 2
         + share * (1 - share) * (centres[0] - centres[1]) ** 2
     )
     assert centre_std(mixed) ** 2 == pytest.approx(variance, rel=0.05)
@@ -749,3 +750,30 @@ def test_a_mixture_spreads_by_its_parts_and_by_what_lies_between() -> None:
     square = 0.25 * (0.5**2 + 1.0**2) + 0.75 * (0.2**2 + 3.0**2)
     assert weighted_mean(share, means) == pytest.approx(mean)
     assert float(mixture_std(share, means, stds)) == pytest.approx(np.sqrt(square - mean**2))
+
+
+def test_a_default_disturbance_is_known_within_wider_bounds_than_a_claim() -> None:
+    np.testing.assert_allclose(
+        Censored(right=[0, 2], disturbance=1.0)._factors(), [1, 1 / 4, 1 / 16]
+    )
+    np.testing.assert_allclose(Censored(right=[0, 2])._factors(), [4, 0.5**0.5, 1 / 8])
+
+
+@pytest.mark.parametrize("narrow", [1e-6, 0.1, 1.0])
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.7, 0.85, 0.95])
+@pytest.mark.parametrize("gap", [0.0, 0.5])
+def test_intervals_of_an_ambiguous_bias_hold_95_percent(
+    narrow: float, share: float, gap: float
+) -> None:
+    """Of the mixture of N(gap, narrow^2) and N(0, 1), in the middle of which they lie."""
+    stronger, weaker = (
+        gaussian.Gaussian(ca.SX(m), ca.SX(s**2)) for m, s in ((gap, narrow), (0.0, 1.0))
+    )
+    shown = ambiguous(stronger, weaker, share)
+    mean, std = float(shown.mean), float(shown.cov) ** 0.5
+
+    def below(x: float) -> float:
+        return float(share * norm.cdf((x - gap) / narrow) + (1 - share) * norm.cdf(x))
+
+    held = below(mean + 1.96 * std) - below(mean - 1.96 * std)
+    assert 0.949 <= held <= 0.985

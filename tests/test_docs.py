@@ -45,6 +45,17 @@ def test_python_blocks_run(
     exec(compile(code, name, "exec"), {"__name__": "__main__"})
 
 
+@pytest.mark.parametrize(
+    ("code", "shown"),
+    re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", (ROOT / "README.md").read_text(), re.S),
+)
+def test_what_the_front_page_prints_is_what_it_shows(
+    code: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    same(capsys.readouterr().out.rstrip("\n").split("\n"), shown.rstrip("\n").split("\n"))
+
+
 @pytest.mark.parametrize(("name", "text"), blocks("console"))
 def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
@@ -56,9 +67,13 @@ def compared(command: str, expected: list[str], folder: Path) -> None:
     """Run a command in a folder and compare what it shows: words exactly, numbers to 2 %."""
     alone = command.startswith("run examples/") and command.endswith("--no-figures")
     done = ran_once(command) if alone else ran(command, folder)
-    shown = done.stdout.rstrip("\n").split("\n")
+    same(done.stdout.rstrip("\n").split("\n"), expected, done.stderr)
+
+
+def same(shown: list[str], expected: list[str], why: str = "") -> None:
+    """Compare what is shown with what was expected: words exactly, numbers to 2 %."""
     words = [NUMBER.sub("#", line) for line in shown]
-    assert words == [NUMBER.sub("#", line) for line in expected], done.stderr
+    assert words == [NUMBER.sub("#", line) for line in expected], why
     for a, b in zip(numbers(shown), numbers(expected), strict=True):
         # an integration error is known to its order of magnitude
         tolerance = 0.02 if abs(b) > 1e-7 else 10.0

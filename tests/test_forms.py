@@ -35,14 +35,17 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 FORMS = {
-    "one": Form(1, 1, False, 0, 0),
-    "two lanes": Form(2, 1, False, 0, 0),
-    "two lanes, two streams": Form(2, 2, False, 9, 0),
-    "four lanes": Form(4, 1, False, 0, 0),
-    "four lanes, two streams, scheduled": Form(4, 2, False, 12, 3),
-    "eight lanes, slots": Form(8, 1, True, 0, 0),
-    "eight lanes, three streams": Form(8, 3, True, 16, 6),
-    "eight lanes, no slots": Form(8, 2, False, 5, 2),
+    "one": Form(1, 1, False, 0),
+    "two lanes": Form(2, 1, False, 0),
+    "two lanes, two streams": Form(2, 2, False, 9),
+    "four lanes": Form(4, 1, False, 0),
+    "four lanes, two streams, scheduled": Form(4, 2, False, 12),
+    "one, branches": Form(1, 1, False, 0, 4),
+    "eight lanes, branches": Form(8, 1, True, 0, 3),
+    "two lanes, branches": Form(2, 1, False, 0, 2),
+    "eight lanes, slots": Form(8, 1, True, 0),
+    "eight lanes, three streams": Form(8, 3, True, 16),
+    "eight lanes, no slots": Form(8, 2, False, 5),
 }
 AVX512 = "+avx512f,+avx512dq,+avx512vl,+avx512bw,+avx2,+fma"
 # Each with the lanes of a vector, and how its registers are called.

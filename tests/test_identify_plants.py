@@ -100,6 +100,33 @@ def test_the_width_of_an_integrating_plant() -> None:
         uz.identify(t=made.step, u=made.u, y=made.y, integrators=3)
 
 
+def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
+    rng = np.random.default_rng(8)
+    pole = 0.9975 * np.exp(0.35j)
+    u = rng.standard_normal(800)
+    z = lfilter([0.0, 0.1, 0.05], np.poly([pole, pole.conj()]).real, u)
+    z /= z.std()
+    y = z + 0.02 * rng.standard_normal(z.size)
+    y = np.maximum(y - 0.6, 0.0) + np.minimum(y + 0.3, 0.0)
+    answer = uz.identify(t=1.0, u=u, y=y, order=2)
+    assert answer.verdict == "dead_zone"
+    assert answer.right.low <= 0.6 <= answer.right.high
+    assert answer.left.low <= 0.3 <= answer.left.high
+    assert answer.right.half < 0.03
+
+
+def test_a_pole_that_no_plant_in_continuous_time_has_is_one_pole() -> None:
+    rng = np.random.default_rng(9)
+    u = np.repeat(rng.standard_normal(80), 5)
+    z = lfilter([0.0, 1.0], [1.0, 0.6], u) + 0.02 * rng.standard_normal(u.size)
+    y = np.maximum(z - 0.2, 0.0) + np.minimum(z + 0.1, 0.0)
+    answer = uz.identify(t=0.1, u=u, y=y, order=1)
+    poles = answer.summary()["plant"]
+    assert "+-" not in poles
+    assert f"{np.log(0.6) / 0.1:.1f}"[:4] in poles
+    assert "alternates from sample to sample" in poles
+
+
 def test_an_integrator_in_continuous_time_is_exact() -> None:
     layout = Simulator(small_data(), 2, 1).layout
     a, b = np.array([-0.8]), np.array([0.02, 0.015])

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 import undeadzone as uz
@@ -491,6 +492,16 @@ def test_identify_takes_them_for_missing_and_says_so() -> None:
     at_end = (y == -0.5) | (y == 0.7)
     assert np.array_equal(prepared.data.ok, ~at_end)
     assert "[-0.5, 0.7]" in prepared.remarks[-1]
+
+
+def test_identify_calls_what_needs_no_zone_and_ends_a_saturation() -> None:
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.normal(size=60), 15)
+    z = lfilter([0.0, 0.05, 0.03], [1.0, -1.6, 0.68], u) + 0.01 * rng.normal(size=u.size)
+    found = uz.identify(t=0.05, u=u, y=np.clip(z, -0.6, 0.7), order=2)
+    assert found.verdict == "saturation"
+    assert "[-0.6, 0.7]" in found.summary()["why"][0]
+    assert uz.identify(t=0.05, u=u, y=z, order=2).verdict == "none"
 
 
 def test_estimate_asks_for_the_range() -> None:

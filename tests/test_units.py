@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,10 +15,14 @@ import undeadzone as uz
 from undeadzone.ensemble.metrics import Tally, rows
 from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
 from undeadzone.linear.matrices import Matrices, companion
+from undeadzone.observers.parts.prior import build_prior
+from undeadzone.plants.build import system
+from undeadzone.plants.system import sampled
 from undeadzone.plants.time_scales import pace, rates_of_motion, state_units, time_scale
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
+from undeadzone.sensor import resolve
 from undeadzone.simulation.scales import plant_scales
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]
@@ -176,6 +181,45 @@ def test_the_pace_of_a_plant_follows_its_unit_of_time(seed: int, n: int, decades
     assert pace(other) * time == pytest.approx(pace(usual), rel=1e-9)
     assert time_scale(other) / time == pytest.approx(time_scale(usual), rel=1e-9)
     assert state_units(other) * states == pytest.approx(state_units(usual), rel=1e-9)
+
+
+def test_the_scale_of_the_input_is_that_of_the_continuous_plant() -> None:
+    """However fast it is sampled; in a unit twice as large it is half the number."""
+    inputs = []
+    for step, u in ((1e-2, 1.0), (1e-3, 1.0), (1e-3, 0.5)):
+        given = scenario(1.0, 1.0, u, "kalman")
+        simulation = uz.Simulation(time="sampled", duration=3.0, step=step)
+        changed = msgspec.structs.replace(given, simulation=simulation)
+        inputs.append(plant_scales(resolve_scenario(changed)).input)
+    assert inputs[1] == pytest.approx(inputs[0], rel=0.05)
+    assert inputs[2] == pytest.approx(inputs[1] / 2, rel=1e-6)
+
+
+def test_a_pole_that_must_be_stabilised_counts_twice() -> None:
+    stable, unstable = (Matrices(np.array([[a]]), np.eye(1), np.eye(1)) for a in (-3.0, 3.0))
+    assert time_scale(stable) == pytest.approx(np.pi / 6)
+    assert time_scale(unstable) == pytest.approx(np.pi / 12)
+    swing = Matrices(np.array([[0.0, 1.0], [-9.0, 0.0]]), np.eye(2)[:, 1:], np.eye(2)[:1])
+    assert time_scale(swing) == pytest.approx(np.pi / 6)
+
+
+@pytest.mark.parametrize("time", [1e-6, 1.0, 1e3])
+def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None:
+    """What a filter assumes of it is the same in any unit of time."""
+    chain = Matrices(np.eye(2, k=1), np.eye(2)[:, 1:], np.eye(2)[:1])
+    assert time_scale(chain) == 1.0
+    assert time_scale(chain, 0.01 * time) == pytest.approx(0.5 * time)
+    assert pace(chain, 0.01 * time) == pytest.approx(np.pi / time)
+    np.testing.assert_allclose(state_units(chain, 0.01 * time), [1.0, np.pi / time])
+    built = []
+    for unit in (1.0, time):
+        plant = uz.Plant(A=chain.A, B=chain.B / unit**2, C=chain.C)
+        model = sampled(system(plant), 0.01 * unit)
+        sensor = resolve(uz.Sensor(right=1.0, left=1.0, noise=0.1), 1, 0.01 * unit)
+        prior = build_prior(model, sensor, [0.0, 2.0], None, None, None, None, wear=0.1)
+        built.append(prior)
+    np.testing.assert_allclose(built[1].std * [1.0, time, 1.0, 1.0], built[0].std)
+    np.testing.assert_allclose(built[1].drift, built[0].drift)
 
 
 def test_integrators_and_slow_poles_are_told_apart_in_any_unit_of_time() -> None:

@@ -33,6 +33,7 @@ PROJECT = (
 FIRST = {
     "Start": [
         "index.md",
+        "try.md",
         "install.md",
         "tour.md",
         "command_line.md",
@@ -54,6 +55,14 @@ FIRST = {
     "Elsewhere": ["export.md", "security.md"],
     "Reference": ["scenario.md", "decisions.md"],
 }
+TRY = """# Try it
+
+The whole loop of plant, sensor, observer and controller, computed in your browser at each move of a
+slider; nothing is sent anywhere. [The page alone](live.html) opens from disk too, and [undeadzone
+export](export.md#the-live-page) makes one of your own scenario.
+
+<iframe class="live" src="live.html" title="The live page"></iframe>
+"""
 WORKER = re.compile(r'<script src="https://[^"]*/iframe-worker/shim"></script>')
 LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
@@ -62,7 +71,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Order the pages."""
     methods = sorted(path.name for path in (ROOT / "docs/methods").glob("*.md"))
     nav: list[Any] = [{title: list(pages)} for title, pages in FIRST.items()]
-    nav[0]["Start"].insert(1, {"Tutorials": [f"tutorials/{name}.md" for name in tutorials.NAMES]})
+    nav[0]["Start"].insert(3, {"Tutorials": [f"tutorials/{name}.md" for name in tutorials.NAMES]})
     nav[-1]["Reference"].insert(0, "api.md")
     nav.append({"Methods": ["methods/index.md", *(f"methods/{name}" for name in methods)]})
     nav.append({"Project": [project_page(path) for path in PROJECT]})
@@ -76,6 +85,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         add(files, config, project_page(path), (ROOT / path).read_text(encoding="utf-8"))
     add(files, config, "api.md", reference())
     add(files, config, "methods/index.md", methods_page())
+    add(files, config, "try.md", TRY)
     for name, content in tutorials.pages(ROOT / "docs/tutorials").items():
         add(files, config, f"tutorials/{name}", content)
     for path in sorted((HERE / "assets").rglob("*")):
@@ -154,7 +164,8 @@ def reference() -> str:
         rooms.setdefault(module.split(".")[0], []).append(f"::: {source}.{target}")
     parts = ["# API", "Everything here is `uz.NAME` after `import undeadzone as uz`."]
     for room in sorted(rooms):
-        parts += [f"## {room}", *sorted(rooms[room], key=str.lower)]
+        # An element whose id is "exports" would look like a module loader to KaTeX.
+        parts += [f"## {room} {{ #room-{room} }}", *sorted(rooms[room], key=str.lower)]
     return "\n\n".join(parts) + "\n"
 
 

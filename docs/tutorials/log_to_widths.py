@@ -26,6 +26,14 @@ for name, text in answer.summary().items():
     print(f"{name:12} {text}")
 
 # %% [markdown]
+# The command line does the same with a file, and draws it: `undeadzone identify log.csv --order
+# 1-2`.
+
+# %%
+table = np.column_stack([step * np.arange(y.size), u, y])
+np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="", fmt="%.6g")
+
+# %% [markdown]
 # The answer holds 95 % intervals, the hidden output along the log, and a scenario.
 
 # %%

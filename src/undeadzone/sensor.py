@@ -285,6 +285,17 @@ class Zone(msgspec.Struct, frozen=True):
         return np.hypot(noise, rounding)
 
 
+def _width(key: str, value: Array, p: int) -> Floats:
+    """The widths of one side (p). Raises InputError, ShapeError."""
+    widths = vector(key, value, p, f"one per output, the plant has {p}")
+    if (widths < 0).any():
+        raise InputError(
+            f"{key}: must not be negative, found {widths.min():g}; it is a width, from 0 to the "
+            "edge on that side"
+        )
+    return widths
+
+
 def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     """The checked sensor of a plant.
 
@@ -298,8 +309,8 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
         InputError: or a subclass, that names the key.
     """
     why = f"one per output, the plant has {p}"
-    right = nonnegative("sensor.right", sensor.right, p, why)
-    left = nonnegative("sensor.left", sensor.left, p, why)
+    right = _width("sensor.right", sensor.right, p)
+    left = _width("sensor.left", sensor.left, p)
     slope = vector("sensor.slope", sensor.slope, p, why)
     if (slope <= 0).any():
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")

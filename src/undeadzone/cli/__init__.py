@@ -24,8 +24,27 @@ from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 
+OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class Commands(click.Group):
+    """The commands, which say what may be meant by a name that is none of them."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command, and its arguments. Raises UsageError."""
+        name = args[0]
+        if name in OTHER_NAMES:
+            ctx.fail(f"No such command {name!r}. Did you mean {OTHER_NAMES[name]!r}?")
+        if name.endswith(".toml"):
+            ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:
     """See through a sensor's dead zone.

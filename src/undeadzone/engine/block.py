@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-from collections import Counter
 from typing import Final
 
+from undeadzone.engine.branches import Branch, gathered
 from undeadzone.engine.forms import Form, Shape
 from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, kept, once, plain
-from undeadzone.engine.ops import LANES, SHARED, STEADY, Op, needed, used
+from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Op, needed, still, used
 from undeadzone.engine.rare import RareParts
 from undeadzone.engine.schedule import ordered
 
@@ -71,8 +70,9 @@ class Block:
         self.groups = range(form.streams)
         self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
         self.order = ordered(self.results, form.registers)
+        self.still = still(self.order, self.results)
         self.have: dict[int, str] = {}  # steady values, plain
-        self.held: dict[int, str] = {}  # those that stay in registers
+        self.own: list[Names] = []  # of values that lanes compute once
 
     def printed(self, name: str) -> tuple[str, int]:
         """The text of the module, with a function of that name, and the numbers of its tables."""
@@ -106,20 +106,11 @@ class Block:
 
     def _steady_values(self, text: Text) -> None:
         """Print what is steady, once."""
-        wanted = [*used(self.order, self.results, STEADY), *self.rare.steady]
+        wanted = [*used([*self.still, *self.order], self.results, STEADY), *self.rare.steady]
         for op in needed(used(self.order, self.results, SHARED)):
             if op.level == SHARED:
                 wanted += [arg for arg in op.args if arg.level == STEADY]
         once(text, wanted, self.have, entries_of(text, "params"))
-
-    def _most_used(self) -> list[Op]:
-        """The steady numbers that stay in registers."""
-        if self.form.lanes == 1:
-            return []
-        args = itertools.chain.from_iterable(op.args for op in self.order)
-        uses = Counter(arg.number for arg in args)
-        numbers = [op for op in used(self.order, [], STEADY) if op.type == "double"]
-        return sorted(numbers, key=lambda op: -uses[op.number])[: self.form.held]
 
     def _tables(self, text: Text, steps: int) -> int:
         """Print where tables are, and fill those that are steady; the numbers of all of them."""
@@ -186,11 +177,23 @@ class Block:
                 text.line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
             for i in range(len(self.shape.params)):
                 text.line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
-        for op in self._most_used():
-            one = text.load(text.at("%steady", self.steady.place(op)))
-            self.held[op.number] = text.splat(one, "double")
+        sources = [self._still_source(text, u) for u in self.groups]
+        self.own = in_lanes(text, self.still, sources, False)
         text.line("br label %time")
         return text.lines
+
+    def _still_source(self, text: Text, u: int) -> Names:
+        """What names a lane's own params, and what all lanes share, ahead of the loop over time."""
+
+        def source(op: Op) -> str:
+            if op.level == STILL:
+                return f"%p{u}_{self.shape.params.index(int(op.text[1:]))}"
+            if self.form.lanes == 1:
+                return self.have[op.number]
+            one = text.load(text.at("%steady", self.steady.place(op)))
+            return plain(text, op, text.splat(one, "double"), True)
+
+        return source
 
     def _time(self) -> list[str]:
         """The head of the loop over time."""
@@ -224,14 +227,18 @@ class Block:
     def _body(self) -> list[str]:
         """A step, and the rare parts' calls."""
         text = self._text("b")
+        text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
-        names = in_lanes(text, self.order, sources, self.slots)
+        order: list[Op | Branch] = list(self.order)
+        if self.form.branches and self.form.streams == 1:
+            order = gathered(self.order, self.results, self.form.branches)
+        names = in_lanes(text, order, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
             for i, op in enumerate(self.out):
                 text.store(names[u](op), f"%outputs{u}_{i}", vector=True)
         merged = [[[names[u](op) for op in self.following] for u in self.groups]]
-        came = ["time"]
+        came = [text.block]
         if self.flag:
             last, changed = self.rare.called(text, merged[0], self._flags(text, names))
             came.append(last)
@@ -261,17 +268,15 @@ class Block:
         def source(op: Op) -> str:
             if op.level == STEADY and self.form.lanes == 1:
                 return self.have[op.number]
+            if op.level == STILL:
+                return self.own[u](op)
             if op.level < LANES:
-                if op.number in self.held:
-                    return self.held[op.number]
                 table, base = (self.steady, "%sp") if op.level == STEADY else (self.shared, "%sq")
                 one = text.load(text.at(base, table.place(op)))
                 return plain(text, op, text.splat(one, "double"), True)
             place = int(op.text[1:])
             if op.text[0] == "s":
                 return f"%s{u}_{place}"
-            if op.text[0] == "p":
-                return f"%p{u}_{shape.params.index(place)}"
             if place in shape.exogenous:
                 row = shape.exogenous.index(place)
                 return text.load(f"%own{u}_{row}", vector=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-LARGE: Final = 1200  # instructions beyond which groups go alone, in the order of the graph
+LARGE: Final = 800  # instructions beyond which groups go alone, in the order of the graph
 
 
 class Shape(NamedTuple):
@@ -31,14 +31,15 @@ class Form(NamedTuple):
         slots: each use of a shared number has an entry of a table for itself, which becomes an
             operand of its instruction (AVX-512).
         registers: numbers of a group that may wait for their use; 0 for the order of the graph.
-        held: numbers that all lanes share and that stay in registers.
+        branches: instructions of one condition that are worth a branch, of groups that go alone; 0
+            for no branches.
     """
 
     lanes: int
     streams: int
     slots: bool
     registers: int
-    held: int
+    branches: int = 0
 
 
-ONE: Final = Form(1, 1, False, 0, 0)  # for a single run
+ONE: Final = Form(1, 1, False, 0, 60)  # for a single run

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
-from undeadzone.engine.ops import CONSTANT, LANES, Op, needed
+from undeadzone.engine.branches import Branch
+from undeadzone.engine.ops import CONSTANT, STILL, Op, needed
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil")
 _CONVERSIONS: Final = (
@@ -13,6 +14,7 @@ _CONVERSIONS: Final = (
     *("sitofp", "uitofp", "fptosi", "fptoui"),
 )
 _SIZE: Final = {"double": 8, "i64": 8, "float": 4, "i32": 4}
+_NOTHING: Final = {"double": "0.0", "float": "0.0", "i64": "0", "i32": "0", "i1": "false"}
 _SHORT: Final = {"double": "f64", "float": "f32"}
 
 Names = Callable[[Op], str]
@@ -30,6 +32,7 @@ class Text:
     def __init__(self, lanes: int, declared: dict[str, str], prefix: str = "t") -> None:
         self.lanes, self.declared = lanes, declared
         self.lines: list[str] = []
+        self.block = ""  # the label of the block that is being printed
         self._prefix, self._fresh = prefix, 0
 
     def line(self, text: str) -> None:
@@ -38,6 +41,7 @@ class Text:
 
     def label(self, name: str) -> None:
         """Begin a block of instructions."""
+        self.block = name
         self.lines.append(f"{name}:")
 
     def add(self, text: str) -> str:
@@ -186,12 +190,14 @@ def plain(text: Text, op: Op, name: str, vector: bool = False) -> str:
     return name
 
 
-def in_lanes(text: Text, order: list[Op], sources: list[Names], every_use: bool) -> list[Names]:
+def in_lanes(
+    text: Text, order: Sequence[Op | Branch], sources: list[Names], every_use: bool
+) -> list[Names]:
     """Print the lanes' instructions for several groups of lanes side by side.
 
     Args:
         text: where they are printed.
-        order: of the instructions.
+        order: of the instructions; branches for one group only.
         sources: for each group, what names an input of lanes, or a value of a lower level.
         every_use: values of lower levels are named anew at every use.
 
@@ -206,7 +212,7 @@ def in_lanes(text: Text, order: list[Op], sources: list[Names], every_use: bool)
         if op.number in have[group]:
             return have[group][op.number]
         found = sources[group](op)
-        if op.level == LANES:
+        if op.level >= STILL:
             have[group][op.number] = found
         elif not every_use:
             for each in have:
@@ -218,9 +224,36 @@ def in_lanes(text: Text, order: list[Op], sources: list[Names], every_use: bool)
 
     namers = [namer(group) for group in range(len(sources))]
     for op in order:
+        if isinstance(op, Branch):
+            _branch(text, op, have[0], namers[0])
+            continue
         for group, named in enumerate(namers):
             have[group][op.number] = text.print(op, named)
     return namers
+
+
+def _branch(text: Text, branch: Branch, have: dict[int, str], name: Names) -> None:
+    """Print a branch for one group; where it is not taken, its values are 0, which no lane uses."""
+    condition = name(branch.condition)
+    if not branch.holds:
+        ones = text.splat("true", "i1")
+        condition = text.add(f"xor {text.type('i1')} {condition}, {ones}")
+    before, number = dict(have), branch.ops[0].number
+    came = text.block
+    text.line(f"br i1 {text.any(condition)}, label %needed{number}, label %past{number}")
+    text.label(f"needed{number}")
+    for op in branch.ops:
+        have[op.number] = text.print(op, name)
+    values = [have[op.number] for op in branch.leaving]
+    text.line(f"br label %past{number}")
+    text.label(f"past{number}")
+    have.clear()
+    have.update(before)  # what was loaded in the branch is not there beyond it
+    for op, value in zip(branch.leaving, values, strict=True):
+        kind = text.type(op.type)
+        nothing = "zeroinitializer" if text.lanes > 1 else _NOTHING[op.type]
+        sources = f"[{value}, %needed{number}], [{nothing}, %{came}]"
+        have[op.number] = text.add(f"phi {kind} {sources}")
 
 
 def entries_of(text: Text, array: str) -> Names:

@@ -17,7 +17,7 @@ from undeadzone.engine.block import Block
 from undeadzone.engine.forms import ONE, Form, Shape
 from undeadzone.engine.lowering import lowered
 from undeadzone.engine.machine import Machine
-from undeadzone.engine.ops import LANES, SHARED, STEADY, Ops
+from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Ops
 from undeadzone.engine.promises import Promise
 from undeadzone.engine.schedule import of_graph
 
@@ -106,7 +106,7 @@ def source(
         """How often an input is new."""
         place = int(name[1:])
         if name[0] == "p":
-            return LANES if place in shape.params else STEADY
+            return STILL if place in shape.params else STEADY
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[Promise, None] = {}

@@ -29,7 +29,9 @@ from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
 WIDTH = 128
-WORTH = 45_000  # steps of the virtual machine that take as long as a compilation, of any graph
+# Steps of the virtual machine that take about as long as a compilation, of any graph: 15,000 to
+# 45,000. The kernel serves later runs with other numbers, too.
+WORTH = 20_000
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
 BUFFER = 2**17

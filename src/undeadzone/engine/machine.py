@@ -35,8 +35,8 @@ class Machine(NamedTuple):
         """The form of a kernel of so many instructions of a lane, for blocks of so many lanes."""
         lanes, registers = self.vector
         if instructions > LARGE or registers < 32 or width < 2 * lanes:
-            return Form(lanes, 1, lanes == 8, 0, 0)
-        return Form(lanes, 2, lanes == 8, 16, 6 if lanes == 8 else 0)
+            return Form(lanes, 1, lanes == 8, 0, 300)
+        return Form(lanes, 2, lanes == 8, 20)
 
     def target(self, effort: int = 3) -> Any:
         """A compiler for it, of LLVM's effort 0 to 3."""

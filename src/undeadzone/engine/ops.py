@@ -7,11 +7,13 @@ from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-# How often: never, once a call, once a step for all lanes, in every lane.
+# How often: never, once a call, once a step for all lanes, once a call in every lane, once a step
+# in every lane.
 CONSTANT: Final = 0
 STEADY: Final = 1
 SHARED: Final = 2
-LANES: Final = 3
+STILL: Final = 3
+LANES: Final = 4
 
 
 @dataclass(slots=True, eq=False)
@@ -55,9 +57,12 @@ class Ops:
         key = (kind, text, of_type, *(arg.number for arg in args))
         op = self._known.get(key)
         if op is None:
-            level = max([level, *(arg.level for arg in args)])
+            levels = {level, *(arg.level for arg in args)}
+            level = max(levels)
             if kind != "const":
                 level = max(level, STEADY)
+            if level == STILL and SHARED in levels:
+                level = LANES
             op = self._known[key] = Op(kind, args, text, of_type, level, len(self._known))
         return op
 
@@ -106,3 +111,9 @@ def used(order: Iterable[Op], results: Iterable[Op], level: int) -> list[Op]:
         for arg in op.args:
             found[arg.number] = arg
     return [found[number] for number in sorted(found) if found[number].level == level]
+
+
+def still(order: Iterable[Op], results: Iterable[Op]) -> list[Op]:
+    """The instructions of lanes that some instructions or results need once a call."""
+    ops = needed(used(order, results, STILL))
+    return [op for op in ops if op.level == STILL and op.kind != "input"]

@@ -9,7 +9,7 @@ from typing import Final
 
 from undeadzone.engine.forms import LARGE, Form, Shape
 from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, once, plain
-from undeadzone.engine.ops import LANES, SHARED, STEADY, Op, needed, used
+from undeadzone.engine.ops import SHARED, STEADY, STILL, Op, needed, still, used
 from undeadzone.engine.schedule import of_graph, ordered
 
 _POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
@@ -146,7 +146,7 @@ class RareParts:
         """What names values of lower levels and inputs of the lanes."""
 
         def source(op: Op) -> str:
-            if op.level < LANES:
+            if op.level < STILL:
                 return text.splat(have[op.number], op.type)
             place = int(op.text[1:])
             if op.text[0] == "s":
@@ -166,7 +166,8 @@ class RareParts:
 def _order(results: list[Op], form: Form) -> list[Op]:
     """The instructions of a part; one group goes alone, so that it has all registers."""
     small = len(of_graph(results)) <= LARGE
-    return ordered(results, form.registers * form.streams if small else 0)
+    order = ordered(results, form.registers * form.streams if small else 0)
+    return [*still(order, results), *order]
 
 
 def _row(text: Text, base: str, row: int) -> str:

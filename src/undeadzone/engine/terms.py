@@ -51,9 +51,9 @@ class Term(NamedTuple):
         factor = -2 if self.factor is None else self.factor
         return self.place, self.minus, factor, self.value
 
-    def effort(self) -> tuple[bool, bool]:
+    def effort(self) -> tuple[bool, bool, bool]:
         """What it needs to stand first in a sum."""
-        return self.condition is not None, self.factor is not None
+        return self.condition is not None, self.factor is not None, self.minus
 
 
 def counted(graph: Graph) -> Counted:

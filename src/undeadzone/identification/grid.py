@@ -34,6 +34,7 @@ class Grid(NamedTuple):
         counted: whether times count samples.
         inputs: names of the inputs.
         input_unit, output_unit: units, "1" if unknown.
+        output: name of the output.
     """
 
     t: Floats
@@ -48,6 +49,7 @@ class Grid(NamedTuple):
     inputs: tuple[str, ...]
     input_unit: str
     output_unit: str
+    output: str = "y"
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
@@ -100,6 +102,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.inputs,
         first.input_unit,
         first.output_units[0],
+        first.outputs[0],
     )
 
 

@@ -39,6 +39,7 @@ from undeadzone.identification.verdict import (
     jump_verdict,
     place_verdict,
     rescued,
+    saturated,
     static_verdict,
 )
 
@@ -79,6 +80,7 @@ def identify_output(
     quantum = grid.quantum / data.y_scale
     if prepared.jumps is None:
         verdict = static_verdict(data, chosen, no_zone, residuals, rivals, quantum)
+        verdict = saturated(verdict, prepared.ends)
     else:
         verdict = jump_verdict(data, chosen, residuals, rivals)
     if prepared.jumps is None and verdict.word == "jump" and _can_be_jump(prepared, options):

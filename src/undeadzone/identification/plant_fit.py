@@ -12,7 +12,7 @@ from undeadzone.identification.likelihood import Readings
 from undeadzone.identification.log import Flags
 from undeadzone.support.arrays import Floats, Integers
 
-RINGING = 2.0  # the same for poles that ring: with x(0) they are a free sine
+RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
 SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
 
 

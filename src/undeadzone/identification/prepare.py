@@ -35,6 +35,7 @@ class Prepared(NamedTuple):
         threshold: |y| up to which a reading is silent [y].
         remarks: what was done, for the user.
         jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
+        ends: where readings stick, as a range of readings has it; empty: nowhere.
     """
 
     data: Data
@@ -43,6 +44,7 @@ class Prepared(NamedTuple):
     threshold: float
     remarks: list[str]
     jumps: tuple[Interval, Interval] | None = None
+    ends: str = ""
 
 
 def prepare(grid: Grid, options: Options) -> Prepared:
@@ -100,10 +102,11 @@ def prepare(grid: Grid, options: Options) -> Prepared:
             " with a state of their own each"
         )
     data = _scaled(grid, start, y, ok, threshold, bool(ahead))
+    stuck = ends.text if ends.found else ""
     if options.kind == "jump":
         data, limits, jumps = as_dead_zone(data, options)
-        return Prepared(data, limits, orders, threshold, remarks, jumps)
-    return Prepared(data, _limits(data, options), orders, threshold, remarks)
+        return Prepared(data, limits, orders, threshold, remarks, jumps, stuck)
+    return Prepared(data, _limits(data, options), orders, threshold, remarks, ends=stuck)
 
 
 def _spikes(y: Floats, ok: Flags) -> Integers:

@@ -197,7 +197,8 @@ def _record(answer: Answer) -> str:
     """Samples, step, names and units, silence."""
     grid = answer.evidence.grid
     names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
-    text = f"{grid.t.size} samples, {grid.step:.6g} s, {names}, y [{grid.output_unit}]"
+    step = "times count samples" if grid.counted else f"{grid.step:.6g} s"
+    text = f"{grid.t.size} samples, {step}, {names}, {grid.output} [{grid.output_unit}]"
     if grid.start.size > 1:
         text += f", {grid.start.size} records"
     silent = answer.evidence.excitation.silent
@@ -214,7 +215,9 @@ def _plant(answer: Answer) -> str:
     rate = "1/sample" if grid.counted else "1/s"
     shown = []
     for pole in answer.poles:
-        if pole.imag > 1e-12 * abs(pole):
+        if abs(abs(pole.imag) * grid.step - np.pi) < 1e-9:  # negative in sampled time
+            shown.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
+        elif pole.imag > 1e-12 * abs(pole):
             shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
         elif abs(pole.imag) <= 1e-12 * abs(pole):
             shown.append(f"{pole.real:.4g}")
@@ -233,12 +236,17 @@ def _certainty(answer: Answer) -> str:
     if not answer.zone:
         return ""
     chance = answer.evidence.no_zone.chance
-    sure = "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
+    sure = chance_in_words(chance)
     if answer.fit.objective.kind != "behind":
         sure = "silence"
     if winning_rival(answer.evidence.rivals) is None:
         return f" ({sure}; no other static map, no play explains it better)"
     return f" ({sure})"
+
+
+def chance_in_words(chance: float) -> str:
+    """A probability of chance alone; how small a very small one is says nothing."""
+    return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
 
 
 def _where(answer: Answer) -> str:
@@ -263,7 +271,8 @@ def _disturbance(answer: Answer, unit: str) -> str:
         where = "left of the readings"
     text = f"rms {disturbance.rms:.3g}{unit} {where}"
     if disturbance.correlation_time is not None:
-        text += f", correlation time {disturbance.correlation_time:.2g} s"
+        unit_of_time = "samples" if answer.evidence.grid.counted else "s"
+        text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
     if disturbance.model is not None:
         text += f", {disturbance.model}, white part {disturbance.white:.2g}{unit}"
     return text

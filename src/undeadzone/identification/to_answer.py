@@ -38,8 +38,10 @@ def to_answer(prepared: Prepared, options: Options, evidence: Evidence, verdict:
     word = verdict.word
     has_edges = word == "dead_zone" or (word == "jump" and evidence.jumps is not None)
     if evidence.delay and has_edges:
-        late = evidence.delay * evidence.grid.step
-        remarks.append(f"the input acts {evidence.delay} samples late ({late:.4g} s)")
+        late = f" ({evidence.delay * evidence.grid.step:.4g} s)"
+        if evidence.grid.counted:
+            late = ""
+        remarks.append(f"the input acts {evidence.delay} samples late{late}")
     if has_edges:
         heard = hears_input(chosen.pairs)
         if evidence.jumps is not None:

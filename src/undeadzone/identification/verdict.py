@@ -81,6 +81,19 @@ def static_verdict(
     return _by_residual(data, chosen, residuals)
 
 
+def saturated(verdict: Verdict, ends: str) -> Verdict:
+    """What needs no zone, and sticks at the ends of its range, is a saturation.
+
+    Args:
+        verdict: by the readings between the ends.
+        ends: of the range; empty: readings stick nowhere.
+    """
+    if verdict.word != "none" or not ends:
+        return verdict
+    reason = f"readings stick at the ends of the range {ends}, and between them they need no zone"
+    return Verdict("saturation", [reason], [])
+
+
 def _unclear(chosen: OrderFit) -> Verdict | None:
     """That nothing can be said, and why; None where something can."""
     if chosen.share < LEAST:

@@ -211,10 +211,22 @@ def _signals(
                 f"{source}: expected {count} of {signal}, the log has {len(columns)}: "
                 f"{_listed([titles[k] for k in columns])}; say which by --columns {wanted[0]}=NAME"
             )
+    if source.endswith(".toml"):
+        raise FileError(f"{source}: this is a scenario, no log; the log is a table with t, u, y")
     raise FileError(
         f"{source}: no name says which column holds {signal}; there are {_listed(titles)}"
-        f"{_near(titles, usual)}; say which by --columns {signal}=NAME"
+        f"{_near(titles, usual)}; say which by --columns {_to_be_named(titles, chosen)}"
     )
+
+
+def _to_be_named(titles: Sequence[Title], chosen: Mapping[str, str]) -> str:
+    """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
+    wanted = [f"{signal}={name}" for signal, name in chosen.items()]
+    for signal, usual in (("y", READINGS), ("u", INPUTS)):
+        told = any(_usual(titles, name, 1) for name in usual)
+        if not told and not _of_signal(chosen, signal):
+            wanted.append(f"{signal}=NAME")
+    return ",".join(wanted).replace("[0]", "")
 
 
 def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:

@@ -32,10 +32,8 @@ from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
-# Levels of the disturbance: the first one in claimed rms, and the fall from each to the next. What
-# is not claimed may be larger than its default, and is known within wider bounds.
-FIRST, FALL = 1.0, 4.0
-FIRST_OF_DEFAULT, FALL_OF_DEFAULT = 4.0, 8.0
+FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
+LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
 class Censored(
@@ -56,8 +54,8 @@ class Censored(
         washout_time: time constant of a washout that takes the constant part from the disturbance
             [s]; default none.
         levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): the
-            claimed one, and each a quarter of the one before; of a default four times as much, and
-            each an eighth. 1 takes the claim or default as it is.
+            claimed one, and each a quarter of the one before; if none is claimed, from four times
+            the default to an eighth of it. 1 takes the claim or default as it is.
         silence: false ignores the silent samples, and the ranges but as a prior.
     """
 
@@ -126,10 +124,9 @@ class Censored(
 
     def _factors(self) -> Floats:
         """The levels of the disturbance, in its claimed or default rms."""
-        first, fall = FIRST, FALL
         if self.disturbance is None:
-            first, fall = FIRST_OF_DEFAULT, FALL_OF_DEFAULT
-        return np.asarray(first / fall ** np.arange(self.levels))
+            return np.geomspace(LARGEST, LEAST, self.levels)
+        return FALL ** -np.arange(self.levels)
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

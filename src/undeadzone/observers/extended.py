@@ -51,7 +51,7 @@ class Extended(
         disturbance: rms of an unknown input, one or one per input [u]; default what moves z by half
             of the largest width in a quarter period; 0 is a claim.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
-            of the plant's period, 1/4 s if it only integrates.
+            of the plant's period, 12.5 samples if it only integrates.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
         glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
             readings for right, as textbooks do, and shows no wider intervals where they do not fit.

@@ -49,8 +49,8 @@ class MovingHorizon(
     and drift 0.5 % of the largest width. It runs in Python: in single runs only.
 
     Attributes:
-        horizon: length of the horizon [s]; default a quarter period of the plant, 1 s if it only
-            integrates.
+        horizon: length of the horizon [s]; default a quarter period of the plant, 50 samples if
+            it only integrates.
         period: time between the readings that are used, and between solutions [s]; default a
             fortieth of the horizon.
         slack: rms by which a silent sensor's z may be outside its zone, one or one per output [z];

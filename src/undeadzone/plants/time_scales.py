@@ -14,6 +14,7 @@ from undeadzone.support.arrays import Floats, scalar
 QUARTER = (
     50.0  # samples in a quarter period of a chain of integrators, which has no time of its own
 )
+UNSTABLE = 2.0  # poles of the loop around an unstable pole, at least, in that pole
 STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
@@ -76,15 +77,18 @@ def in_poles(model: System, key: str, rate: float | None, default: float) -> flo
 def time_scale(flow: Matrices, Ts: float | None = None) -> float:
     """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators.
 
-    If all are, `QUARTER` samples: who samples so fast expects changes as fast.
+    If all are, `QUARTER` samples: who samples so fast expects changes as fast. Of an unstable pole
+    `UNSTABLE` times its size counts: the loop around it must be as fast.
 
     Args:
         flow: the matrices in continuous time.
         Ts: sample time [s]; None in continuous time, where a chain of integrators gets 1 s.
     """
-    moving = rates_of_motion(flow.A)
-    if not moving.size:
+    poles = _moving(flow.A)
+    if not poles.size:
         return 1.0 if Ts is None else QUARTER * Ts
+    unstable = poles.real > STILL * np.abs(poles)
+    moving = np.abs(poles) * np.where(unstable, UNSTABLE, 1.0)
     return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
 
 

@@ -78,13 +78,16 @@ def overview(found_log: Identified) -> Figure:
     data, part = found_log.answer.fit.objective.data, _shown(found_log)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     signals(panels["signals"], found_log)
-    side = np.where(data.ok, data.side, np.nan)[part]
-    t = found_log.answer.evidence.grid.t[part]
     _shade_held_out(panels["sides"], found_log)
+    fit, t = found_log.answer.fit, found_log.answer.evidence.grid.t[part]
+    side, whose = data.side, "Side of the readings"
+    if fit.objective.kind == "behind":  # where readings inside the zone are noise
+        side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), "Side of z^"
+    side = np.where(data.ok, side, np.nan)[part]
     panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
     panels["sides"].set_ylim(-1.3, 1.3)
-    finish(panels["sides"], "Side of the readings", "", _time(found_log), legend=0)
+    finish(panels["sides"], whose, "", _time(found_log), legend=0)
     return figure
 
 

@@ -12,8 +12,6 @@ from typing import Any
 
 import msgspec
 
-from undeadzone.support.arrays import matlab
-
 _WORDS = {
     "object": "a table",
     "dict": "a table",
@@ -29,6 +27,19 @@ _SYNONYMS = {  # words of other tools, and what stands for them here
     "dt": "the sample time is simulation.step",
     "Ts": "the sample time is simulation.step",
     "sample_time": "the sample time is simulation.step",
+    "fs": "the sample time is simulation.step = 1 / fs",
+    "d_r": "write right",
+    "d_l": "write left",
+    "range_right": "write right = [least, largest]",
+    "Kp": "write k_p",
+    "Ki": "write k_i",
+    "Kd": "write k_d",
+    "kp": "write k_p",
+    "ki": "write k_i",
+    "kd": "write k_d",
+    "controller": "the controller has a table of its own, [controller]",
+    "discrete": "write sampled",
+    "discrete-time": "write sampled",
     "T": "the length of a run is simulation.duration, the sample time simulation.step",
     "num": "write numerator",
     "den": "write denominator",
@@ -46,6 +57,7 @@ _SYNONYMS = {  # words of other tools, and what stands for them here
     "saturation": "write range = [least, largest]",
     "sigma": "write noise, the rms of white noise on the reading",
 }
+NEAR = 0.65  # likeness from which on a name may be meant
 CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]
 
@@ -74,43 +86,12 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     choices = _choices(root, key, data)
     if invalid and choices:
         advice = _advice(invalid[1], choices, "expected one of")
+        if invalid[1] in _SYNONYMS:
+            advice = f"{advice}; {_SYNONYMS[invalid[1]]}"
         return f"{key}: unknown choice {invalid[1]!r}; {advice}"
     body = re.sub(r"`([\w| ]+)`", _in_words, body)
     where = f"{key}: " if key else ""
     return f"{where}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
-
-
-def invalid_toml(text: str, message: str) -> str:
-    """The message about a text that is no TOML, with its line.
-
-    Args:
-        text: that was read.
-        message: of tomllib.
-    """
-    said, _, where = message.partition(" (at ")
-    place = re.match(r"line (\d+), column (\d+)", where)
-    if place is None:
-        return f"not valid TOML: {message}"
-    number = int(place[1])
-    lines = text.splitlines()
-    line = lines[number - 1].strip() if number <= len(lines) else ""
-    full = f"line {number}, column {place[2]}: not valid TOML: {said[:1].lower()}{said[1:]}"
-    if line:
-        full += f" in {line!r:.80}"
-    return full + _as_lists(line)
-
-
-def _as_lists(line: str) -> str:
-    """How a line in MATLAB's notation, A = [0 1; -1 -2], is written in TOML; else nothing."""
-    assignment = re.match(r"\s*([\w.]+)\s*=\s*(\[[^\[\]\"=]*\])\s*;?\s*(#.*|%.*)?$", line)
-    if assignment is None:
-        return ""
-    try:
-        rows = matlab(assignment[2])
-    except ValueError:
-        return ""
-    listed = [f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in rows]
-    return f"; write {assignment[1]} = [{', '.join(listed)}], or put MATLAB's matrix in quotes"
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
@@ -147,8 +128,10 @@ def _join(key: str, name: str) -> str:
 
 
 def _advice(name: str, known: list[str], otherwise: str) -> str:
-    """The nearest known name, or all of them."""
-    near = difflib.get_close_matches(name, known, 1)
+    """The nearest known name, or all of them; upper and lower case count as the same."""
+    lower = {each.lower(): each for each in known}
+    near = [each for each in known if each in difflib.get_close_matches(name, known, 1, NEAR)]
+    near = near or [lower[each] for each in difflib.get_close_matches(name.lower(), lower, 1, NEAR)]
     return f"did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(sorted(known))}"
 
 

@@ -83,6 +83,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     Raises:
         InputError: or a subclass, naming the key, what was found and what to do.
     """
+    if not isinstance(scenario, Scenario):
+        raise InputError(
+            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}; a file is read "
+            'by uz.read("mine.toml")'
+        )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))

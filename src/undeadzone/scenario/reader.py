@@ -16,8 +16,9 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
 from undeadzone.scenario.changes import alike, require_finite
-from undeadzone.scenario.messages import explain, invalid_toml
+from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
+from undeadzone.scenario.toml_messages import invalid_toml
 from undeadzone.support.arrays import decode
 from undeadzone.support.files import LARGEST_TABLE, read_bytes, read_text, reason
 
@@ -58,7 +59,13 @@ def read_for_logs(
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do.
     """
-    data = _tables(_text(path))
+    with _naming(path):
+        scenario = convert(_completed(_tables(_text(path))), Path(path).parent)
+    return scenario if confine is None else confined(scenario, Path(confine))
+
+
+def _completed(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables with what a scenario for logs may leave out. Raises InputError."""
     for name, table in _STAND_INS.items():
         data.setdefault(name, table)
     sensor, observer = data.setdefault("sensor", {}), data.get("observer")
@@ -75,14 +82,22 @@ def read_for_logs(
                 'observer = { method = "auto", right = [0.0, 2.0] }'
             )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
-    scenario = convert(data, Path(path).parent)
-    return scenario if confine is None else confined(scenario, Path(confine))
+    return data
 
 
 # What stands for tables that a scenario for logs leaves out.
 _STAND_INS: Final = {
     "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
     "controller": {"method": "pd"},
+}
+_OTHER_FILES: Final = {  # what is given in place of a scenario, and where it should go
+    ".csv": "; a log goes to undeadzone identify, or, behind the scenario, to estimate",
+    ".npz": "; a run of an ensemble is shown by --replay NUMBER",
+    ".py": "; run a program with python",
+    ".urdf": "; undeadzone arm shows a robot, and writes a scenario for it",
+    ".json": "; a scenario is a TOML file: undeadzone init mine.toml",
+    ".yaml": "; a scenario is a TOML file: undeadzone init mine.toml",
+    ".m": "; a scenario is a TOML file: undeadzone init mine.toml",
 }
 _TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
 
@@ -92,7 +107,7 @@ def _text(path: str | os.PathLike[str]) -> str:
     try:
         return read_text(path)
     except UnicodeDecodeError:
-        raise FileError(f"{path}: cannot read: not UTF-8 text") from None
+        raise FileError(f"{path}: cannot read: not UTF-8 text; save it as UTF-8") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
 
@@ -105,7 +120,8 @@ def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
     except FileError:
         raise
     except InputError as error:
-        raise type(error)(f"{path}: {error}") from None
+        hint = _OTHER_FILES.get(Path(path).suffix.lower(), "")
+        raise type(error)(f"{path}: {error}{hint}") from None
 
 
 def parse(text: str, folder: Path = Path()) -> Scenario:

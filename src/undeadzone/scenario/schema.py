@@ -19,6 +19,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region
 from undeadzone.scenario.changes import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.kinds import CURES, require_kinds
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.scenario.unnamed import usual_controller, usual_observer
 from undeadzone.sensor import Sensor
@@ -135,7 +136,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     compensator: CompensatorOptions | None = None
 
     def __post_init__(self) -> None:
-        """Put the usual observer and controller where none is named."""
+        """Put the usual observer and controller where none is named. Raises InputError."""
+        require_kinds({name: getattr(self, name) for name in CURES})
         if self.observer is UNNAMED:
             observer = usual_observer(self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)

@@ -20,6 +20,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures
+from undeadzone.simulation.false_claims import with_false_claims
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
@@ -44,12 +45,14 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.nonlinear:
-        return _verdicts_along(problem, signal)
+        return with_false_claims(problem, _verdicts_along(problem, signal))
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
-        return _both_ends(problem, signal, schedule)
-    return linear_verdicts(problem, schedule, np.ones(problem.model.p))
+        found = _both_ends(problem, signal, schedule)
+    else:
+        found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
+    return with_false_claims(problem, found)
 
 
 def actuator_unknown(problem: Problem) -> bool:

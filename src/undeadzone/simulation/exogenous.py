@@ -178,10 +178,10 @@ def lost(normal: Floats, dropout: Floats) -> Floats:
         normal: standard normal numbers (... x p); the lowest ones are those that are missing.
         dropout: probability that a reading is missing (p).
     """
-    from scipy.special import ndtri
-
     if not dropout.any():
         return np.zeros_like(normal)
+    from scipy.special import ndtri
+
     return np.where(normal < ndtri(dropout), np.nan, 0.0)
 
 

@@ -14,7 +14,7 @@ from undeadzone.sensor import Zone, present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
-PATIENCE: Final = 45_000  # samples in blocks (`lanes.WORTH`), after which the step is compiled
+PATIENCE: Final = 20_000  # samples in blocks (`lanes.WORTH`), after which the step is compiled
 
 
 class Out(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.actuator import ActuatorModel, believed
 from undeadzone.engine.interpret import Stepper
-from undeadzone.errors import InputError
+from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
 from undeadzone.observers import ObserverOptions
 from undeadzone.observers.parts.actuated import built as behind
@@ -117,8 +117,14 @@ class Online:
             self._entries[0] = y
             self._entries[1] = u
         else:
-            self._w[: self._p] = y
-            self._w[self._p :] = u
+            try:
+                self._w[: self._p] = y
+                self._w[self._p :] = u
+            except (ValueError, TypeError):
+                raise ShapeError(
+                    f"sample: expected y and u with {self._p} and {self._w.size - self._p} "
+                    f"numbers, found {y!r:.40} and {u!r:.40}"
+                ) from None
         self._step()
         self.samples += 1
         if self._last[-1]:

@@ -1,0 +1,41 @@
+"""Claimed ranges that exclude the sensor's own widths: a simulation knows that they are false."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.observers.parts.prior import width_ranges
+from undeadzone.scenario.problem import Problem
+
+
+def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """The verdicts; a width outside of its claimed range is not known, as no reading corrects it.
+
+    Args:
+        problem: the scenario's parts.
+        verdicts: on the widths of each output (p).
+    """
+    options: Any = problem.scenario.observer
+    claims = {"right", "left"} <= set(getattr(options, "__struct_fields__", ()))
+    if not claims or not problem.observer.traits.adapts:
+        return list(verdicts)
+    p = len(verdicts)
+    ranges = width_ranges(options.right, options.left, p)
+    judged = []
+    for i, verdict in enumerate(verdicts):
+        sides = {
+            "right": (problem.sensor.right[i], ranges[i]),
+            "left": (problem.sensor.left[i], ranges[p + i]),
+        }
+        for side, (width, (low, high)) in sides.items():
+            if not low <= width <= high:
+                reason = (
+                    f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
+                    f"{low:.4g} to {high:.4g}"
+                )
+                found: dict[str, Any] = {side: False, "width": False, "centre": False}
+                verdict = verdict._replace(**found, reasons=(*verdict.reasons, reason))
+        judged.append(verdict)
+    return judged
