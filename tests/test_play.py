@@ -256,7 +256,7 @@ def test_v_rises_if_a_held_reading_is_heard_with_the_wrong_sign(
 def test_the_certificate_is_that_of_the_dead_zone() -> None:
     of_play = uz.check(slow({}, CERTIFIED))
     of_zone = uz.check(slow({"kind": "deadzone"}, CERTIFIED))
-    assert of_play["margin"] == of_zone["margin"]
+    assert of_play.margin == of_zone.margin
 
 
 # What readings can tell
