@@ -304,6 +304,11 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     assert done.passed
 
 
+def test_the_page_refuses_a_play(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a play has none"):
+        uz.export(slow({}, CERTIFIED, disturbance=None), out=tmp_path / "p.html", to="page")
+
+
 def test_the_oracle_of_an_ensemble_knows_the_gap_of_each_run() -> None:
     vary = {"runs": 6, "sensor.right": {"uniform": [0.3, 1.5]}}
     oracle = {"method": "oracle", "L": [1.0, 1.5]}

@@ -58,10 +58,7 @@ def close(
     Raises:
         InputError: a Taylor series was asked for, and the loop is not linear on its branches.
     """
-    params = numbers(plant, sensor, observer, controller, step)
-    if compensator is not None:
-        params = params._replace(compensator=compensator.params)
-    params = params._replace(actuator=actuator)
+    params = numbers(plant, sensor, observer, controller, step, compensator, actuator)
     rated = actuator is not None and actuator.rated
     state = State(
         plant=np.zeros(plant.n),
@@ -96,19 +93,27 @@ def close(
 
 
 def numbers(
-    plant: System, sensor: Zone, observer: Observer, controller: Controller, step: float
+    plant: System,
+    sensor: Zone,
+    observer: Observer,
+    controller: Controller,
+    step: float,
+    compensator: Compensator | None = None,
+    actuator: Drive | None = None,
 ) -> Params:
     """The numbers of a loop.
 
     Args:
-        plant, sensor, observer, controller, step: as of `close`.
+        plant, sensor, observer, controller, step, compensator, actuator: as of `close`.
     """
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
     widths = sensor.right, sensor.left
     zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits)
     h = np.float64(step)
-    return Params(plant.params, zone, observer.params, controller.params, scale, h)
+    undoing = None if compensator is None else compensator.params
+    own = (observer.params, controller.params)
+    return Params(plant.params, zone, *own, scale, h, undoing, actuator)
 
 
 def _instant(plant: System, controller: Controller, tracked: int) -> Exogenous:
