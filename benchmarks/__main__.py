@@ -16,6 +16,8 @@ NAMES = (
     "live_step",
     "accuracy",
     "engines",
+    "kernels",
+    "first_compile",
     "noise",
     "speed",
     "precision",

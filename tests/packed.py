@@ -9,9 +9,10 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from pathlib import Path
+
+import click
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
@@ -56,7 +57,7 @@ def environment(packed: Path, folder: Path) -> Path:
     install = ["--python", python, "install", *QUIET, "--no-warn-script-location", packed]
     run(sys.executable, "-m", "pip", *install, cwd=folder.parent)
     (packages,) = folder.glob("lib/python*/site-packages")
-    (packages / "others.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    (packages / "others.pth").write_text(f"{Path(click.__file__).parents[1]}\n")
     return folder / "bin"
 
 

@@ -27,7 +27,7 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Estimate, Kalman
 from undeadzone.observers.parts.gaussian_filter import Params
-from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean
+from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
 from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances
 from undeadzone.observers.parts.shown_belief import ambiguous
 from undeadzone.observers.parts.unknown_inputs import (
@@ -488,9 +488,10 @@ def test_what_is_shown_is_the_mixture_by_bayes() -> None:
         )
         mean = share[at] @ x
         assert mixed[at].x[0] == pytest.approx(mean, rel=0.01)
-        assert mixed[at].x_std[0] ** 2 == pytest.approx(
-            share[at] @ (std**2 + (x - mean) ** 2), rel=0.01
-        )
+        narrow = share[at, 1] ** 2  # both of two levels that are drawn
+        within = (1 - narrow) * std[0] ** 2 + narrow * std[1] ** 2
+        variance = within + share[at] @ (x - mean) ** 2
+        assert mixed[at].x_std[0] ** 2 == pytest.approx(variance, rel=0.01)
 
 
 @given(st.floats(-3, 3), st.floats(0.05, 5))
@@ -749,7 +750,19 @@ def test_a_mixture_spreads_by_its_parts_and_by_what_lies_between() -> None:
     mean = 0.25 * 1.0 + 0.75 * 3.0
     square = 0.25 * (0.5**2 + 1.0**2) + 0.75 * (0.2**2 + 3.0**2)
     assert weighted_mean(share, means) == pytest.approx(mean)
-    assert float(mixture_std(share, means, stds)) == pytest.approx(np.sqrt(square - mean**2))
+    std = float(mixture_std(share, share, means, stds))
+    assert std == pytest.approx(np.sqrt(square - mean**2))
+
+
+@pytest.mark.parametrize("shares", [[1, 1, 1], [0.2, 0.5, 0.3], [0.05, 0.05, 0.9], [1, 0, 0]])
+def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> None:
+    """Of the mixture of N(0, 1), N(0, 1 / 16), N(0, 1 / 256)."""
+    share, stds = np.array(shares) / np.sum(shares), np.array([1.0, 1 / 4, 1 / 16])
+    wide = wider_of_two(ca.SX(share))
+    assert float(ca.sum1(wide)) == pytest.approx(1.0)
+    std = float(mixture_std(ca.SX(share), wide, [0.0] * 3, stds))
+    held = share @ (2 * norm.cdf(1.96 * std / stds) - 1)
+    assert 0.949 <= held <= 0.985
 
 
 def test_a_default_disturbance_is_known_within_wider_bounds_than_a_claim() -> None:

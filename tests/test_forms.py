@@ -26,7 +26,7 @@ from test_engines import (
 )
 from undeadzone.engine import cache, kernel, lanes
 from undeadzone.engine.forms import Form, Shape
-from undeadzone.engine.machine import Machine, here
+from undeadzone.engine.machine import Machine, here, stack
 from undeadzone.engine.machine_code import compiled
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
@@ -208,6 +208,18 @@ def test_the_best_code_takes_the_place_of_the_first(monkeypatch: pytest.MonkeyPa
     cache.made.cache_clear()
     again = lanes.build(stateless([a], [a * 17.0]), width=8)
     assert again.block.text == ""
+
+
+def test_code_of_no_effort_has_to_fit_onto_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "LONG", 0)
+    a = ca.SX.sym("a")
+    for room, codes in ((2**23, 2), (100, 1)):
+        monkeypatch.setattr(cache, "stack", lambda room=room: room)
+        cache.made.cache_clear()
+        built = lanes.build(stateless([a], [a * float(room)]), width=8)
+        built.block.settle()
+        assert len(built.block._codes) == codes
+    assert cache.FRAME < stack() < 2**24
 
 
 def zone(lanes_own: bool) -> tuple[lanes.Kernel, ca.Function]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +12,11 @@ import numpy as np
 import pytest
 from benchmarks.glitches import doubting, from_ranges
 from benchmarks.smoothing import part
+from click.testing import CliRunner
 
 import undeadzone as uz
-from test_estimate import scenario
+from test_estimate import LOGS_ALONE, scenario
+from undeadzone.cli import group
 from undeadzone.interfaces import graph_of
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.simulation.online import built_for
@@ -142,6 +146,19 @@ def test_readings_that_are_no_numbers_leave_numbers() -> None:
     found = uz.estimate(scenario(observer=uz.Auto(right=[0.0, 2.0])), t=run.t, y=y, u=run.u)
     for signal in (found.x_smooth, found.z_smooth, found.d_smooth, found.d_smooth_std):
         assert np.isfinite(signal).all()
+
+
+def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
+    path, log = tmp_path / "mine.toml", tmp_path / "log.csv"
+    path.write_text(LOGS_ALONE.replace('"kalman"', '"censored"'))
+    run = uz.simulate(scenario())
+    rows = zip(run.t[:50].tolist(), run.y[:50, 0].tolist(), run.u[:50, 0].tolist(), strict=True)
+    lines = [f"{t!r},{y!r},{u!r}" for t, y, u in rows]
+    log.write_text("\n".join(["t,y,u", *lines]))
+    for options, smoothed in (((), True), (("--causal",), False)):
+        arguments = ["estimate", str(path), str(log), "--json", "--no-figures", *options]
+        result = CliRunner().invoke(group, arguments)
+        assert json.loads(result.stdout)["smoothed"] is smoothed
 
 
 @pytest.mark.parametrize("claims", [doubting, from_ranges])

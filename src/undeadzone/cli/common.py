@@ -28,9 +28,9 @@ SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may b
 COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
 VERDICT = re.compile(
-    r"(?:(?<=  )|(?<=right )|(?<=left )|(?<=width )|(?<=centre ))"
+    r"(?:(?<=  )|(?<=: )|(?<=right )|(?<=left )|(?<=width )|(?<=centre ))"
     r"(?:yes|NO|ON TRUST|LEFT|never settles|at the end of its range)\b"
-    r"|^(?:DIVERGED|NOT EXACT|REFUSED)\b"
+    r"|^(?:DIVERGED|NOT EXACT|REFUSED|NO)\b"
 )
 
 

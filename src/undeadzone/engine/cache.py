@@ -14,10 +14,11 @@ import numpy as np
 
 import undeadzone
 from undeadzone.engine import cache_folder
-from undeadzone.engine.machine import here
+from undeadzone.engine.machine import here, stack
 from undeadzone.engine.machine_code import NUMBERS, Compiled, Linked, compiled, linked
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
+FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 
 
 class Made(NamedTuple):
@@ -121,13 +122,15 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
     Args:
         recipe: of its text.
         kinds: of its arguments.
-        hurry: of a long text, code of no effort at once, and the best one behind it.
+        hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
+            best one behind it.
     """
     block = kept(recipe, kinds)
     if block is not None:
         return block
     text, note = recipe.make()
-    if not hurry or text.count("\n") < LONG:
+    lines = text.count("\n")
+    if not hurry or lines < LONG or lines * FRAME > stack() // 4:
         return Block(_best(recipe, kinds, text, note), kinds, note, text)
     block = Block(_sure(linked(compiled(text, 0), kinds)), kinds, note, text)
     block.improve(lambda: _best(recipe, kinds, text, note))

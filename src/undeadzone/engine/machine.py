@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+import sys
+from typing import Any, Final, NamedTuple
 
 from undeadzone.engine.forms import LARGE, Form
+
+SMALL_STACK: Final = 2**20
+LARGE_STACK: Final = 2**23
 
 
 class Machine(NamedTuple):
@@ -73,3 +77,13 @@ def _initialized() -> None:
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     binding.initialize_native_asmparser()
+
+
+def stack() -> int:
+    """The bytes of a thread's stack, or fewer."""
+    if sys.platform == "win32":
+        return SMALL_STACK
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
+    return LARGE_STACK if limit == resource.RLIM_INFINITY else min(limit, LARGE_STACK)

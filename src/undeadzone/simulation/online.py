@@ -44,7 +44,7 @@ class Online:
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
         compiled: whether the step is compiled for this processor: the same bits in a fraction of
-            the time. The first time this takes up to half a minute; the result is kept on disk.
+            the time. The first time this takes up to some seconds; the result is kept on disk.
         actuator: what is known of the actuator between u and the plant; widths that are ranges are
             estimated; None: there is none.
 

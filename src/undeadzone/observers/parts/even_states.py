@@ -31,21 +31,26 @@ def counted_prior(prior: Prior, units: Floats) -> Prior:
 
 
 def shown_states(observer: Observer, units: Floats) -> Observer:
-    """A filter of states counted in these units (n), that shows them in the plant's."""
-    if (units == 1).all():
+    """A filter of states counted in these units (n), that shows them in the plant's.
+
+    Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves
+    plants whose units differ.
+    """
+    numbered = hasattr(observer.params.model, "units")
+    if not numbered and (units == 1).all():
         return observer
+
+    def in_plant_units(q: Any, counted: Estimate) -> Estimate:
+        each = q.model.units if numbered else units
+        shown = counted._replace(x=each * counted.x, x_std=each * counted.x_std)
+        return shown._replace(w=each * counted.w) if shown.w.shape[0] else shown
 
     def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
         after, counted = observer.step(q, s, u, reading)
-        return after, in_plant_units(counted)
-
-    def in_plant_units(counted: Estimate) -> Estimate:
-        shown = counted._replace(x=units * counted.x, x_std=units * counted.x_std)
-        return shown._replace(w=units * counted.w) if shown.w.shape[0] else shown
+        return after, in_plant_units(q, counted)
 
     smoothing = observer.smoothing
     if smoothing is not None:
-        smoothing = smoothing._replace(
-            shown=lambda *known: in_plant_units(observer.smoothing.shown(*known))
-        )
+        inner = smoothing.shown
+        smoothing = smoothing._replace(shown=lambda q, *known: in_plant_units(q, inner(q, *known)))
     return observer._replace(step=step, smoothing=smoothing)

@@ -36,8 +36,8 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
 
     Args:
         member: the filter.
-        variants: each makes the numbers of one member from those of `member`; all start from its
-            state.
+        variants: each makes the numbers of one member from those of `member`, the widest claim
+            first; all start from its state.
     """
 
     def init(q: Any) -> State:
@@ -83,7 +83,12 @@ def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> S
 
 
 def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
-    """Mean of the estimates by their shares (K), and the standard deviations of the mixture."""
+    """Mean of the estimates by their shares (K), and deviations whose +-1.96 hold 95 % of them.
+
+    Those of what is estimated count each variance by `wider_of_two`; that of the innovation is the
+    mixture's own.
+    """
+    wide = wider_of_two(share)
 
     def each(name: str) -> list[Any]:
         return [getattr(one, name) for one in estimates]
@@ -92,14 +97,14 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
     widths = [one.right + one.left for one in estimates]
     of_actuator = {}
     for side in ("actuator_right", "actuator_left"):
-        of_actuator[f"{side}_std"] = mixture_std(share, each(side), each(f"{side}_std"))
+        of_actuator[f"{side}_std"] = mixture_std(share, wide, each(side), each(f"{side}_std"))
     return Estimate(*means)._replace(
         **of_actuator,
-        x_std=mixture_std(share, each("x"), each("x_std")),
-        right_std=mixture_std(share, each("right"), each("right_std")),
-        left_std=mixture_std(share, each("left"), each("left_std")),
-        width_std=mixture_std(share, widths, each("width_std")),
-        innovation_std=mixture_std(share, each("innovation"), each("innovation_std")),
+        x_std=mixture_std(share, wide, each("x"), each("x_std")),
+        right_std=mixture_std(share, wide, each("right"), each("right_std")),
+        left_std=mixture_std(share, wide, each("left"), each("left_std")),
+        width_std=mixture_std(share, wide, widths, each("width_std")),
+        innovation_std=mixture_std(share, share, each("innovation"), each("innovation_std")),
     )
 
 
@@ -108,15 +113,25 @@ def weighted_mean(share: Any, values: Sequence[Any]) -> Any:
     return sum(share[k] * value for k, value in enumerate(values))
 
 
-def mixture_std(share: Any, means: Sequence[Any], stds: Sequence[Any]) -> Any:
+def wider_of_two(share: Any) -> Any:
+    """The chance of each component, widest first, to be the wider one of two that are drawn (K).
+
+    A mixture of deviations has more in its tails than a Gaussian of its variance; these shares make
+    up for it (docs/filters.md, "What cannot be known").
+    """
+    tails = [ca.sum1(share[k:]) ** 2 for k in range(share.shape[0])]
+    return ca.vertcat(*(here - after for here, after in zip(tails, [*tails[1:], 0.0], strict=True)))
+
+
+def mixture_std(share: Any, wide: Any, means: Sequence[Any], stds: Sequence[Any]) -> Any:
     """The standard deviation of a mixture.
 
     Args:
         share: of each component (K).
+        wide: by which their variances count (K).
         means, stds: of the components.
     """
     centre = weighted_mean(share, means)
-    squares = []
-    for mean, std in zip(means, stds, strict=True):
-        squares.append(std**2 + (mean - centre) ** 2)
-    return ca.sqrt(weighted_mean(share, squares))
+    within = weighted_mean(wide, [std**2 for std in stds])
+    between = weighted_mean(share, [(mean - centre) ** 2 for mean in means])
+    return ca.sqrt(within + between)
