@@ -6,7 +6,7 @@ The limit of every problem is where the asked share of its readings is exact.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import msgspec
@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks import coverage
 from benchmarks.markdown import row
+from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
 from undeadzone.controllers import StateFeedback
 from undeadzone.engine import lanes
@@ -27,7 +28,6 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.sensor import Sensor, deadzone, resolve
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.simulation.simulate import prepare
 from undeadzone.statistics.intervals import quantile
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -37,20 +37,6 @@ AMPLITUDE, FREQUENCY, NOISE, DISTURBANCE = 5.0, 0.3, 0.01, 0.5
 DURATION, LATE = 30.0, 24.0  # [s] of a loop, and from when it is judged
 WIDTHS = (0.3, 1.5)
 CLAIM = (0.0, 2.0)
-
-
-class Loops(NamedTuple):
-    """Random loops of one observer.
-
-    Attributes:
-        rms: of z - r, late (K).
-        errors: of the widths in the end (K x 2).
-        stds: claimed deviations of the same (K x 2), or without columns.
-    """
-
-    rms: Floats
-    errors: Floats
-    stds: Floats
 
 
 Options = Callable[[Floats], ObserverOptions]
@@ -106,12 +92,6 @@ OBSERVERS: dict[str, tuple[Options, bool]] = {
 }
 
 
-def random_plant(rng: np.random.Generator) -> Plant:
-    """A stable plant of second order."""
-    a0, a1, b = rng.uniform(0.5, 4.0), rng.uniform(0.8, 4.0), rng.uniform(0.5, 2.0)
-    return Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]])
-
-
 def limit_for(z: Floats, d: Floats, share: float) -> float:
     """The limit of readings, of which this share is exact along z (samples)."""
     beyond = np.sort(np.abs(deadzone(z, d[0], d[1])))
@@ -152,27 +132,8 @@ def posed(options: Options, told: bool, share: float, seed: int) -> Problem:
 
 
 def run(options: Options, told: bool, share: float, count: int) -> Loops:
-    """Random loops, one lane each: one graph, with numbers of their own."""
-    each = [posed(options, told, share, seed) for seed in range(count)]
-    prepared = [prepare(problem) for problem in each]
-    loop = prepared[0][0]
-    states = np.stack([state for _, state, _ in prepared])
-    numbers = np.stack([tree.pack(one.params) for one, _, _ in prepared])
-    own = np.stack([exogenous for _, _, exogenous in prepared], axis=2)
-    kernel = lanes.build(loop.step, exogenous=range(own.shape[1]), params=range(numbers.shape[1]))
-    shared = np.zeros(own.shape[:2])
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
-    places = tree.slices(loop.outputs)
-    r = np.stack([problem.reference.value(np.arange(len(shared)) * STEP)[:, 0] for problem in each])
-    late = slice(round(LATE / STEP), None)
-    error = out[:, late, places.z][..., 0] - r[:, late]
-    widths = np.concatenate(
-        [out[:, -1, places.estimate.right], out[:, -1, places.estimate.left]], 1
-    )
-    stds = [out[:, -1, places.estimate.right_std], out[:, -1, places.estimate.left_std]]
-    true = [np.concatenate([problem.sensor.right, problem.sensor.left]) for problem in each]
-    rms = np.sqrt(np.mean(error**2, axis=1))
-    return Loops(rms, widths - np.stack(true), np.concatenate(stds, axis=1))
+    """Random loops of one observer."""
+    return run_loops([posed(options, told, share, seed) for seed in range(count)], LATE)
 
 
 def loops_table(count: int) -> list[str]:
@@ -188,16 +149,9 @@ def loops_table(count: int) -> list[str]:
             cells = [f"{100 * share:.0f} %", name, f"{np.median(ran.rms):.3g}"]
             cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
             cells.append(f"{np.quantile(ratio, 0.9):.2f}")
-            cells.append(_covered(ran) if name != "widths known" else "")
+            cells.append(ran.covered() if name != "widths known" else "")
             lines.append(row(*cells))
     return lines
-
-
-def _covered(ran: Loops) -> str:
-    """The share of the widths that claimed 95 % intervals hold; nothing where none is claimed."""
-    if not ran.stds.size:
-        return ""
-    return f"{np.mean(np.abs(ran.errors) <= 1.96 * ran.stds):.2f}"
 
 
 def observe(

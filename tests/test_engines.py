@@ -68,6 +68,7 @@ CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "pd": (BOTH, {"k_p": 2.0, "k_d": 0.1}),
     "pid": (BOTH, {"k_p": 2.0, "k_i": 3.0, "k_d": 0.1, "limits": [-3.0, 3.0]}),
     "rbf_feedback": (BOTH, {"reach": 3.0, "centres": 3}),
+    "robust_adaptive": (BOTH, {"rate": 5.0}),
     "sliding_mode": (BOTH, {"gain": 1.0}),
     "state_feedback": (BOTH, {"alpha": 5.0, "robust": {"gain": 0.5}}),
     "taylor_feedback": (BOTH, {"reach": 3.0}),

@@ -26,6 +26,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     "run": [
         ["run", "examples/asymmetric_noise.toml", *COMMON],
         ["run", "arm.toml", *COMMON],
+        ["run", "examples/valve_both_ends.toml", *COMMON],
         ["run", "study/runs.npz", "--replay", "1", *COMMON],
     ],
     "check": [

@@ -19,11 +19,11 @@ FILES = sorted(
 FLOORS = (
     ("errors",),
     ("support",),
-    ("engine", "limits", "linear", "logs", "numerics", "statistics"),
+    ("actuator", "engine", "limits", "linear", "logs", "numerics", "play", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),
-    ("controllers", "observers"),
+    ("compensators", "controllers", "observers"),
     ("scenario",),
     ("simulation",),
     ("arena", "ensemble", "exports", "identification", "synthesis"),

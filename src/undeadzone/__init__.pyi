@@ -1,6 +1,12 @@
+from .actuator import Actuator as Actuator
+from .actuator import ActuatorModel as ActuatorModel
 from .analysis.certificate.design_file import Design as Design
 from .analysis.certificate.passivity import Certificate as Certificate
 from .analysis.certificate.passivity import certify as certify
+from .compensators import AdaptiveZoneInverse as AdaptiveZoneInverse
+from .compensators import NoInverse as NoInverse
+from .compensators import SmoothZoneInverse as SmoothZoneInverse
+from .compensators import ZoneInverse as ZoneInverse
 from .controllers import LQG as LQG
 from .controllers import LQR as LQR
 from .controllers import PD as PD
@@ -11,6 +17,7 @@ from .controllers import GravityPD as GravityPD
 from .controllers import LinearController as LinearController
 from .controllers import RBFFeedback as RBFFeedback
 from .controllers import Robust as Robust
+from .controllers import RobustAdaptive as RobustAdaptive
 from .controllers import SlidingMode as SlidingMode
 from .controllers import StateFeedback as StateFeedback
 from .controllers import TaylorFeedback as TaylorFeedback

@@ -24,11 +24,15 @@ class Reading(NamedTuple):
             limit of the range, where y only bounds what the sensor reads.
         x: true state (n), which only a simulation has, for the reference line `full_state`;
             None elsewhere.
+        level: reading from which silence is measured (p): 0 of a dead zone, y itself of a play.
+        rms: of what y is off by (p) [y], where the reading itself tells it; None: the sensor's.
     """
 
     y: Any
     side: Any
     x: Any = None
+    level: Any = 0.0
+    rms: Any = None
 
 
 def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
@@ -94,6 +98,9 @@ class Estimate(NamedTuple):
         consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
+        contact: the side of a play that the observer made out itself (p).
+        actuator_right, actuator_left: widths b_r^, b_l^ of the actuators (m).
+        actuator_right_std, actuator_left_std: their standard deviations (m).
     """
 
     x: Any
@@ -113,6 +120,11 @@ class Estimate(NamedTuple):
     consistent: Any = NONE
     refused: Any = NONE
     restarts: Any = NONE
+    contact: Any = NONE
+    actuator_right: Any = NONE
+    actuator_left: Any = NONE
+    actuator_right_std: Any = NONE
+    actuator_left_std: Any = NONE
 
 
 _COLUMNS = {
@@ -245,6 +257,21 @@ class Controller(NamedTuple):
         return 0 if self.plan is None else self.plan.size
 
 
+class Compensator(NamedTuple):
+    """What makes the command of an actuator, as pure functions on CasADi expressions.
+
+    Attributes:
+        params: tree of NumPy arrays.
+        init: init(params) is the state at t = 0; None: no state.
+        step: step(params, state, v, estimate, reading) is (the state at the next sample, the
+            command u (m)), v what should enter the plant (m).
+    """
+
+    params: Any
+    init: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any, Estimate, Reading], tuple[Any, Any]]
+
+
 def estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
@@ -302,7 +329,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 6,
+        *[none] * 11,
     )
 
 

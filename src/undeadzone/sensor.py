@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from undeadzone import play
 from undeadzone.errors import InputError
 from undeadzone.limits import Limits, at_limit, checked_range, limits_of, require_readings
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
@@ -194,16 +195,16 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """An output deadzone of p outputs; each array is one number or one per output.
 
     Attributes:
-        right, left: widths d_r, d_l of the dead zone (p) [z].
+        right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z].
         kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of
-            velocity sensors.
+            velocity sensors; "play" (backlash; sampled time): it holds while z crosses the gap.
         slope: m, the reading per true output (p) [y/z].
         noise: rms of the noise added after the deadzone (p) [y].
-        noise_before: rms of the noise added to z ahead of the deadzone (p) [z].
+        noise_before: rms of the noise added to z ahead of the deadzone (p) [z]; not of a play.
         threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
-            quantum.
+            quantum. Of a play: the change of y over `window` that counts as motion.
         false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s]; default
-            a hundredth of the plant's mean pole.
+            a hundredth of the plant's mean pole, of a play a millionth.
         quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
             only.
         drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms
@@ -211,12 +212,16 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         dropout: probability that a reading is missing (p), below 1.
         range: [lo, hi], lo < 0 < hi: where readings end, after noise and rounding; one pair, or one
             per output (p x 2) [y]; -inf and inf are no limits; default: none. A reading at its
-            limit says only that z is at least, or at most, what it reads.
+            limit says only that z is at least, or at most, what it reads; of a play it is missing.
+        start: reading of a play before the first sample (p) [y]; the first one is the nearest
+            possible to it.
+        window: time over which a play's motion is judged where readings are noisy [s]; default a
+            25th of the plant's period.
     """
 
     right: Array
     left: Array
-    kind: Literal["deadzone", "jump"] = "deadzone"
+    kind: Literal["deadzone", "jump", "play"] = "deadzone"
     slope: Array = 1.0
     noise: Array = 0.0
     noise_before: Array = 0.0
@@ -226,22 +231,27 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     drift: Array = 0.0
     dropout: Array = 0.0
     range: list[float | list[float]] | None = None
+    start: Array = 0.0
+    window: float | None = None
 
 
 class Zone(msgspec.Struct, frozen=True):
     """A `Sensor` checked and spread over p outputs, with its silence threshold decided.
 
     Attributes:
-        kind: "deadzone" or "jump".
-        right, left: widths d_r, d_l at t = 0 (p) [z].
+        kind: "deadzone", "jump" or "play".
+        right, left: widths d_r, d_l, of a play its gaps, at t = 0 (p) [z].
         slope: m (p) [y/z].
         noise: rms of the noise after the deadzone (p) [y].
         noise_before: rms of the noise ahead of the deadzone (p) [z].
-        threshold: |y| that counts as silent (p) [y].
+        threshold: |y| that counts as silent (p) [y]; of a play the change over `window` readings
+            that counts as motion.
         drift: rms of the random walks of log d_r and log d_l (p) [1/sqrt(s)].
         dropout: probability that a reading is missing (p).
         quantum: the reading is rounded to its multiples (p) [y]; 0: it is not.
         low, high: least and largest reading (p) [y]; -inf, inf: no limit.
+        start: level of a play before the first sample (p) [z].
+        window: readings over which a play's motion is judged.
     """
 
     kind: str
@@ -256,6 +266,8 @@ class Zone(msgspec.Struct, frozen=True):
     quantum: Floats
     low: Floats
     high: Floats
+    start: Floats
+    window: int
 
     @property
     def limits(self) -> Limits | None:
@@ -309,14 +321,43 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
-    rate = FALSE_ALARMS * pace
+    start = vector("sensor.start", sensor.start, p, why) / slope
+    window = _window(sensor, step, pace)
+    rate = (play.FALSE_ALARMS if sensor.kind == "play" else FALSE_ALARMS) * pace
     if sensor.false_alarm_rate is not None:
         rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
-    if sensor.threshold is None:
-        threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
-    else:
+    if sensor.threshold is not None:
         threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
+    elif sensor.kind == "play":
+        # the least-squares slope over the window, times the window, has this rms
+        spread = np.sqrt(12 / window)
+        threshold = spread * noise_threshold(np.hypot(noise, quantum / np.sqrt(12)), step, rate)
+    else:
+        threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
     low, high = checked_range("sensor.range", sensor.range, p)
     require_readings(low, high, threshold)
     numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
-    return Zone(sensor.kind, right, left, *numbers)
+    return Zone(sensor.kind, right, left, *numbers, start, window)
+
+
+def _window(sensor: Sensor, step: float, pace: float) -> int:
+    """Readings over which a play's motion is judged. Raises InputError."""
+    if sensor.kind != "play":
+        for name, given in (("start", np.any(sensor.start)), ("window", sensor.window)):
+            if given:
+                raise InputError(f"sensor.{name}: only a play has one; leave it out")
+        return 1
+    if np.any(sensor.noise_before):
+        raise InputError(
+            "sensor.noise_before: noise ahead of a play drives it like a ratchet, which no method "
+            "here knows; give sensor.noise"
+        )
+    if sensor.window is None:
+        return play.readings_of_motion(step, pace)
+    count = round(scalar("sensor.window", sensor.window, above=0.0) / step)
+    if count < play.FEWEST:
+        raise InputError(
+            f"sensor.window: must last at least {play.FEWEST} samples of {step:g} s, found "
+            f"{sensor.window:g} s"
+        )
+    return count

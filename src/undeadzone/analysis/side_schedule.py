@@ -115,7 +115,8 @@ def _planned_samples(
     if reference.period is not None:
         repeats = np.arange(samples * Ts / reference.period)
         corners = np.add.outer(repeats * reference.period, corners).ravel()
-    return _from_samples(reading(z, sensor), z, reading_levels(sensor), Ts, Ts, periodic, corners)
+    read = reading(z, sensor, periodic)
+    return _from_samples(read, z, reading_levels(sensor), Ts, Ts, periodic, corners)
 
 
 def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floats) -> Floats:

@@ -134,6 +134,11 @@ class Setting(NamedTuple):
 def situation(scenario: Scenario) -> Setting:
     """A scenario with what is known of it. Raises InputError or a subclass."""
     problem = resolve_scenario(scenario)
+    if problem.belief is not None and problem.belief.ranges is not None:
+        raise InputError(
+            "model.actuator: the arena's methods take an actuator that is known; give numbers for "
+            "right and left, or leave [model.actuator] out"
+        )
     claims = declaration(scenario)
     widths = ranges(claims.right, claims.left, problem.model.p)
     prior = PriorKnowledge(

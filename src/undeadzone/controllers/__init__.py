@@ -12,6 +12,7 @@ from undeadzone.controllers.lqr import LQR
 from undeadzone.controllers.pd import PD
 from undeadzone.controllers.pid import PID
 from undeadzone.controllers.rbf_feedback import RBFFeedback
+from undeadzone.controllers.robust_adaptive import RobustAdaptive
 from undeadzone.controllers.sliding_mode import SlidingMode
 from undeadzone.controllers.state_feedback import Robust, StateFeedback
 from undeadzone.controllers.taylor_feedback import TaylorFeedback
@@ -30,6 +31,7 @@ ControllerOptions = (
     | LQG
     | PID
     | LinearController
+    | RobustAdaptive
 )
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "Plan",
     "RBFFeedback",
     "Robust",
+    "RobustAdaptive",
     "SlidingMode",
     "StateFeedback",
     "TaylorFeedback",

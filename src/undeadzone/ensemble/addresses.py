@@ -147,8 +147,9 @@ def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list
 
     It copies the threshold and the range, and the oracle copies the widths too.
     """
+    of_play = problem.sensor.kind == "play"
     copies = {
-        "sensor.threshold": "observer.threshold",
+        "sensor.threshold": "observer.motion.threshold" if of_play else "observer.threshold",
         "sensor.limits.low": "observer.ends.low",
         "sensor.limits.high": "observer.ends.high",
     }

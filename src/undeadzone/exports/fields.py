@@ -112,6 +112,11 @@ def estimate_meanings(units: Units) -> dict[str, str]:
         "consistent": "1 where the readings of late fit the claims, else 0",
         "refused": "readings taken for wrong so far",
         "restarts": "how often the observer lost its state and began anew",
+        "actuator_right": f"estimated right width of the actuator's dead zone [{units.input}]",
+        "actuator_left": f"estimated left width of the actuator's dead zone [{units.input}]",
+        "actuator_right_std": f"standard deviation of actuator_right [{units.input}]",
+        "actuator_left_std": f"standard deviation of actuator_left [{units.input}]",
+        "contact": "side of the play that the readings are on: 1 right, -1 left, 0 neither",
     }
 
 

@@ -15,6 +15,7 @@ from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.adaptive_laws import gradient, least_squares
 from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.learned_residual import Compensator, learning
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import in_poles
@@ -80,9 +81,10 @@ class AdaptiveInverse(
         else:
             law = least_squares(model, gain, self.forgetting, 2)
         compensator = Compensator(None, indicators, 2, self.silent == "hold", np.ones(p))
-        return learning(
+        observer = learning(
             model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
         )
+        return heard_by_motion(observer, model, sensor)
 
 
 def indicators(params: Any, y: Any, side: Any, z: Any) -> Any:

@@ -17,7 +17,9 @@ from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.model_tolerance import tolerances
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.observers.parts.unknown_actuator import zones_of
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
@@ -112,11 +114,13 @@ class Censored(
             glitches=glitches,
             claimed=self.disturbance is not None,
             careful=careful,
+            zones=zones_of(model.actuator),
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(scaled, factor) for factor in self._factors()])
         traits = claimed_traits(prior, self.x_std)
-        return shown_states(judged(member, even, glitches > 0, traits), units)
+        observer = shown_states(judged(member, even, glitches > 0, traits), units)
+        return heard_by_motion(observer, model, sensor)
 
     def _factors(self) -> Floats:
         """The levels of the disturbance, in its claimed or default rms."""

@@ -15,7 +15,9 @@ from undeadzone.observers.parts.even_states import counted_prior, even_units, sh
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.observers.parts.unknown_actuator import zones_of
 from undeadzone.plants.system import System, in_units
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
@@ -94,7 +96,13 @@ class Kalman(
         units = even_units(model)
         even = in_units(model, units)
         member = measured_filter(
-            even, sensor, counted_prior(prior, units), white(even, rms**2), glitches=glitches
+            even,
+            sensor,
+            counted_prior(prior, units),
+            white(even, rms**2),
+            glitches=glitches,
+            zones=zones_of(model.actuator),
         )
         traits = claimed_traits(prior, self.x_std)
-        return shown_states(judged(member, even, glitches > 0, traits, recovers=False), units)
+        observer = judged(member, even, glitches > 0, traits, recovers=False)
+        return heard_by_motion(shown_states(observer, units), model, sensor)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.actuator import Belief
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
@@ -50,6 +51,8 @@ class System(NamedTuple):
         rate: `move` before the plant was sampled.
         change: (params, x, u) -> next value less x (n) of a sampled plant, without the rounding
             that their difference would have.
+        actuator: what is known of the actuator ahead of it, whose widths an observer may estimate;
+            None: there is none.
     """
 
     params: Any
@@ -65,6 +68,7 @@ class System(NamedTuple):
     names: tuple[str, ...] = ()
     rate: Callable[[Any, Any, Any], Any] | None = None
     change: Callable[[Any, Any, Any], Any] | None = None
+    actuator: Belief | None = None
 
     @property
     def n(self) -> int:

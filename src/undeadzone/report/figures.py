@@ -15,6 +15,7 @@ from undeadzone.report.style import (
     finish,
     plain,
     plot_magnitude,
+    shade_gap,
     shade_zone,
     sheet,
 )
@@ -74,7 +75,11 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     """Output i over its dead zone: reference, reading, truth and estimate; of: its name."""
     shown = run.shown
     t = run.t[shown]
-    shade_zone(axes, run.info.widths[2 * i], run.info.widths[2 * i + 1])
+    right, left = run.info.widths[2 * i : 2 * i + 2]
+    if run.info.sensor == "play":
+        shade_gap(axes, t, run.y[shown, i], right, left)
+    else:
+        shade_zone(axes, right, left)
     if i in run.info.tracked:
         r = run.r[shown, run.info.tracked.index(i)]
         axes.plot(t, r, color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")

@@ -18,6 +18,7 @@ from undeadzone.report.style import (
     TRUTH,
     finish,
     label,
+    shade_gap,
     shade_zone,
     sheet,
 )
@@ -59,7 +60,9 @@ def output(
     shown = _shown(result) if shown is None else shown
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
-    if right > -left:
+    if result.info.sensor == "play":
+        shade_gap(axes, t, result.y[shown, i], right, left)
+    elif right > -left:
         shade_zone(axes, right, left)
     axes.plot(t, result.y[shown, i], color=READING, label="reading y")
     axes.plot(t, result.z_hat[shown, i], color=ESTIMATE, label=r"estimate $\hat z$")

@@ -133,6 +133,19 @@ def shade_zone(axes: Axes, right: float, left: float) -> None:
     axes.axhspan(-left, right, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
+def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> None:
+    """Where z may be behind a play that reads y / m, as a grey band along the readings.
+
+    Args:
+        axes: the panel
+        t: instants [s]
+        y: readings in units of z, one for each instant
+        right, left: gaps c_r, c_l [z]
+    """
+    band = axes.fill_between(t, y - left, y + right, color=ZONE, alpha=0.18, linewidth=0)
+    band.set_label("gap of the play")
+
+
 def plot_magnitude(
     axes: Axes, t: Floats, values: Floats, colour: str, name: str, bins: int = 120
 ) -> None:

@@ -7,11 +7,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
+from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers import Controller
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.interfaces import Compensator
 from undeadzone.linear.structure import require_structure
 from undeadzone.observers import NumericObserver, Observer
+from undeadzone.observers.parts.actuated import built
+from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
@@ -49,6 +54,9 @@ class Problem(NamedTuple):
         x0: the plant's initial state (n).
         steps: how many a run has.
         path: of the coordinates of a model that is flat, a robot's joints; None: it is not flat.
+        actuator: ahead of the plant; None: there is none.
+        belief: what is known of it; None: there is none.
+        compensator: of its dead zone; None: there is none.
     """
 
     scenario: Scenario
@@ -64,6 +72,9 @@ class Problem(NamedTuple):
     x0: Floats
     steps: int
     path: Exosystem | None = None
+    actuator: Drive | None = None
+    belief: Belief | None = None
+    compensator: Compensator | None = None
 
 
 def resolve_scenario(scenario: Scenario) -> Problem:
@@ -96,7 +107,14 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
         )
-    observer = scenario.observer.build(model, sensor)
+    elif sensor.kind == "play":
+        raise InputError(
+            "sensor.kind: a play shows its side from one reading to the next; set "
+            'simulation.time = "sampled"'
+        )
+    require_hearer(scenario.observer, sensor.kind)
+    actuator, belief = _actuator(scenario, true.m)
+    observer = built(scenario.observer, model, sensor, belief)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
     require_bounded_error(model, observer, step)
@@ -118,7 +136,39 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         x0,
         steps,
         path,
+        actuator,
+        belief,
+        _compensator(scenario, model, belief),
     )
+
+
+def known_actuator(scenario: Scenario) -> ActuatorModel | None:
+    """What is known of the actuator, in a user's words; None where there is none."""
+    told = None if scenario.model is None else scenario.model.actuator
+    if scenario.actuator is None:
+        return told
+    own = {key: getattr(scenario.actuator, key) for key in ActuatorModel.__struct_fields__}
+    if told is not None:
+        own |= {key: value for key in own if (value := getattr(told, key)) is not None}
+    return ActuatorModel(**own)
+
+
+def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:
+    """The actuator and what is known of it; None where there is none. Raises InputError."""
+    belief = believed(known_actuator(scenario), inputs)
+    if scenario.actuator is None:
+        return None, belief
+    drive = resolve_actuator(scenario.actuator, inputs)
+    if drive.rated and scenario.simulation.time != "sampled":
+        raise InputError('actuator.rate: needs samples; set simulation.time = "sampled"')
+    return drive, belief
+
+
+def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Compensator | None:
+    """The compensator of a scenario; by default a smooth inverse of a known actuator."""
+    if scenario.compensator is not None:
+        return scenario.compensator.build(model, belief)
+    return None if belief is None else SmoothZoneInverse().build(model, belief)
 
 
 def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:

@@ -9,6 +9,8 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from undeadzone.actuator import Actuator, ActuatorModel
+from undeadzone.compensators import CompensatorOptions
 from undeadzone.controllers import ControllerOptions
 from undeadzone.errors import InputError
 from undeadzone.observers import ObserverOptions
@@ -37,12 +39,14 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         B: as in [plant] (n x m); of a linear plant only.
         C: as in [plant] (p x n); of a linear plant only.
         parameters: numbers of a nonlinear plant, by name.
+        actuator: as in [actuator]; widths that are ranges are estimated.
     """
 
     A: Array | None = None
     B: Array | None = None
     C: Array | None = None
     parameters: dict[str, float] = {}
+    actuator: ActuatorModel | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -107,6 +111,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
+        actuator: what stands between the controller and the plant; default: nothing.
+        compensator: what makes the actuator's command of the controller's input; default
+            `smooth_inverse` where there is an actuator.
     """
 
     plant: Plant
@@ -125,6 +132,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     compare: ObserverOptions | None = None
     region: Region | None = None
     title: str = "Untitled"
+    actuator: Actuator | None = None
+    compensator: CompensatorOptions | None = None
 
     def __post_init__(self) -> None:
         """Put the usual observer and controller where none is named. Raises InputError."""

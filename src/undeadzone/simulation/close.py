@@ -5,8 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from undeadzone.actuator import Drive
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Observer
+from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.numerics.event_location import StepAttempt
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
@@ -35,6 +36,8 @@ def close(
     step: float,
     located: bool = True,
     order: int = RUNGE_KUTTA,
+    compensator: Compensator | None = None,
+    actuator: Drive | None = None,
 ) -> Loop:
     """The closed loop of a plant.
 
@@ -49,18 +52,26 @@ def close(
             reads its own side.
         order: 4 for RK4, more for Taylor series (`dense_output.taylor`), whose exogenous inputs
             are `order` coefficients of a step in place of three instants.
+        compensator: what makes the actuator's command of the controller's input; None: nothing.
+        actuator: ahead of the plant; None: there is none.
 
     Raises:
         InputError: a Taylor series was asked for, and the loop is not linear on its branches.
     """
-    params = numbers(plant, sensor, observer, controller, step)
+    params = numbers(plant, sensor, observer, controller, step, compensator, actuator)
+    rated = actuator is not None and actuator.rated
     state = State(
-        np.zeros(plant.n), observer.init(observer.params), controller.init(controller.params)
+        plant=np.zeros(plant.n),
+        observer=observer.init(observer.params),
+        controller=controller.init(controller.params),
+        sensor=sensor.start if sensor.kind == "play" else np.zeros(0),
+        compensator=None if compensator is None else compensator.init(compensator.params),
+        actuator=np.zeros(plant.m if rated else 0),
     )
     instant = _instant(plant, controller, tracked)
     p_column, p = tree.symbols(params, "p")
     s_column, s = tree.symbols(state, "s")
-    wiring = Wiring(plant, sensor.kind, observer, controller, p)
+    wiring = Wiring(plant, sensor.kind, observer, controller, p, compensator)
     columns = _exogenous_columns(plant, instant, order)
     w = wiring.exogenous(instant, columns[0])
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))
@@ -82,19 +93,27 @@ def close(
 
 
 def numbers(
-    plant: System, sensor: Zone, observer: Observer, controller: Controller, step: float
+    plant: System,
+    sensor: Zone,
+    observer: Observer,
+    controller: Controller,
+    step: float,
+    compensator: Compensator | None = None,
+    actuator: Drive | None = None,
 ) -> Params:
     """The numbers of a loop.
 
     Args:
-        plant, sensor, observer, controller, step: as of `close`.
+        plant, sensor, observer, controller, step, compensator, actuator: as of `close`.
     """
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
     widths = sensor.right, sensor.left
     zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits)
     h = np.float64(step)
-    return Params(plant.params, zone, observer.params, controller.params, scale, h)
+    undoing = None if compensator is None else compensator.params
+    own = (observer.params, controller.params)
+    return Params(plant.params, zone, *own, scale, h, undoing, actuator)
 
 
 def _instant(plant: System, controller: Controller, tracked: int) -> Exogenous:

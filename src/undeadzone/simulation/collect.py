@@ -9,10 +9,12 @@ import numpy as np
 
 import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.linear import Verdict
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
+from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains
@@ -23,7 +25,12 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.simulation.scales import plant_scales
-from undeadzone.simulation.verdicts import by_claims, constant_inputs, linear_verdicts
+from undeadzone.simulation.verdicts import (
+    as_far_as_known,
+    by_claims,
+    constant_inputs,
+    linear_verdicts,
+)
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
 
@@ -41,8 +48,39 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         return with_false_claims(problem, _verdicts_along(problem, signal))
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
     schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
-    found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
+    if actuator_unknown(problem):
+        found = _both_ends(problem, signal, schedule)
+    else:
+        found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
     return with_false_claims(problem, found)
+
+
+def actuator_unknown(problem: Problem) -> bool:
+    """Whether the actuator's widths are to be estimated, of a linear plant."""
+    belief = problem.belief
+    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
+
+
+def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+    """What a run's readings tell of the sensor's widths where the actuator's are not known.
+
+    The deviations are those that the filter claims in the end.
+    """
+    linear, belief = problem.model.linear, problem.belief
+    assert belief is not None
+    drive = belief.drive if problem.actuator is None else problem.actuator
+    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
+    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
+    bias = constant_inputs(problem, linear.B)
+    outputs = both_ends(linear, schedule, modes, drive, bias).outputs
+    e = signal.estimate
+    claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
+    judged = []
+    for i, (right, left, width) in enumerate(claimed):
+        centre = np.sqrt(max(2 * (right**2 + left**2) - width**2, 0.0))
+        std = dict(zip(DIRECTIONS, map(float, (right, left, width, centre)), strict=True))
+        judged.append(as_far_as_known(problem, schedule, outputs[i], i, std))
+    return judged
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
@@ -141,6 +179,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "consistent": estimate.consistent,
         "refused": estimate.refused,
         "restarts": estimate.restarts,
+        **_actuator(estimate),
     }
     return Run(
         t=t,
@@ -168,6 +207,24 @@ def _interleaved(right: Floats, left: Floats) -> Floats:
     return np.stack((right, left), axis=2).reshape(len(right), -1)
 
 
+def _actuator(estimate: Estimate) -> dict[str, Floats]:
+    """The estimated widths of the actuators, empty where none are estimated."""
+    if not estimate.actuator_right_std.shape[1]:
+        return {}
+    return {
+        "b_hat": _interleaved(estimate.actuator_right, estimate.actuator_left),
+        "b_std": _interleaved(estimate.actuator_right_std, estimate.actuator_left_std),
+    }
+
+
+def _true_actuator(problem: Problem) -> list[float]:
+    """True [right, left] of each actuator; nothing where they are known, or there is none."""
+    drive, belief = problem.actuator, problem.belief
+    if drive is None or belief is None or belief.ranges is None:
+        return []
+    return [float(width) for width in np.stack([drive.right, drive.left], axis=1).ravel()]
+
+
 def _true_widths(problem: Problem) -> Floats:
     """The true [d_r, d_l] of each output (2p)."""
     return np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
@@ -184,7 +241,7 @@ def _storage(
     gamma = problem.observer.traits.gamma
     if proof is None or not proof.certified or gamma is None:
         return None
-    if problem.sensor.kind == "deadzone":
+    if problem.sensor.kind != "jump":
         d_error = _true_widths(problem) - d_hat
     else:
         d_error = np.zeros_like(d_hat)
@@ -222,6 +279,8 @@ def _info(
         uncertain={name: _parameter(plant, name) for name in traits.uncertain},
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
+        sensor=problem.sensor.kind,
+        actuator=_true_actuator(problem),
         scenario=_text(scenario),
         version=undeadzone.__version__,
         seed=scenario.simulation.seed,

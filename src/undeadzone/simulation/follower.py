@@ -14,7 +14,7 @@ from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.scenario.arm_units import with_units
-from undeadzone.scenario.problem import modelled_plant
+from undeadzone.scenario.problem import known_actuator, modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.log_info import LogInfo
@@ -47,14 +47,15 @@ class Follower:
         simulation = scenario.simulation
         plant, step = modelled_plant(scenario), simulation.step
         parts = (scenario.observer, plant, scenario.sensor, step, simulation.substeps)
-        self.model, self.zone, built = built_for(*parts)
+        actuator = known_actuator(scenario)
+        self.model, self.zone, built = built_for(*parts, actuator)
         if live:
             graph_of(built)
         self.observer = built
         self.samples = 0
         self._scenario = with_units(scenario, self.model)
         self._numeric = built if isinstance(built, NumericObserver) else None
-        self._online = None if self._numeric else Online(*parts)
+        self._online = None if self._numeric else Online(*parts, actuator=actuator)
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
         # Of sides: right, left, silent, at a limit of the range.
@@ -199,6 +200,7 @@ class Follower:
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
+            sensor=self.zone.kind,
             remarks=self._remarks(),
         )
 

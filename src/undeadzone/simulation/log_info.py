@@ -41,6 +41,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         units: names of units.
         limited: samples at a limit of the range, of each output (p); empty: there is none.
         remarks: what else the log shows, for the user.
+        sensor: its kind.
     """
 
     title: str
@@ -75,6 +76,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     units: Units = Units()
     limited: list[int] = []
     remarks: list[str] = []
+    sensor: str = "deadzone"
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import casadi as ca
 
+from undeadzone.actuator import Drive
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate
 from undeadzone.limits import Limits
@@ -77,8 +78,9 @@ class Params(NamedTuple):
     """Every number of the loop; they enter at run time.
 
     Attributes:
-        plant, observer, controller: the params of each part, trees of numbers.
+        plant, observer, controller, compensator: the params of each part, trees of numbers.
         sensor: the numbers of the sensor.
+        actuator: the numbers of the actuator; None: there is none.
         scale: factors on the exogenous inputs.
         h: time step [s].
     """
@@ -89,14 +91,25 @@ class Params(NamedTuple):
     controller: Any
     scale: Scale
     h: Any
+    compensator: Any = None
+    actuator: Drive | None = None
 
 
 class State(NamedTuple):
-    """The loop's state: that of each of its parts."""
+    """The loop's state: that of each of its parts.
+
+    Attributes:
+        plant, observer, controller, compensator: states of the parts.
+        sensor: level of a play (p) [z]; empty of another sensor.
+        actuator: last command, where its rate has a limit (m) [u]; else empty.
+    """
 
     plant: Any
     observer: Any
     controller: Any
+    sensor: Any
+    compensator: Any
+    actuator: Any
 
 
 class Outputs(NamedTuple):

@@ -84,7 +84,8 @@ def observer_graph(
     known = symbols(model, observer, sensor)
     used, reading = known.used, known.reading
     after, estimate = observer.step(known.params, known.state, used, reading)
-    out = Out(estimate, reading.side, ca.mmin(present(known.w[: model.p])) == 0)
+    side = estimate.contact if estimate.contact.shape[0] else reading.side
+    out = Out(estimate, side, ca.mmin(present(known.w[: model.p])) == 0)
     function = ca.Function(
         "live",
         [known.s, known.w, known.p],

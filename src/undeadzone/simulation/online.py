@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from undeadzone.actuator import ActuatorModel, believed
 from undeadzone.engine.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
 from undeadzone.observers import ObserverOptions
+from undeadzone.observers.parts.actuated import built as behind
+from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -42,6 +45,8 @@ class Online:
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
         compiled: whether the step is compiled for this processor: the same bits in a fraction of
             the time. The first time this takes up to some seconds; the result is kept on disk.
+        actuator: what is known of the actuator between u and the plant; widths that are ranges are
+            estimated; None: there is none.
 
     Attributes:
         model: the sampled model.
@@ -65,8 +70,9 @@ class Online:
         step: float,
         substeps: int = 10,
         compiled: bool = False,
+        actuator: ActuatorModel | None = None,
     ) -> None:
-        self.model, zone, built = built_for(observer, plant, sensor, step, substeps)
+        self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
         graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
@@ -179,7 +185,12 @@ def _engine(
 
 
 def built_for(
-    observer: ObserverOptions, plant: Plant, sensor: Sensor, step: float, substeps: int
+    observer: ObserverOptions,
+    plant: Plant,
+    sensor: Sensor,
+    step: float,
+    substeps: int,
+    actuator: ActuatorModel | None = None,
 ) -> tuple[System, Zone, Observer | NumericObserver]:
     """The sampled model, the checked sensor, and the observer built for both.
 
@@ -189,6 +200,7 @@ def built_for(
         sensor: the sensor in a user's words.
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
+        actuator: what is known of the actuator; None: there is none.
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -198,6 +210,7 @@ def built_for(
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
     zone = resolve(sensor, model.p, Ts, pace(system.linear))
-    built = observer.build(model, zone)
+    require_hearer(observer, zone.kind)
+    built = behind(observer, model, zone, believed(actuator, model.m))
     require_bounded_error(model, built, Ts)
     return model, zone, built

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.simulation.run_columns import (
+    actuator_widths,
     arrays_of,
     judgement,
     output_names,
@@ -66,6 +67,8 @@ class Run:
         consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
         refused: readings that the observer took for wrong so far (N x p).
         restarts: how often the observer lost its state so far (N x 1).
+        b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
+        b_std: standard deviation of b_hat (N x 2m) [u].
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
@@ -96,6 +99,8 @@ class Run:
     consistent: Floats | None = None
     refused: Floats | None = None
     restarts: Floats | None = None
+    b_hat: Floats | None = None
+    b_std: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -238,6 +243,7 @@ class Run:
             "d_right_std": None if d_std is None else _one_or_list(d_std[-1, 0::2]),
             "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
+            **actuator_widths(self.b_hat, self.b_std),
             "width_std": None if width_std is None else _one_or_list(width_std[-1]),
             **judgement(self.consistent, self.refused, self.restarts),
             "listens": _one_or_list(np.array(listens, float)) if listens else None,

@@ -15,6 +15,8 @@ from undeadzone.support.arrays import Floats
 EDGES: Final = {
     "d_hat": ("d_right", "d_left"),
     "d_std": ("d_right_std", "d_left_std"),
+    "b_hat": ("b_right", "b_left"),
+    "b_std": ("b_right_std", "b_left_std"),
     "d_smooth": ("d_right_smooth", "d_left_smooth"),
     "d_smooth_std": ("d_right_smooth_std", "d_left_smooth_std"),
 }
@@ -124,7 +126,7 @@ def unit_of(name: str, units: Units) -> str:
         state = units.state
         unit = state if isinstance(state, str) else state[int(index.rstrip("]") or 0)]
         return f"{unit}/s" if signal == "w_hat" else unit
-    if signal == "u":
+    if signal == "u" or signal.startswith("b_"):
         return units.input
     return UNITS.get(signal, units.output)
 
@@ -134,3 +136,19 @@ def _column_name(signal: str, i: int) -> str:
     if signal in EDGES:
         return f"{EDGES[signal][i % 2]}[{i // 2}]"
     return f"{signal}[{i}]"
+
+
+def actuator_widths(b_hat: Floats | None, b_std: Floats | None) -> dict[str, Any]:
+    """The final estimates of the actuators' widths, for a summary; nothing where there are none.
+
+    Args:
+        b_hat: [b_r^, b_l^] of each actuator in turn (N x 2m) [u].
+        b_std: their standard deviations (N x 2m) [u].
+    """
+    if b_hat is None or b_std is None:
+        return {}
+    numbers = {"b_right": b_hat[-1, 0::2], "b_left": b_hat[-1, 1::2]}
+    numbers |= {"b_right_std": b_std[-1, 0::2], "b_left_std": b_std[-1, 1::2]}
+    if b_hat.shape[1] == 2:
+        return {name: float(value[0]) for name, value in numbers.items()}
+    return {name: value.tolist() for name, value in numbers.items()}

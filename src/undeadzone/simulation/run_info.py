@@ -53,6 +53,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
             in sampled time L and gamma are those of one step.
         listens: share of an error of the model that z^ follows, of each output; None where it
             cannot be told; empty: not measured (`simulation.listening`).
+        sensor: its kind.
+        actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
     """
 
     title: str
@@ -74,6 +76,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     integration_share: float | None = None
     scales: list[float] = []
     listens: list[float | None] = []
+    sensor: str = "deadzone"
+    actuator: list[float] = []
     scenario: str = ""
     version: str = ""
     seed: int = 0

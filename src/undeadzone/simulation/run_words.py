@@ -65,12 +65,25 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -
         for key, true in (("d_right", info.widths[0]), ("d_left", info.widths[1])):
             width = _width(summary[key], summary[f"{key}_std"])
             shown[key] = f"{with_unit(width, info.units.output)} (true {true:.6g})"
+    shown |= _actuator(info, summary)
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
         shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"
-    shown["silent"] = f"{100 * summary['silent_fraction']:.1f} % of the time"
+    quiet = "holding" if info.sensor == "play" else "silent"
+    shown[quiet] = f"{100 * summary['silent_fraction']:.1f} % of the time"
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
+    return shown
+
+
+def _actuator(info: Info, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """The widths of one actuator that are estimated; nothing of several, or of none."""
+    if len(info.actuator) != 2 or "b_right" not in summary:
+        return {}
+    shown = {}
+    for key, true in zip(("b_right", "b_left"), info.actuator, strict=True):
+        width = _width(summary[key], summary[f"{key}_std"])
+        shown[key] = f"{with_unit(width, info.units.input)} (true {true:.6g})"
     return shown
 
 

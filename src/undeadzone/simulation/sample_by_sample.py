@@ -51,6 +51,7 @@ def run_sample_by_sample(
     r = tree.slices(loop.instant).target.r
     n, m = problem.plant.n, problem.plant.m
     estimated = slice(n, n + tree.size(loop.state.observer))
+    driving = slice(estimated.stop, estimated.stop + tree.size(loop.state.controller))
     outputs = np.empty((exogenous.shape[0], tree.size(loop.outputs)))
     state = None if numeric is None else numeric.start(problem.scenario.simulation.seed)
     for k, row in enumerate(exogenous):
@@ -64,7 +65,7 @@ def run_sample_by_sample(
             before[estimated] = tree.pack(tuple(estimate))
         if law is not None:
             t = k * problem.scenario.simulation.step
-            before[estimated.stop :] = _input(law(t, estimate, row[r].copy()), m, t)
+            before[driving] = _input(law(t, estimate, row[r].copy()), m, t)
         stepper.state[:] = before
         stepper()
         outputs[k] = stepper.out
@@ -110,7 +111,16 @@ def _loop_around(problem: Problem, observer: Observer | NumericObserver) -> Loop
     graph = relay(observer, problem.plant.p) if isinstance(observer, NumericObserver) else observer
     outputs_tracked = len(problem.tracked)
     step = problem.scenario.simulation.step
-    return close(problem.plant, problem.sensor, graph, problem.controller, outputs_tracked, step)
+    return close(
+        problem.plant,
+        problem.sensor,
+        graph,
+        problem.controller,
+        outputs_tracked,
+        step,
+        compensator=problem.compensator,
+        actuator=problem.actuator,
+    )
 
 
 def relay(observer: NumericObserver, p: int) -> Observer:

@@ -188,6 +188,8 @@ def closed(problem: Problem) -> Loop:
         simulation.step,
         located,
         simulation.order,
+        problem.compensator,
+        problem.actuator,
     )
 
 

@@ -70,9 +70,25 @@ def _with_deviations(
     ).widths
     judged = []
     for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
-        swing = float(schedule.high[i] - schedule.low[i])
-        judged.append(_limited(verdict, expected[i], sensor.right[i], sensor.left[i], swing))
+        judged.append(as_far_as_known(problem, schedule, verdict, i, expected[i]))
     return judged
+
+
+def as_far_as_known(
+    problem: Problem, schedule: Schedule, verdict: Verdict, i: int, std: dict[str, float]
+) -> Verdict:
+    """The verdict on output i with the deviations of its widths; what they exceed is not known.
+
+    Args:
+        problem: the scenario's parts.
+        schedule: of the sides.
+        verdict: what the readings determine.
+        i: the output.
+        std: deviations by name.
+    """
+    sensor = problem.sensor
+    swing = float(schedule.high[i] - schedule.low[i])
+    return _limited(verdict, std, sensor.right[i], sensor.left[i], swing)
 
 
 def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:

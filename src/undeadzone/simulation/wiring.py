@@ -6,11 +6,13 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from undeadzone.actuator import through_zone, within_limits, within_rate
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Observer, Reading
+from undeadzone.interfaces import Compensator, Controller, Observer, Reading
 from undeadzone.limits import at_limit
 from undeadzone.numerics.event_location import Levels
 from undeadzone.plants.system import System
+from undeadzone.play import contact, held
 from undeadzone.sensor import branch, edges, quantised, side, zone
 from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
 from undeadzone.support import tree
@@ -35,6 +37,7 @@ class Wiring(NamedTuple):
         plant, observer, controller: the parts.
         kind: of the sensor.
         p: the params, as symbols.
+        compensator: of the actuator's dead zone; None: there is none.
     """
 
     plant: System
@@ -42,6 +45,7 @@ class Wiring(NamedTuple):
     observer: Observer
     controller: Controller
     p: Params
+    compensator: Compensator | None = None
 
     def mode(self, s: State, w: Exogenous) -> Mode:
         """The branch at a state."""
@@ -96,20 +100,49 @@ class Wiring(NamedTuple):
     def move(self, s: State, w: Exogenous, mode: Mode) -> tuple[State, Outputs]:
         """The state's derivative (or next value) and the outputs, on a given branch."""
         z = self.plant.output(self.p.plant, s.plant)
-        reading = self._read(z, s, w, mode)
+        level = s.sensor
+        if self.kind == "play":
+            level = held(ca, z, s.sensor, *self.widths(w))
+            mode = Mode(mode.zone, contact(level, s.sensor))
+        reading = self._read(z, level, s, w, mode)
         unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
         _, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
+        compensator = s.compensator
+        if self.compensator is not None:
+            parts = self.p.compensator, s.compensator, u, estimate, reading
+            compensator, u = self.compensator.step(*parts)
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
+        actuator, entering = self._actuated(s, u)
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
-        plant = self.plant.move(self.p.plant, s.plant, u + w.w)
+        plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
         outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
-        return State(plant, observer, controller), outputs
+        return State(plant, observer, controller, level, compensator, actuator), outputs
 
-    def _read(self, z: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
-        """What the sensor gives of an output z (p) on a given branch."""
+    def _actuated(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
+        """(the command within its rate, what enters the plant) of a command u (m)."""
+        drive = self.p.actuator
+        if drive is None:
+            return s.actuator, u
+        passed, last = within_limits(ca, u, drive), s.actuator
+        if last.shape[0]:
+            passed = within_rate(ca, passed, last, drive, self.p.h)
+            last = passed
+        return last, through_zone(ca, passed, drive)
+
+    def _read(self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
+        """What the sensor gives of an output z (p) on a given branch; level: of a play."""
         sensor = self.p.sensor
+        if self.kind == "play":
+            y = sensor.slope * level + w.after
+            if sensor.quantum.numel():
+                y = quantised(y, sensor.quantum)
+            y = self._within_range(y)
+            if sensor.limits is None:
+                return Reading(y, mode.side, s.plant)
+            end = at_limit(y, sensor.limits)
+            return Reading(y, ca.if_else(end != 0, 2 * end, mode.side), s.plant)
         exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
         y = exact + w.after
         if sensor.quantum.numel():

@@ -5,6 +5,7 @@ A tree holds NumPy values or CasADi symbols; its leaves are arrays, numbers or N
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,6 +13,12 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.support.arrays import Floats
+
+
+def joined(tree: Any, name: str, value: Any) -> Any:
+    """The named tuple with one more field, the last one."""
+    make: Any = namedtuple  # of names that are known at run time
+    return make("Joined", [*tree._fields, name])(*tree, value)
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:

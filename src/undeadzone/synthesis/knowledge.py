@@ -16,6 +16,7 @@ from undeadzone.analysis.identifiability.linear import (
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers import StateFeedback
 from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.collect import actuator_unknown
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
 from undeadzone.support.progress import silent
@@ -24,9 +25,14 @@ from undeadzone.support.progress import silent
 def trial_run(problem: Problem) -> Run | None:
     """A run of the scenario, where its sides cannot be told without one; else None.
 
-    They cannot for a nonlinear plant, nor for a controller that does not make z follow r.
+    They cannot for a nonlinear plant, nor for a controller that does not make z follow r, nor can
+    the modes of an actuator whose widths are estimated.
     """
-    if not problem.model.nonlinear and isinstance(problem.scenario.controller, StateFeedback):
+    if (
+        not actuator_unknown(problem)
+        and not problem.model.nonlinear
+        and isinstance(problem.scenario.controller, StateFeedback)
+    ):
         return None
     from undeadzone.simulation.simulate import simulate
 
@@ -55,7 +61,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         schedule: of its sides.
         run: of it, where one was needed.
     """
-    if problem.model.nonlinear and run is not None:
+    if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
         return _known_from_run(run)
     linear, jump = problem.model.linear, problem.sensor.kind == "jump"
     remedies = cures(linear, schedule, constant_inputs(problem, linear.B), jump)

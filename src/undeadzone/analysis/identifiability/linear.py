@@ -69,6 +69,11 @@ class Invisible(NamedTuple):
         change = np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
+    def sees(self, direction: Floats) -> bool:
+        """Whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
+        change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
+        return not bool((np.abs(change) > self.present).any())
+
     def deviations(self, i: int, pair: Floats) -> dict[str, float]:
         """Standard deviations of right, left, width, centre of output i; inf if not determined.
 
@@ -132,6 +137,7 @@ def invisible(
     Ts: float | None = None,
     bias: Floats | None = None,
     jump: bool = False,
+    drives: Sequence[Floats] | None = None,
 ) -> Invisible:
     """The changes of [x(0); d; beta] that no reading shows.
 
@@ -145,25 +151,27 @@ def invisible(
         Ts: sample time [s]; None in continuous time.
         bias: B_b (n x b), like B the directions of unknown constant inputs; of one step if sampled.
         jump: whether the sensor jumps; its readings do not hold d at all.
+        drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
     """
     A, C = delta(linear, Ts), linear.C
     n, p = A.shape[0], C.shape[0]
-    B = np.zeros((n, 0)) if bias is None else bias
+    constant = np.zeros((n, 0)) if bias is None else bias
+    B = np.stack([constant] if drives is None else drives)
     # Units in which states, then rates, outputs and inputs, are of order 1.
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
     rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
     rate = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300)
     output = np.linalg.norm(C, axis=1)
-    drive = np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    drive = np.maximum(np.linalg.norm(B, axis=1).max(axis=0), 1e-300)
     A, C, B = A / rate, C / output[:, None], B / drive
     tolerance = TOLERANCE + rounding / rate
     U = unobservable(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
-    rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ B])]
+    rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ mode]) for mode in B]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
         S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
-        rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[1]))]))
+        rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[2]))]))
     basis = kernel(np.vstack(rows), tolerance)
     return Invisible(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
 

@@ -46,7 +46,7 @@ _TOLD = (
 )
 LEADS = {
     "deadzone": "Inside the yellow band this sensor reads 0; outside, it reads too little, by "
-    f"the width of the band. Gear play, valves and load cells do this. {_TOLD}",
+    f"the width of the band. Valves and load cells do this. {_TOLD}",
     "jump": "Inside the yellow band this sensor reads 0; outside, it tells the truth. Speed "
     f"sensors do this. {_TOLD}",
 }
@@ -126,6 +126,10 @@ def _require_shown(problem: Problem) -> None:
         raise InputError(
             f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}; "
             "leave the key out"
+        )
+    if sensor.kind == "play":
+        raise InputError(
+            "sensor.kind: the page draws a band in which the sensor reads 0; a play has none"
         )
     for key in ("drift", "dropout"):
         if getattr(sensor, key).any():

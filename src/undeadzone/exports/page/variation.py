@@ -70,7 +70,8 @@ def _numbers(problem: Problem, change: Change, value: float) -> Floats | None:
     except UndeadzoneError:
         return None
     step = other.scenario.simulation.step
-    return tree.pack(numbers(other.plant, other.sensor, observer, other.controller, step))
+    parts = (other.plant, other.sensor, observer, other.controller, step)
+    return tree.pack(numbers(*parts, other.compensator, other.actuator))
 
 
 def _same_graph(problem: Problem, change: Change, values: list[float]) -> bool:
@@ -84,7 +85,15 @@ def _graph(problem: Problem) -> str:
     observer, step = graph_of(problem.observer), problem.scenario.simulation.step
     tracked = len(problem.tracked)
     loop = close(
-        problem.plant, problem.sensor, observer, problem.controller, tracked, step, located=False
+        problem.plant,
+        problem.sensor,
+        observer,
+        problem.controller,
+        tracked,
+        step,
+        located=False,
+        compensator=problem.compensator,
+        actuator=problem.actuator,
     )
     return str(loop.step.serialize())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -39,6 +40,7 @@ class Augmentation(NamedTuple):
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
         constants: how many of the last unknowns are errors of the model, which never change.
+        zones: how many of the last unknowns are widths of actuators (`unknown_actuator`).
     """
 
     params: Any
@@ -52,6 +54,7 @@ class Augmentation(NamedTuple):
     entries: ca.Sparsity | None = None
     parameters: tuple[int, ...] = ()
     constants: int = 0
+    zones: int = 0
 
 
 class Params(NamedTuple):
@@ -72,6 +75,7 @@ class Params(NamedTuple):
             is not heard again.
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
         ends: of the range of the readings, as `Ends`; None: they have none.
+        zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
     """
 
     model: Any
@@ -87,6 +91,7 @@ class Params(NamedTuple):
     lasting: Any = 1.0
     doubt: Any = None
     ends: Any = None
+    zones: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
@@ -137,18 +142,42 @@ def informed(q: Params, model: System, cov: Any) -> Any:
 
 
 def motion(
-    model: System, q: Params, augmentation: Augmentation, belief: Gaussian, u: Any
+    model: System,
+    q: Params,
+    augmentation: Augmentation,
+    belief: Gaussian,
+    drive: Callable[[Any], Any],
+    doubt: Any = None,
 ) -> tuple[Callable[[Any], Any], Any]:
-    """(the change of [x; d; extra] over a step, the covariance that it adds)."""
+    """(the change of [x; d; extra] over a step, the covariance that it adds).
+
+    Args:
+        model: the model.
+        q: the filter's numbers.
+        augmentation: the further unknowns.
+        belief: mean and covariance of [x; d; extra].
+        drive: what enters the plant (m), as a function of [x; d; extra].
+        doubt: variance of what enters (m); None: it is known.
+    """
     n = model.n
     known = n + 2 * model.p
+    u = drive(belief.mean)
     noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
+    if doubt is not None:
+        here = partial(_moved, augmentation, q, belief.mean[:n], belief.mean[known:])
+        _, B = linearise(here, u)
+        noise_x += B @ ca.diag(doubt) @ B.T
 
     def change(X: Any) -> Any:
-        x, extra = augmentation.change(q, X[:n], X[known:], u)
+        x, extra = augmentation.change(q, X[:n], X[known:], drive(X))
         return ca.vertcat(x, ca.SX(known - n, 1), extra)
 
     return change, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
+
+
+def _moved(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
+    """The change of x over a step under an input."""
+    return augmentation.change(q, x, extra, u)[0]
 
 
 def to_estimate(

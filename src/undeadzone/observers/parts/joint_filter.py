@@ -96,7 +96,7 @@ def joint_filter(
         known = together(each)
         shown, fits = clipped(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
-        after = predict(belief, *motion(model, q, augmentation, belief, u))
+        after = predict(belief, *motion(model, q, augmentation, belief, lambda X: u))
         mean, cov, restarted = sound(q, entries, after)
         patience = s.patience
         if share > 0:

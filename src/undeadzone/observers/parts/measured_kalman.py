@@ -5,6 +5,7 @@ The mathematics is in docs/filters.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -46,6 +47,13 @@ from undeadzone.observers.parts.smoothing import (
     shown_of,
     slope_at,
 )
+from undeadzone.observers.parts.unknown_actuator import (
+    SAME,
+    Zones,
+    entering,
+    with_actuator,
+    with_widths,
+)
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
 
@@ -83,20 +91,24 @@ def measured_filter(
     glitches: float = 0.0,
     claimed: bool = True,
     careful: bool = False,
+    zones: Zones | None = None,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
+    augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     setup = Setup(model, sensor, augmentation, entries, bounds, order, blind, doubts, careful)
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        each, waits = np.zeros(p), np.zeros(4 * p if setup.ends else 2 * p)
+        each, waits = np.zeros(p), np.zeros(4 * p if setup.limited else 2 * p)
         return State(q.mean, q.cov, each, each, waits, np.zeros(m), patient(p))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
-    params = params._replace(lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior))
+    params = params._replace(
+        lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior), zones=zones
+    )
     smoothing = Smoothing(
         moments=partial(moments, setup),
         odds=lambda s: np.zeros(1),
@@ -122,11 +134,11 @@ def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
     y = ca.if_else(seen, reading.y, 0.0)
     side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
-    corrected = correct(setup, q, before, y, side)
+    corrected = correct(setup, q, before, y, side, variances(q, reading))
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
         heard = with_bounds(setup, q, s, heard, reading, y, side)
-    if setup.ends:
+    if setup.limited:
         heard = heard._replace(trust=distrusted(heard.trust, reading))
     return Taken(y, side, before, corrected, heard)
 
@@ -154,6 +166,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
+    estimated = with_actuator(q.zones, estimated, shown)
     mean, cov, restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience)
     if setup.doubts:
@@ -167,6 +180,13 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         restarted=restarted,
         opened=after.patience.opened == 1,
     )
+
+
+def variances(q: Params, reading: Reading) -> Any:
+    """Variances of the readings (p) [z^2]: the filter's, unless a reading tells its own."""
+    if reading.rms is None:
+        return q.R
+    return ca.if_else(reading.rms > 0, (reading.rms / q.slope) ** 2, q.R)
 
 
 def with_bounds(
@@ -183,9 +203,11 @@ def with_bounds(
         y: reading, 0 where it is missing (p) [y].
         side: the sides that are sure (p).
     """
-    silent = ca.logic_and(present(reading.y), ca.fabs(y) <= q.gate)
-    if not setup.ends:
-        return use_bounds(setup, q, heard, silent, side)
+    silent = present(reading.y)
+    if not setup.play:
+        silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
+    if not setup.limited:
+        return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
     silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
@@ -204,8 +226,9 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
     """
     if setup.blind:
         return seen
-    side = reading.side if setup.jump else sure_side(y, s.last, s.previous, q.gate)
-    if setup.ends:
+    shown = setup.jump or setup.play
+    side = reading.side if shown else sure_side(y, s.last, s.previous, q.gate)
+    if setup.limited:
         exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
     if not setup.doubts:
@@ -240,19 +263,22 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
     """The belief at the next sample."""
     augmentation = setup.augmentation
-    change, Q = motion(setup.model, q, augmentation, belief, u)
+    drive, doubt = entering(q.zones, belief, u)
+    if doubt is not None:
+        doubt = SAME * doubt
+    change, Q = motion(setup.model, q, augmentation, belief, drive, doubt)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return advance(belief, change, Q, slope)
-    bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, u)
+    bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, drive)
     return predict(belief, change, Q, q.lasting, bend)
 
 
-def bilinear_part(setup: Setup, q: Params, u: Any, X: Any) -> tuple[Any, Any]:
+def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> tuple[Any, Any]:
     """(G, b) of the augmentation with the rows of all of X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
-    G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], u)
+    G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
     return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
 
 

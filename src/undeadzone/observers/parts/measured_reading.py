@@ -45,7 +45,7 @@ def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
     return z - offset(side, X[n + i], X[n + p + i])
 
 
-def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Weighed:
+def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any) -> Weighed:
     """The belief after the readings on the sides that are sure, one output at a time.
 
     Args:
@@ -54,6 +54,7 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Wei
         belief: the belief before the reading.
         y: reading, 0 where it is missing (p) [y].
         side: the sides that are sure (p), 0 where none is.
+        R: variances of the readings (p) [z^2].
 
     Returns:
         Innovations, their standard deviations and trust (p each), and the sum of the logs.
@@ -65,13 +66,15 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any) -> Wei
         expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
-        one = update_unless_glitch(belief, h, e, q.R[i], active, odds, reach)
+        one = update_unless_glitch(belief, h, e, R[i], active, odds, reach)
         belief = one.belief
         each.append(one)
     return together(each)
 
 
-def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) -> Heard:
+def use_bounds(
+    setup: Setup, q: Params, known: Heard, silent: Any, side: Any, level: Any = None
+) -> Heard:
     """What is known given that z is inside the edges of a silent sensor.
 
     The z of a jump sensor is beyond the edge that it is on, besides.
@@ -82,6 +85,7 @@ def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) ->
         known: what is known after the readings on active sides.
         silent: whether each output is silent (p).
         side: the sides that are sure (p).
+        level: from which z is inside the edges (p) [y], y of a play; None: 0.
     """
     waits: list[Any] = []
     belief, log = known.belief, known.log
@@ -91,7 +95,9 @@ def use_bounds(setup: Setup, q: Params, known: Heard, silent: Any, side: Any) ->
             outside = (side[i] == edge) if setup.jump else 0.0
             waiting = known.wait[len(waits)]
             bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
-            one, used = heard_edge(setup, q, belief, i, edge, silent[i], outside, bounded)
+            above = 0.0 if level is None else edge * level[i]
+            slack = q.gate[i] + above
+            one, used = heard_edge(setup, q, belief, i, edge, silent[i], outside, bounded, slack)
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
@@ -108,6 +114,7 @@ def heard_edge(
     silent: Any,
     outside: Any,
     bounded: Any,
+    slack: Any,
 ) -> tuple[Weighed, Any]:
     """What one edge says, and whether it need not be heard again for a while.
 
@@ -120,10 +127,11 @@ def heard_edge(
         silent: whether the output is silent.
         outside: whether z is beyond the edge instead, by a jump sensor's reading.
         bounded: whether the edge is heard.
+        slack: reading up to which z may be beyond the edge of a silent sensor [y].
     """
     excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
     sign = edge * (1 - 2 * outside)
-    over = sign * excess - ca.if_else(silent, q.gate[i] / q.slope[i], 0.0)
+    over = sign * excess - ca.if_else(silent, slack / q.slope[i], 0.0)
     if not setup.doubts:
         after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
         return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used

@@ -12,6 +12,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.observers.parts.motion import heard_by_motion
+from undeadzone.observers.parts.prior import silence_gate
 from undeadzone.observers.parts.width_laws import GRADIENT, Edge, Law
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, offset, present
@@ -29,7 +31,7 @@ class Params(NamedTuple):
         right0, left0: widths at first (p) [z].
         limit: upper bound d_M of the widths (p) [z].
         slope: slope m of the sensor (p).
-        threshold: |y| that counts as silent (p) [y].
+        threshold: |y| that counts as silent (p) [y]; of a play, how far a held reading may be off.
         law: numbers of the adaptation law.
     """
 
@@ -115,6 +117,7 @@ def measured_side(
     """
     setup = Setup(model, sensor.kind, sensor.limits is not None, silence, law)
     per_step = 1.0 if model.Ts is None else model.Ts
+    is_play = sensor.kind == "play"
     params = Params(
         model=model.params,
         L=L * per_step,
@@ -124,7 +127,7 @@ def measured_side(
         left0=widths[:, 1],
         limit=limit,
         slope=sensor.slope,
-        threshold=sensor.threshold,
+        threshold=silence_gate(sensor, sensor.rms) if is_play else sensor.threshold,
         law=law.numbers,
     )
 
@@ -140,7 +143,7 @@ def measured_side(
         adapts=bool(gamma.any()),
     )
     step, project = partial(measured_side_step, setup), partial(into_bounds, law)
-    return Observer(params, init, step, project, traits)
+    return heard_by_motion(Observer(params, init, step, project, traits), model, sensor)
 
 
 def into_bounds(law: Law, p: Params, s: State) -> State:
@@ -199,9 +202,10 @@ def silent_violation(
 ) -> tuple[Any, Any]:
     """How far z^ is over the right edge (>= 0) and under the left one (<= 0) of a silent sensor.
 
-    A silent sensor says -d_l <= z <= d_r (wider by the threshold); beyond an edge, that edge or z^
-    is wrong.
+    A silent sensor says -d_l <= z <= d_r (wider by the threshold), a play that holds says it of
+    z - y / m; beyond an edge, that edge or z^ is wrong.
     """
+    z = z - reading.level / p.slope
     slack = p.threshold / p.slope
     is_silent = ca.logic_and(reading.side == 0, present(reading.y))
     silent = ca.if_else(is_silent, float(setup.silence), 0.0)

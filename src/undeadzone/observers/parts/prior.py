@@ -114,11 +114,22 @@ def build_prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
         std=np.concatenate([spread, span / np.sqrt(12)]),
         R=np.maximum(rms, least) ** 2,
-        gate=np.maximum(sensor.threshold, 4 * rms * sensor.slope),
+        gate=silence_gate(sensor, rms),
         drift=np.full(2 * p, growth),
         ranges=ranges,
         centre=None if centre is None else _centres(centre, ranges, p),
     )
+
+
+def silence_gate(sensor: Zone, rms: Floats) -> Floats:
+    """|y| that is surely not silent (p) [y]; of a play, how far a held reading may be off.
+
+    Args:
+        sensor: the dead zone.
+        rms: of a reading (p) [z].
+    """
+    noise = 4 * rms * sensor.slope
+    return noise if sensor.kind == "play" else np.maximum(sensor.threshold, noise)
 
 
 def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:

@@ -41,14 +41,19 @@ class Setup(NamedTuple):
     careful: bool
 
     @property
-    def ends(self) -> bool:
-        """Whether the readings have a range."""
-        return self.sensor.limits is not None
+    def limited(self) -> bool:
+        """Whether readings at a limit of their range bound z; of a play they are missing."""
+        return self.sensor.limits is not None and not self.play
 
     @property
     def jump(self) -> bool:
         """Whether the sensor is of the jump kind."""
         return self.sensor.kind == "jump"
+
+    @property
+    def play(self) -> bool:
+        """Whether the sensor is a play, which holds its reading in place of 0."""
+        return self.sensor.kind == "play"
 
 
 def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:

@@ -17,6 +17,7 @@ from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.observers.parts.gaussian_filter import Params, motion, to_estimate
 from undeadzone.observers.parts.measured_reading import beyond_edge
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief
+from undeadzone.observers.parts.unknown_actuator import entering
 
 
 class Moments(NamedTuple):
@@ -77,7 +78,8 @@ def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
     """The slope of the motion that the prediction takes (N x N)."""
     if setup.order == 1 and setup.augmentation.slope is not None:
         return setup.augmentation.slope(q)
-    change, _ = motion(setup.model, q, setup.augmentation, belief, u)
+    drive, _ = entering(q.zones, belief, u)
+    change, _ = motion(setup.model, q, setup.augmentation, belief, drive)
     return linearise(change, belief.mean)[1]
 
 

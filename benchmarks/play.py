@@ -1,0 +1,242 @@
+"""Closed loops behind a play: gaps and hidden output, against known gaps and wrong models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from benchmarks.markdown import head, row
+from benchmarks.random_loops import Loops, run_loops
+from undeadzone.controllers import StateFeedback
+from undeadzone.observers import (
+    AdaptiveInverse,
+    Censored,
+    Certified,
+    Kalman,
+    Luenberger,
+    ObserverOptions,
+)
+from undeadzone.plants.options import Plant
+from undeadzone.plants.time_scales import pace
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.sensor import Sensor, resolve
+from undeadzone.signals.exosystem import Random, Sine
+from undeadzone.statistics.intervals import quantile
+
+SLIGHT = 1e-6  # half of the range of a gap that is known
+
+
+class World(NamedTuple):
+    """One family of loops z'' = -a0 z - a1 z' + b u.
+
+    Attributes:
+        plant: a0, a1, b.
+        step: sample time [s].
+        reference: amplitude [z] and frequency [Hz].
+        poles: rate of the closed loop [1/s].
+        gaps: least and largest true gap of a side [z].
+        claim: range of the gaps as it is claimed [z].
+        disturbance: white, at the input, rms [u].
+        gains: L and gamma of the certified observer; None: no certificate exists.
+        duration: of a loop [s].
+    """
+
+    plant: tuple[float, float, float]
+    step: float
+    reference: tuple[float, float]
+    poles: float
+    gaps: tuple[float, float]
+    claim: list[float]
+    disturbance: float
+    gains: tuple[list[float], float] | None
+    duration: float
+
+
+WORLDS = {
+    "slow": World(
+        (1.0, 2.0, 1.0),
+        0.01,
+        (5.0, 0.2),
+        8.0,
+        (0.3, 1.5),
+        [0.0, 2.0],
+        0.8,
+        ([1.0, 1.5], 10.0),
+        30.0,
+    ),
+    "arm": World(
+        (30.0, 10.0, 100.0),
+        5e-3,
+        (1.0, 0.5),
+        20.0,
+        (0.02, 0.1),
+        [0.0, 0.2],
+        0.05,
+        ([1.0, 1.0], 10.0),
+        12.0,
+    ),
+    "motor": World(
+        (0.0, 10.0, 100.0), 5e-3, (1.0, 0.5), 20.0, (0.02, 0.1), [0.0, 0.2], 0.05, None, 12.0
+    ),
+}
+READINGS = {  # noise and quantum, in amplitudes of the reference
+    "noise 0.2 %": (0.002, 0.0),
+    "noise 1 %": (0.01, 0.0),
+    "encoder 0.3 %": (0.0, 0.0031),
+    "encoder 3 %": (0.0, 0.03),
+}
+Options = Callable[[World, tuple[float, float]], ObserverOptions]
+
+
+def kalman(world: World, gaps: tuple[float, float]) -> Kalman:
+    """It knows the range of the gaps."""
+    return Kalman(right=world.claim, disturbance=world.disturbance)
+
+
+def known(world: World, gaps: tuple[float, float]) -> Kalman:
+    """It knows the gaps."""
+    right, left = ([max(gap - SLIGHT, 0.0), gap + SLIGHT] for gap in gaps)
+    return Kalman(right=right, left=left, disturbance=world.disturbance)
+
+
+def censored(world: World, gaps: tuple[float, float]) -> Censored:
+    """It knows the range of the gaps, and hears what a held reading bounds."""
+    return Censored(
+        right=world.claim,
+        disturbance=world.disturbance,
+        correlation_time=world.step,
+        bias=0.0,
+        calibrated=0.0,
+        tolerance=0.0,
+        drift=0.0,
+        levels=1,
+    )
+
+
+def ranges_alone(world: World, gaps: tuple[float, float]) -> Censored:
+    """It knows the range of the gaps, and nothing else."""
+    return Censored(right=world.claim)
+
+
+def certified(world: World, gaps: tuple[float, float]) -> Certified:
+    """Constant gains with a certificate."""
+    assert world.gains is not None
+    L, gamma = world.gains
+    middle = float(np.mean(world.claim))
+    return Certified(L=[[gain] for gain in L], gamma=gamma, widths0=middle)
+
+
+def inverse(world: World, gaps: tuple[float, float]) -> AdaptiveInverse:
+    """The adaptive inverse of Tao and Kokotovic."""
+    return AdaptiveInverse(widths0=float(np.mean(world.claim)), width_max=world.claim[1])
+
+
+def naive(world: World, gaps: tuple[float, float]) -> Luenberger:
+    """It takes y for z."""
+    return Luenberger(poles=[-2 * world.poles, -2.2 * world.poles])
+
+
+OBSERVERS: dict[str, tuple[Options, bool]] = {
+    "gaps known": (known, False),
+    "`kalman`": (kalman, False),
+    "`censored`": (censored, False),
+    "`censored`, ranges alone": (ranges_alone, False),
+    "`certified`": (certified, False),
+    "`adaptive_inverse`": (inverse, False),
+    "`kalman`, taken for a dead zone": (kalman, True),
+    "y taken for z": (naive, False),
+}
+
+
+def posed(world: World, reading: str, options: Options, mistaken: bool, seed: int) -> Problem:
+    """One random loop.
+
+    Args:
+        world: its family.
+        reading: of `READINGS`.
+        options: of the observer.
+        mistaken: whether the observer takes the play for a dead zone.
+        seed: of everything random.
+    """
+    rng = np.random.default_rng([seed, 18])
+    (a0, a1, b), (amplitude, frequency) = world.plant, world.reference
+    gaps = tuple(rng.uniform(*world.gaps, 2))
+    noise, quantum = (amplitude * share for share in READINGS[reading])
+    x0 = [float(amplitude * rng.uniform(-0.3, 0.3)), 0.0]
+    plant = Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]], x0=x0)
+    sensor = Sensor(kind="play", right=gaps[0], left=gaps[1], noise=noise, quantum=quantum)
+    scenario = Scenario(
+        plant=plant,
+        sensor=sensor,
+        reference=Sine(amplitude=amplitude, frequency=frequency),
+        observer=options(world, gaps),
+        controller=StateFeedback(poles=[-world.poles, -1.05 * world.poles]),
+        disturbance=Random(rms=world.disturbance, correlation_time=1e-4),
+        simulation=Simulation(duration=world.duration, time="sampled", step=world.step, seed=seed),
+    )
+    problem = resolve_scenario(scenario)
+    if not mistaken:
+        return problem
+    plain = msgspec.structs.replace(sensor, kind="deadzone")
+    zone = resolve(plain, 1, world.step, pace(problem.flow.linear))
+    return problem._replace(observer=options(world, gaps).build(problem.model, zone))
+
+
+def table(loops: int = 100) -> str:
+    """The table, of that many loops a row."""
+    names = (
+        "plant",
+        "readings",
+        "observer",
+        "rms z - r",
+        "ratio to known gaps",
+        "rms z - z^",
+        "error of the gap, median, 90 % [%]",
+        "gap, sides covered",
+    )
+    lines = ["## Play\n", *head(*names)]
+    for place, world in WORLDS.items():
+        for reading in READINGS:
+            lines += _rows(place, world, reading, loops)
+    about = (
+        f"{loops} loops a row with random gaps and starts; the last fifth of each is judged. Gap: "
+        "c_r + c_l. Ratio: of the rms of z - r to that of a filter that knows the gaps, median "
+        "with a 95 % interval. Covered: by claimed 95 % intervals.\n"
+    )
+    return "\n".join([*lines, "", about])
+
+
+def _rows(place: str, world: World, reading: str, loops: int) -> list[str]:
+    """The rows of one plant and one kind of readings."""
+    lines, best = [], None
+    for name, (options, mistaken) in OBSERVERS.items():
+        if options is certified and world.gains is None:
+            continue
+        each = [posed(world, reading, options, mistaken, seed) for seed in range(loops)]
+        ran = run_loops(each, 0.8 * world.duration)
+        best = ran.rms if best is None else best
+        ratio = quantile(np.sort(np.nan_to_num(ran.rms / best, nan=np.inf)), 0.5)
+        cells = [f"{np.median(ran.rms):.3g}"]
+        cells.append(f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]")
+        cells.append(f"{np.median(ran.hidden):.3g}")
+        cells += _of_gaps(ran) if name not in ("gaps known", "y taken for z") else ["", ""]
+        lines.append(row(place, reading, name, *cells))
+    return lines
+
+
+def _of_gaps(ran: Loops) -> list[str]:
+    """The errors of the gaps, and how often they are covered."""
+    wrong = ran.errors.sum(axis=1)
+    share = 100 * np.abs(wrong) / ran.width
+    size = f"{np.median(share):.1f}, {np.quantile(share, 0.9):.1f}"
+    if not ran.width_std.size:
+        return [size, ""]
+    return [size, f"{np.mean(np.abs(wrong) <= 1.96 * ran.width_std):.2f}, {ran.covered()}"]
+
+
+if __name__ == "__main__":
+    print(table())

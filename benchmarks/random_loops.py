@@ -1,0 +1,103 @@
+"""Many closed loops of one structure at once: one graph, with numbers of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.engine import lanes
+from undeadzone.plants.options import Plant
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.simulate import prepare
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+
+class Loops(NamedTuple):
+    """Random loops of one observer.
+
+    Attributes:
+        rms: of z - r, late (K).
+        hidden: rms of z - z^, late (K).
+        errors: of the widths in the end (K x 2).
+        stds: claimed deviations of the same (K x 2), or without columns.
+        width_std: that of their sum (K), or empty.
+        width: true sum of the widths (K).
+        actuator: errors of the actuator's widths in the end (K x 2), or without columns.
+        actuator_stds: claimed deviations of the same.
+    """
+
+    rms: Floats
+    hidden: Floats
+    errors: Floats
+    stds: Floats
+    width_std: Floats
+    width: Floats
+    actuator: Floats
+    actuator_stds: Floats
+
+    def actuator_covered(self) -> str:
+        """The share of the actuator's widths that claimed intervals hold; nothing if none are."""
+        if not self.actuator_stds.size:
+            return ""
+        return f"{np.mean(np.abs(self.actuator) <= 1.96 * self.actuator_stds):.2f}"
+
+    def covered(self) -> str:
+        """The share of the widths that claimed 95 % intervals hold; nothing if none is claimed."""
+        if not self.stds.size:
+            return ""
+        return f"{np.mean(np.abs(self.errors) <= 1.96 * self.stds):.2f}"
+
+
+def random_plant(rng: np.random.Generator) -> Plant:
+    """A stable plant of second order."""
+    a0, a1, b = rng.uniform(0.5, 4.0), rng.uniform(0.8, 4.0), rng.uniform(0.5, 2.0)
+    return Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]])
+
+
+def run_loops(each: Sequence[Problem], late: float) -> Loops:
+    """Run loops of one structure, one lane each.
+
+    Args:
+        each: the loops.
+        late: from when on they are judged [s].
+    """
+    prepared = [prepare(problem) for problem in each]
+    loop, step = prepared[0][0], each[0].scenario.simulation.step
+    states = np.stack([state for _, state, _ in prepared])
+    numbers = np.stack([tree.pack(one.params) for one, _, _ in prepared])
+    own = np.stack([exogenous for _, _, exogenous in prepared], axis=2)
+    kernel = lanes.build(loop.step, exogenous=range(own.shape[1]), params=range(numbers.shape[1]))
+    shared = np.zeros(own.shape[:2])
+    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    places = tree.slices(loop.outputs)
+    estimate = places.estimate
+    t = np.arange(len(shared)) * step
+    r = np.stack([problem.reference.value(t)[:, 0] for problem in each])
+    judged = slice(round(late / step), None)
+    z = out[:, judged, places.z][..., 0]
+    widths = np.concatenate([out[:, -1, estimate.right], out[:, -1, estimate.left]], 1)
+    stds = np.concatenate([out[:, -1, estimate.right_std], out[:, -1, estimate.left_std]], 1)
+    true = np.stack([[problem.sensor.right[0], problem.sensor.left[0]] for problem in each])
+    b_stds = [out[:, -1, estimate.actuator_right_std], out[:, -1, estimate.actuator_left_std]]
+    b = [out[:, -1, estimate.actuator_right], out[:, -1, estimate.actuator_left]]
+    drives = [problem.actuator for problem in each]
+    b_true = np.array([[*drive.right, *drive.left] for drive in drives if drive is not None])
+    wrong = np.concatenate(b, 1) - b_true if len(b_true) else np.zeros((len(each), 0))
+    return Loops(
+        rms=_rms(z - r[:, judged]),
+        hidden=_rms(z - out[:, judged, estimate.z][..., 0]),
+        errors=widths - true,
+        stds=stds,
+        width_std=out[:, -1, estimate.width_std].ravel(),
+        width=true.sum(axis=1),
+        actuator=wrong,
+        actuator_stds=np.concatenate(b_stds, 1),
+    )
+
+
+def _rms(error: Floats) -> Floats:
+    """The root of the mean square along each row (K)."""
+    return np.asarray(np.sqrt(np.mean(error**2, axis=1)))

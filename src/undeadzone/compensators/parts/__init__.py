@@ -1,0 +1,1 @@
+"""What several compensators share."""

@@ -1,0 +1,127 @@
+"""Coasting: u = 0 for a moment, so that readings can tell the actuator's widths from the sensor's.
+
+A perfect inverse never lets the actuator fall silent, and then one combination of the four widths
+cannot be seen (docs/actuator.md). So coast where the output is well visible and the widths are not
+yet known.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import scalar
+
+VISIBLE = 0.25  # share of the largest reading of late from which an output is well visible
+FORGET = 0.2  # share of the largest reading that is forgotten from one coast to the next
+
+
+class Coasts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When a compensator coasts; sampled time only.
+
+    Attributes:
+        coast: length of a coast [s]; 0: it never coasts.
+        every: least time from one coast to the next [s].
+        until: time after which it coasts no more [s]; default: none.
+        tolerance: no coast where the deviations of both widths are below this share of the largest
+            width.
+    """
+
+    coast: float = 0.0
+    every: float = 2.0
+    until: float | None = None
+    tolerance: float = 0.002
+
+
+class Numbers(NamedTuple):
+    """Numbers of coasting; times in steps.
+
+    Attributes:
+        coast, every, until: as in `Coasts` (1).
+        tolerance: of the deviations of the widths, as a share of the widths (1).
+        forget: what is left of the largest reading after a step (1).
+    """
+
+    coast: Any
+    every: Any
+    until: Any
+    tolerance: Any
+    forget: Any
+
+
+class State(NamedTuple):
+    """Steps that are left of a coast, until the next one, and so far; the largest reading (p)."""
+
+    left: Any
+    idle: Any
+    count: Any
+    peak: Any
+
+
+def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | None]:
+    """Numbers and first state of coasting; None where a compensator never coasts.
+
+    Raises:
+        InputError: for times that cannot be, or in continuous time.
+    """
+    length = scalar("compensator.coast", options.coast, least=0.0)
+    every = scalar("compensator.every", options.every, above=0.0)
+    tolerance = scalar("compensator.tolerance", options.tolerance, least=0.0)
+    until = np.inf
+    if options.until is not None:
+        until = scalar("compensator.until", options.until, least=0.0)
+    if not length:
+        return None, None
+    if model.Ts is None:
+        raise InputError('compensator.coast: needs samples; set simulation.time = "sampled"')
+    if length >= every:
+        raise InputError(
+            f"compensator.coast: must be shorter than compensator.every, {every:g} s, found "
+            f"{length:g} s"
+        )
+    pause = every / model.Ts
+    numbers = Numbers(
+        coast=np.array([length / model.Ts]),
+        every=np.array([pause]),
+        until=np.array([min(until, 1e9) / model.Ts]),
+        tolerance=np.array([tolerance]),
+        forget=np.array([(1 - FORGET) ** (1 / pause)]),
+    )
+    none = np.zeros(1)
+    return numbers, State(none, numbers.every / 2, none, np.zeros(model.p))
+
+
+def coasted(
+    q: Numbers | None, s: State | None, u: Any, estimate: Estimate, reading: Reading
+) -> tuple[State | None, Any]:
+    """(the next state, the input: u, or 0 while it coasts).
+
+    Args:
+        q: the numbers; None: it never coasts.
+        s: the state.
+        u: what the compensator asks for (m).
+        estimate: of the observer, with the widths and their deviations.
+        reading: of the sensor.
+    """
+    if q is None or s is None:
+        return s, u
+    active = ca.fabs(reading.side) == 1
+    size = ca.if_else(active, ca.fabs(reading.y), 0.0)
+    peak = ca.fmax(q.forget * s.peak, size)
+    visible = ca.mmin(ca.logic_and(active, size > VISIBLE * peak)) > 0
+    unsure = 1.0
+    if estimate.actuator_right_std.shape[0]:
+        widths = ca.vertcat(estimate.actuator_right, estimate.actuator_left)
+        stds = ca.vertcat(estimate.actuator_right_std, estimate.actuator_left_std)
+        unsure = ca.mmax(stds) > q.tolerance * ca.mmax(widths)
+    ready = ca.logic_and(s.left <= 0, ca.logic_and(s.idle <= 0, s.count < q.until))
+    begins = ca.logic_and(ready, ca.logic_and(visible, unsure))
+    left = ca.if_else(begins, q.coast, s.left - 1)
+    idle = ca.if_else(begins, q.every, s.idle - 1)
+    return State(left, idle, s.count + 1, peak), ca.if_else(left > 0, 0.0, u)

@@ -1,0 +1,68 @@
+"""The smooth inverse of an actuator's dead zone: its step is spread over a small |v|."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.actuator import Belief, Drive
+from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
+from undeadzone.compensators.parts.inverse import beyond, known_drive
+from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, positive
+
+SOFT = 0.1  # of the mean width: |v| over which the step is spread, unless it is given
+
+
+class SmoothZoneInverse(
+    Coasts,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="method",
+    tag="smooth_inverse",
+):
+    """`ZoneInverse` with b^ clip(|v| / soft, 0, 1) for b^, which spares the actuator.
+
+    Attributes:
+        soft: |v| from which the whole width is added, one or one per input [u]; default a tenth of
+            the mean width that is known, or of the middle of its range.
+    """
+
+    soft: Array | None = None
+
+    def build(self, model: System, belief: Belief | None) -> Compensator:
+        """The compensator for a model.
+
+        Args:
+            model: the model of the plant, continuous or sampled.
+            belief: what is known of the actuator.
+
+        Raises:
+            InputError: for an option that it cannot take.
+        """
+        drive = known_drive(belief)
+        usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
+        given = usual if self.soft is None else self.soft
+        soft = positive("compensator.soft", given, model.m, "one per input")
+        numbers, first = coasting(self, model)
+
+        def step(q: Params, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
+            right, left = beyond(q.drive, estimate)
+            part = ca.fmin(ca.fabs(v) / q.soft, 1.0)
+            u = ca.if_else(v > 0, v / q.drive.slope_right + part * right, 0.0)
+            u += ca.if_else(v < 0, v / q.drive.slope_left - part * left, 0.0)
+            return coasted(q.coasts, s, u, estimate, reading)
+
+        return Compensator(Params(drive, soft, numbers), lambda q: first, step)
+
+
+class Params(NamedTuple):
+    """Numbers of the compensator: the believed actuator, `soft` (m) [u], those of coasting."""
+
+    drive: Drive
+    soft: Floats
+    coasts: Any

@@ -1,0 +1,214 @@
+"""Which side of a play a reading is on, made out from its motion (docs/play.md).
+
+Three rules, by what the sensor promises:
+
+* exact readings: the sign of their change;
+* an encoder, which has a quantum and no noise: a tick tells the side without error, and is taken
+  for where z was when it came;
+* noisy readings: the slope of those before, by a fading line, beyond what noise makes of it, if the
+  observer's own z^ moves the same way.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone, present
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+ROUNDING = 1e-12  # share of a reading by which it may change without motion
+CERTAIN = 0.02  # share of a quantum by which a tick is uncertain at least
+# Methods that form their innovation on a side and take silence for a bound, or do not ask.
+HEARERS = (
+    "adaptive_inverse",
+    "auto",
+    "censored",
+    "certified",
+    "full_state",
+    "kalman",
+    "luenberger",
+    "oracle",
+)
+
+
+class Motion(NamedTuple):
+    """Numbers of the rules, the last field of those of the observer.
+
+    Attributes:
+        slope: m (p) [y/z].
+        quantum: of the readings (p) [y].
+        threshold: change over the window that counts as motion (p) [y].
+        window: number of readings that the fading line stands for (1).
+        gains: of the fading line, on level and slope (2).
+    """
+
+    slope: Floats
+    quantum: Floats
+    threshold: Floats
+    window: Any
+    gains: Floats
+
+
+class State(NamedTuple):
+    """The observer's state, and what is known of the motion.
+
+    Attributes:
+        observer: the observer's.
+        level, slope: of the fading line through the readings, and by how much it rises in a step
+            (p) [y]; of exact readings the last one, and 0.
+        known: 1 where there is a level (p).
+        ahead: by how much z^ moves until the next reading (p) [z].
+        refused: readings that the observer had refused so far (p).
+    """
+
+    observer: Any
+    level: Any
+    slope: Any
+    known: Any
+    ahead: Any
+    refused: Any
+
+
+def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer:
+    """The observer behind what makes out the side of a play; itself for another sensor.
+
+    Args:
+        observer: that takes side, level and rms of a reading as given.
+        model: the sampled model.
+        sensor: the sensor.
+
+    Raises:
+        InputError: in continuous time.
+    """
+    if sensor.kind != "play":
+        return observer
+    if model.Ts is None:
+        raise InputError(
+            "sensor.kind: the side of a play is made out from one reading to the next; set "
+            'simulation.time = "sampled"'
+        )
+    fade = fading(sensor.window)
+    numbers = Motion(
+        slope=sensor.slope,
+        quantum=sensor.quantum,
+        threshold=sensor.threshold,
+        window=np.float64(sensor.window),
+        gains=np.array([1 - fade**2, (1 - fade) ** 2]),
+    )
+    none, kind = np.zeros(model.p), type(observer.params)
+
+    def init(q: Any) -> State:
+        return State(observer.init(kind(*q[:-1])), none, none, none, none, none)
+
+    def project(q: Any, s: State) -> State:
+        return s._replace(observer=observer.project(kind(*q[:-1]), s.observer))
+
+    step = partial(step_by_motion, observer, model, sensor)
+    params = tree.joined(observer.params, "motion", numbers)
+    return Observer(params, init, step, project, observer.traits)
+
+
+def fading(window: int) -> float:
+    """The share that a fading line keeps of a residual.
+
+    Its slope has the variance of that of a straight line through `window` readings: 2 ((1 - b) /
+    (1 + b))^3 = 12 / window^3 for large windows.
+    """
+    ratio = 6 ** (1 / 3) / window
+    return (1 - ratio) / (1 + ratio)
+
+
+def step_by_motion(
+    observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
+    inner, motion = type(observer.params)(*q[:-1]), q.motion
+    at_limit = ca.fabs(reading.side) > 1
+    y = ca.if_else(at_limit, np.nan, reading.y)
+    seen = present(y)
+    side, heard, rms = sided(sensor, motion, s, y)
+    taken = Reading(heard, ca.if_else(seen, side, 0.0), reading.x, heard, rms)
+    moved, estimate = observer.step(inner, s.observer, u, taken)
+    ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
+    refused, regular = s.refused, seen
+    if estimate.refused.shape[0]:
+        refused = estimate.refused
+        regular = ca.logic_and(seen, refused == s.refused)
+    level, slope = followed(sensor, motion, s, y, regular)
+    # what is missing, or was refused, tells nothing of the motion after it
+    after = State(moved, level, slope, ca.if_else(regular, 1.0, 0.0), ahead, refused)
+    return after, estimate._replace(contact=taken.side)
+
+
+def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
+    """(sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
+    parts = []
+    for i in range(sensor.slope.size):
+        rule = by_line
+        if not sensor.noise[i]:
+            rule = by_tick if sensor.quantum[i] else by_change
+        parts.append(rule(q, s, y, i))
+    side, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
+    return ca.if_else(s.known, side, 0.0), heard, rms
+
+
+def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by the sign of its change."""
+    change = y[i] - s.level[i]
+    least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
+    return signs(change, least), y[i], 0.0
+
+
+def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by its ticks: z has just passed the boundary between two multiples of the quantum.
+
+    By how much, at most, is how far z^ moves in a step.
+    """
+    quantum = q.quantum[i]
+    tick = signs(y[i] - s.level[i], quantum / 2)
+    passed = ca.fmin(ca.fabs(s.ahead[i]) * q.slope[i], quantum)
+    at_boundary = y[i] - tick * (quantum - passed) / 2
+    spread = ca.sqrt(passed**2 / 12 + (CERTAIN * quantum) ** 2)
+    held = quantum / np.sqrt(12)
+    return tick, at_boundary, ca.if_else(tick != 0, spread, held)
+
+
+def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by the slope of the readings before, if z^ moves the same way."""
+    side = signs(s.slope[i] * q.window, q.threshold[i])
+    return ca.if_else(side * s.ahead[i] > 0, side, 0.0), y[i], 0.0
+
+
+def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any]:
+    """(level, slope) of the readings so far (p each); a new beginning where none was known."""
+    expected = s.level + s.slope
+    residual = y - expected
+    noisy = sensor.noise > 0
+    level = ca.if_else(noisy, expected + q.gains[0] * residual, y)
+    slope = ca.if_else(noisy, s.slope + q.gains[1] * residual, 0.0)
+    level = ca.if_else(s.known, level, y)
+    slope = ca.if_else(s.known, slope, 0.0)
+    return ca.if_else(regular, level, 0.0), ca.if_else(regular, slope, 0.0)
+
+
+def signs(value: Any, least: Any) -> Any:
+    """+1 above `least`, -1 below -least, else 0."""
+    return 1.0 * (value > least) - 1.0 * (value < -least)
+
+
+def require_hearer(options: Any, sensor_kind: str) -> None:
+    """Raise InputError where the method with these options does not know a play."""
+    method = str(options.__struct_config__.tag)
+    if sensor_kind == "play" and method not in HEARERS:
+        raise InputError(
+            f"observer.method: {method!r} takes the reading for a function of z, which a play is "
+            f"not; use one of {', '.join(HEARERS)}"
+        )
