@@ -89,7 +89,7 @@ def alone(work: Work, **options: Any) -> Callable[[], None]:
     def run() -> None:
         arrays.work[: states.shape[1]] = states.T
         arrays.work[states.shape[1] :] = work.widths.T
-        shared = (program.exogenous, program.params, own, arrays.buffer, arrays.scratch)
+        shared = (program.exogenous, program.params, own, arrays.buffer)
         kernel.block(len(program.exogenous), len(states), arrays.work, *shared)
 
     return run

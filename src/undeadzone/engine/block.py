@@ -11,7 +11,9 @@ from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Op, needed, stil
 from undeadzone.engine.rare import RareParts
 from undeadzone.engine.schedule import ordered
 
-_ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs", "scratch")
+_ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
+_PAGE: Final = 4096  # bytes
+_APART: Final = 256  # numbers between the tables and what else stands on the stack
 _TABLE: Final = 2048  # numbers of a table of a chunk of steps: 16 KB
 _STEPS: Final = 64  # of a chunk, at most
 _FEWEST: Final = 4
@@ -74,19 +76,22 @@ class Block:
         self.have: dict[int, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
 
-    def printed(self, name: str) -> tuple[str, int]:
-        """The text of the module, with a function of that name, and the numbers of its tables."""
+    def printed(self, name: str) -> str:
+        """The text of the module, with a function of that name."""
         entry = self._text("e")
         self._steady_values(entry)
         group, body = self._group(), self._body()
         steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
         steps = steps if self.shared.entries else _FOR_EVER
-        scratch = self._tables(entry, steps)
+        tables = self._tables(entry, steps)
         arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
         lines = [
             *self.rare.functions(self.declared),
             f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
             "entry:",
+            # At a fixed place beside spilled numbers: where a number of the one has the same last
+            # bits of its address as one of the other, the processor takes them for the same.
+            f"  %scratch = alloca {self._place_of(tables)}",
             *entry.lines,
             *self._chunk(steps),
             *group,
@@ -98,7 +103,13 @@ class Block:
             'attributes #0 = { nounwind "prefer-vector-width"="512" }',
             *([_UNLIKELY] if self.flag else []),
         ]
-        return "\n".join(lines), scratch
+        return "\n".join(lines)
+
+    def _place_of(self, numbers: int) -> str:
+        """Type and alignment of the array for tables of so many numbers."""
+        if self.form.lanes == 1:
+            return f"[{numbers + 1} x double], align 8"
+        return f"[{numbers + _APART} x double], align {_PAGE}"
 
     def _text(self, prefix: str) -> Text:
         """A new part of the function."""

@@ -21,8 +21,8 @@ from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Ops
 from undeadzone.engine.promises import Promise
 from undeadzone.engine.schedule import of_graph
 
-# Of the arguments of a kernel: steps, lanes, and flat arrays, the last one for its tables.
-KINDS: Final = ("int64", "int64", *["float64*"] * 6)
+# Of the arguments of a kernel: steps, lanes, and flat arrays.
+KINDS: Final = ("int64", "int64", *["float64*"] * 5)
 
 
 class Source(NamedTuple):
@@ -30,13 +30,11 @@ class Source(NamedTuple):
 
     Attributes:
         text: LLVM's; it defines `block`.
-        scratch: numbers of the array for its tables.
         form: how lanes are computed.
         promises: what it takes for granted of params.
     """
 
     text: str
-    scratch: int
     form: Form
     promises: tuple[Promise, ...]
 
@@ -116,8 +114,7 @@ def source(
         results = [*itertools.chain(*usual)]
         form = machine.form(len(of_graph(results)), width)
     block = Block(shape, form, usual, parts)
-    text, scratch = block.printed(name)
-    return Source(text, scratch, form, tuple(promises))
+    return Source(block.printed(name), form, tuple(promises))
 
 
 def _substituted(column: ca.SX, known: Mapping[int, float]) -> ca.SX:

@@ -44,11 +44,10 @@ class Kernel(NamedTuple):
     """A compiled step for many lanes at a time.
 
     Attributes:
-        block: block(steps, lanes, work, exogenous, params, own, outputs, scratch), of flat arrays,
-            lanes last.
+        block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
+            last.
         shape: what it was compiled for.
         form: how lanes are computed.
-        scratch: numbers of the array for its tables.
         width: lanes of a block, at most.
         promises: what it takes for granted of params.
     """
@@ -56,7 +55,6 @@ class Kernel(NamedTuple):
     block: Any
     shape: Shape
     form: Form
-    scratch: int
     width: int
     promises: tuple[Promise, ...]
 
@@ -158,15 +156,15 @@ def _recipe(
 
     def make() -> cache.Made:
         made = source(functions, shape, here(), fused, chosen, form)
-        return cache.Made(made.text, json.dumps([made.form, made.scratch, made.promises]))
+        return cache.Made(made.text, json.dumps([made.form, made.promises]))
 
     return cache.Recipe(key, make), shape, chosen
 
 
 def _kernel(block: cache.Block, shape: Shape, width: int) -> Kernel:
     """A compiled block with its note."""
-    form, scratch, granted = json.loads(block.note)
-    return Kernel(block, shape, Form(*form), scratch, width, promises.read(granted))
+    form, granted = json.loads(block.note)
+    return Kernel(block, shape, Form(*form), width, promises.read(granted))
 
 
 def run(
@@ -251,12 +249,10 @@ class _Arrays(NamedTuple):
 
     Attributes:
         work: states and own params (rows x lanes).
-        scratch: for a kernel's tables.
         buffer: outputs of a chunk (steps x recorded x lanes).
     """
 
     work: Floats
-    scratch: Floats
     buffer: Floats
 
 
@@ -265,7 +261,7 @@ def _arrays(kernel: Kernel, width: int, steps: int) -> _Arrays:
     shape = kernel.shape
     rows = shape.sizes[0] + len(shape.params)
     buffer = np.empty((steps, len(shape.record), width))
-    return _Arrays(_aligned(rows * width).reshape(rows, width), _aligned(kernel.scratch), buffer)
+    return _Arrays(_aligned(rows * width).reshape(rows, width), buffer)
 
 
 def _run_block(
@@ -299,7 +295,6 @@ def _run_block(
             inputs.params,
             np.ascontiguousarray(own(first, count)),
             arrays.buffer,
-            arrays.scratch,
         )
         kept = arrays.buffer[:count:every, :, : end - start].transpose(2, 0, 1)
         at = first // every

@@ -25,7 +25,7 @@ define void @block(ptr noalias %memory) nounwind {{
   %s = getelementptr double, ptr %memory, i64 {s}
   %w = getelementptr double, ptr %memory, i64 {w}
   %out = getelementptr double, ptr %memory, i64 {out}
-  call void @steps(i64 %steps, i64 1, ptr %s, ptr %w, ptr %p, ptr %w, ptr %out, ptr %out)
+  call void @steps(i64 %steps, i64 1, ptr %s, ptr %w, ptr %p, ptr %w, ptr %out)
   ret void
 }}
 """

@@ -126,14 +126,13 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
         params: Floats,
         inputs: Floats,
         outputs: Floats,
-        scratch: Floats,
     ) -> None:
         for k in range(0, steps, every):
             outputs[k, :states] = work[:states]
             outputs[k, states:] = inputs[k]
             count = min(every, steps - k)
             shared, drawn = exogenous[k : k + every], inputs[k : k + every]
-            kernel.block(count, width, work, shared, params, drawn, outputs[:0], scratch)
+            kernel.block(count, width, work, shared, params, drawn, outputs[:0])
 
     return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))
 
