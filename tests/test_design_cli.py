@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -363,7 +364,8 @@ def test_help_teaches_by_an_example(command: str) -> None:
     assert "Exit code 1" in " ".join(shown.split())
 
 
-def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None:
+def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path], tmp_path: Path) -> None:
+    """A kernel that lies in the cache would be linked: here there is none."""
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
         f"arguments = ['check', {str(paper())!r}, '--no-figures', '--json']\n"
@@ -373,7 +375,11 @@ def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path]) -> None
     )
     assert (
         subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"UNDEADZONE_CACHE": str(tmp_path / "empty")},
         ).stderr
         == "[]\n"
     )
