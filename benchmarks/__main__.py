@@ -37,6 +37,8 @@ NAMES = (
     "damaged_logs",
     "firmware",
     "arena_effort",
+    "play",
+    "both_ends",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
