@@ -186,7 +186,7 @@ def posed(world: World, reading: str, options: Options, mistaken: bool, seed: in
     return problem._replace(observer=options(world, gaps).build(problem.model, zone))
 
 
-def table(loops: int = 100) -> str:
+def table(loops: int = 20) -> str:
     """The table, of that many loops a row."""
     names = (
         "plant",
