@@ -26,8 +26,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
@@ -270,14 +269,8 @@ class Ensemble:
         """The tables that `undeadzone ensemble` prints, of a summary."""
         return in_words(self.info, summary, int(self.diverged.sum()))
 
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

@@ -22,8 +22,7 @@ from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 
 class States(NamedTuple):
@@ -169,22 +168,11 @@ class Identified:
         """The table that `undeadzone identify` prints."""
         return [self.summary()]
 
-    def __repr__(self) -> str:
-        """The table that `undeadzone identify` prints."""
-        return shown.text(self.blocks())
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks())
-
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write all numbers as JSON.

@@ -23,8 +23,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,22 +108,11 @@ class Estimation:
         """The tables that `undeadzone estimate` prints."""
         return in_words(self.info)
 
-    def __repr__(self) -> str:
-        """The tables that `undeadzone estimate` prints."""
-        return shown.text(self.blocks())
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks())
-
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..."""

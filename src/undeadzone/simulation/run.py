@@ -23,13 +23,11 @@ from undeadzone.simulation.run_file import read, table_size, write
 from undeadzone.simulation.run_info import Info as Info
 from undeadzone.simulation.run_words import Errors, in_words
 from undeadzone.simulation.scales import LIMIT, Scales, shares
-from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.shown import Block
+from undeadzone.support.shown import Block, in_notebook, in_text, plot
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -273,22 +271,11 @@ class Run:
             errors[name] = Errors(tracking, _rms((self.z - self.z_hat)[self.last, i]))
         return errors
 
-    def __repr__(self) -> str:
-        """The tables that `undeadzone run` prints."""
-        return shown.text(self.blocks())
+    __repr__ = in_text
+    _repr_html_ = in_notebook
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks())
-
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = plot
+    """Draw it."""
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""

@@ -71,11 +71,27 @@ def display(result: Any, blocks: Sequence[Block]) -> str:
     return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
-def plot(result: Any, path: str | os.PathLike[str] | None, ax: Axes | None) -> Figure:
-    """The figure that `uz.plot` draws of a result; arguments as there."""
+def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+    """The figure that `uz.plot` draws of a result; a method of every result.
+
+    Args:
+        result: what `uz.plot` takes.
+        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+        ax: axes that take the panel that says most; None: a new figure with all panels.
+    """
     import undeadzone
 
     return undeadzone.plot(result, path, ax)
+
+
+def in_text(result: Any) -> str:
+    """The tables that a result's command prints; `__repr__` of results with `blocks`."""
+    return text(result.blocks())
+
+
+def in_notebook(result: Any) -> str:
+    """The same and a figure; `_repr_html_` of results with `blocks`."""
+    return display(result, result.blocks())
 
 
 def _lines(block: Block, width: int | None) -> list[str]:

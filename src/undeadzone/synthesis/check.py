@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -27,8 +26,7 @@ from undeadzone.synthesis.knowledge import determined
 from undeadzone.synthesis.words import in_words
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 
 class Bounds(NamedTuple):
@@ -147,22 +145,11 @@ class Check:
         """The tables that `undeadzone check` prints."""
         return in_words(self.summary(), self.scenario, self.outputs)
 
-    def __repr__(self) -> str:
-        """The tables that `undeadzone check` prints."""
-        return shown.text(self.blocks())
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks())
-
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
 
 PROOF: Final = (

@@ -26,8 +26,7 @@ from undeadzone.tuning.search import SimulatedCandidate
 from undeadzone.tuning.words import in_words
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
@@ -128,14 +127,8 @@ class Tuned:
         """The same and a figure, for a notebook."""
         return shown.display(self, [in_words(self.summary())])
 
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.

@@ -20,8 +20,7 @@ from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 Matrix = list[list[float]]
 
@@ -148,14 +147,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """The same and a figure, for a notebook."""
         return shown.display(self, [in_words(msgspec.to_builtins(self))])
 
-    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
-
-        Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
-        """
-        return shown.plot(self, path, ax)
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it as TOML, every number exactly.
