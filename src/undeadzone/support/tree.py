@@ -21,6 +21,11 @@ def joined(tree: Any, name: str, value: Any) -> Any:
     return make("Joined", [*tree._fields, name])(*tree, value)
 
 
+def parted(tree: Any, kind: Any) -> Any:
+    """What `joined` was given: the named tuple of that kind without the last field."""
+    return kind(*tree[:-1])
+
+
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Every leaf in order with its dotted name; None holds nothing.
 

@@ -69,10 +69,10 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
     last = np.zeros(model.m if rated else 0)
 
     def init(q: Any) -> State:
-        return State(observer.init(kind(*q[:-1])), last)
+        return State(observer.init(tree.parted(q, kind)), last)
 
     def project(q: Any, s: State) -> State:
-        return s._replace(observer=observer.project(kind(*q[:-1]), s.observer))
+        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
 
     step = partial(step_through, observer, model, belief.ranges is None)
     params = tree.joined(observer.params, "actuator", belief.drive)
@@ -83,7 +83,7 @@ def step_through(
     observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """One sample; q: numbers of the observer, then the actuator's `Drive`."""
-    drive, inner = q.actuator, type(observer.params)(*q[:-1])
+    drive, inner = q.actuator, tree.parted(q, type(observer.params))
     passed = within_limits(ca, u, drive)
     command = s.command
     if command.shape[0]:

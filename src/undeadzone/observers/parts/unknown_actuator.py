@@ -127,7 +127,7 @@ def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> 
     """The estimate with the widths of the actuators, if they are estimated."""
     if zones is None:
         return estimated
-    count = len(zones.middle) if isinstance(zones.middle, np.ndarray) else zones.middle.shape[0]
+    count = zones.middle.shape[0]
     widths = zones.middle + shown.mean[-count:]
     inside = ca.fmax(ca.fmin(widths, zones.ranges[:, 1]), zones.ranges[:, 0])
     std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
