@@ -88,7 +88,13 @@ def as_far_as_known(
     """
     sensor = problem.sensor
     swing = float(schedule.high[i] - schedule.low[i])
-    return _limited(verdict, std, sensor.right[i], sensor.left[i], swing)
+    right, left = sensor.right[i], sensor.left[i]
+    negligible = NEGLIGIBLE * swing
+    largest = largest_deviations(right, left, swing)
+    most = {name: max(value, negligible) for name, value in largest.items()}
+    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
+    reasons = (*verdict.reasons, *vague(std, most, right, left))
+    return Verdict(**known, reasons=reasons, std=std)
 
 
 def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
@@ -117,18 +123,6 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     """
     scenario = problem.scenario
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
-
-
-def _limited(
-    verdict: Verdict, std: dict[str, float], right: float, left: float, swing: float
-) -> Verdict:
-    """A verdict with its deviations; what they exceed is not known."""
-    negligible = NEGLIGIBLE * swing
-    largest = largest_deviations(right, left, swing)
-    most = {name: max(value, negligible) for name, value in largest.items()}
-    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
-    reasons = (*verdict.reasons, *vague(std, most, right, left))
-    return Verdict(**known, reasons=reasons, std=std)
 
 
 def _colour(model: System, disturbance: object) -> Colour | None:

@@ -19,7 +19,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.run_columns import output_names
 from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
 from undeadzone.synthesis.assessment import Assessment, Gains, assess
 from undeadzone.synthesis.knowledge import determined
@@ -132,9 +132,9 @@ class Check:
             "l2_gain": None if self.l2_gain is None else self.l2_gain._asdict(),
             "never": list(self.never),
             "states": list(self.states),
-            "identifiable": _one_or_list(verdicts),
-            "std": _one_or_list([one.std for one in self.known]),
-            "listens": _one_or_list(self.listens) if self.listens else None,
+            "identifiable": one_or_list(verdicts),
+            "std": one_or_list([one.std for one in self.known]),
+            "listens": one_or_list(self.listens) if self.listens else None,
             "reasons": list(self.reasons),
             "cures": list(self.cures),
             "nearest": None if self.nearest is None else _plain(self.nearest),
@@ -209,11 +209,6 @@ def _nearest(gains: Gains) -> Nearest:
 def _plain(near: Nearest) -> dict[str, Any]:
     """Gains for JSON."""
     return near._asdict() | {"L": near.L.tolist(), "gamma": near.gamma.tolist()}
-
-
-def _one_or_list(values: Sequence[Any]) -> Any:
-    """A value of each output: itself where there is one output, else a list."""
-    return list(values) if len(values) > 1 else values[0]
 
 
 def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
