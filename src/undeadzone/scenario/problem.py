@@ -10,6 +10,7 @@ import numpy as np
 from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers import Controller
+from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator
@@ -117,6 +118,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     observer = built(scenario.observer, model, sensor, belief)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
+    controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)

@@ -103,6 +103,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         disturbance: a signal added to the input; default: none.
         tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
+        behind_play: rate w at which z is led across the gap of a play where the reference turns, so
+            that what is behind the play (y / m) follows it in place of z [1/s]; default: z follows.
         units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
@@ -125,6 +127,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     model: Model | None = None
     disturbance: Disturbance | None = None
     tracked: list[int] | None = None
+    behind_play: float | None = None
     units: Units = Units()
     ensemble: Vary | None = None
     tune: Tune | None = None
