@@ -40,6 +40,8 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         C: as in [plant] (p x n); of a linear plant only.
         parameters: numbers of a nonlinear plant, by name.
         actuator: as in [actuator]; widths that are ranges are estimated.
+        load_friction: as in [sensor]; a pair is a range, and `kalman`, `censored` and `auto` then
+            estimate it [u].
     """
 
     A: Array | None = None
@@ -47,6 +49,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     C: Array | None = None
     parameters: dict[str, float] = {}
     actuator: ActuatorModel | None = None
+    load_friction: Array | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -48,6 +48,7 @@ class Motion(NamedTuple):
         threshold: change over the window that counts as motion (p) [y].
         window: number of readings that the fading line stands for (1).
         gains: of the fading line, on level and slope (2).
+        friction: of what is behind the play (p) [u]; empty where there is none.
     """
 
     slope: Floats
@@ -55,6 +56,7 @@ class Motion(NamedTuple):
     threshold: Floats
     window: Any
     gains: Floats
+    friction: Floats
 
 
 class State(NamedTuple):
@@ -102,6 +104,7 @@ def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer
         threshold=sensor.threshold,
         window=np.float64(sensor.window),
         gains=np.array([1 - fade**2, (1 - fade) ** 2]),
+        friction=sensor.friction if sensor.friction.any() else np.empty(0),
     )
     none, kind = np.zeros(model.p), type(observer.params)
 
@@ -135,6 +138,8 @@ def step_by_motion(
     seen = present(y)
     moving, heard, rms = sided(sensor, motion, s, y)
     taken = Reading(heard, ca.if_else(seen, moving, 0.0), reading.x, heard, rms)
+    if motion.friction.numel():
+        u = u - motion.friction * taken.side
     moved, estimate = observer.step(inner, s.observer, u, taken)
     ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
     refused, regular = s.refused, seen
