@@ -16,6 +16,7 @@ from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
+from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures
@@ -127,6 +128,14 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     }
 
 
+def behind_play(problem: Problem, z: Floats) -> Floats:
+    """What is behind a play along a run (N x p) [z]; empty without one, or where its gaps drift."""
+    sensor = problem.sensor
+    if sensor.kind != "play" or sensor.drift.any():
+        return np.empty(0)
+    return levels(z, sensor.right, sensor.left, sensor.start)
+
+
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
     """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
     body = problem.plant.arm
@@ -168,6 +177,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "consistent": estimate.consistent,
         "refused": estimate.refused,
         "restarts": estimate.restarts,
+        "level": behind_play(problem, signal.z),
         **_actuator(estimate),
     }
     return Run(

@@ -67,6 +67,7 @@ class Run:
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
         b_std: standard deviation of b_hat (N x 2m) [u].
+        level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
@@ -99,6 +100,7 @@ class Run:
     restarts: Floats | None = None
     b_hat: Floats | None = None
     b_std: Floats | None = None
+    level: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -161,6 +163,13 @@ class Run:
     def rms_estimation(self) -> float:
         """Root mean square of z - z_hat over the last 2 s and all outputs."""
         return _rms((self.z - self.z_hat)[self.last])
+
+    @property
+    def rms_behind_play(self) -> float | None:
+        """Root mean square of y / m - r over the last 2 s, y without noise; None without a play."""
+        if self.level is None:
+            return None
+        return _rms((self.level[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_tip(self) -> float | None:
@@ -235,6 +244,7 @@ class Run:
             "step": self.info.step,
             "rms_tracking": self.rms_tracking,
             "rms_estimation": self.rms_estimation,
+            **({} if self.level is None else {"rms_behind_play": self.rms_behind_play}),
             **({} if self.tip is None else {"rms_tip": self.rms_tip}),
             "d_right": right,
             "d_left": left,

@@ -59,6 +59,9 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -
     }
     for name, key in (("rms z - r", "rms_tracking"), ("rms z - z^", "rms_estimation")):
         shown[name] = f"{with_unit(_number(summary[key]), info.units.output)} {when}"
+    if "rms_behind_play" in summary:
+        behind = with_unit(_number(summary["rms_behind_play"]), info.units.output)
+        shown["rms y/m - r"] = f"{behind} {when}"
     if summary.get("rms_tip") is not None:
         shown["rms tip"] = f"{summary['rms_tip']:.4g} m from its path {when}"
     if single:
