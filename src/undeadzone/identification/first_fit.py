@@ -106,14 +106,17 @@ def _searched(prepared: Prepared, options: Options, advance: Callable[[int], Non
     first = likely_delay(fits)
     if not first:
         return Found(prepared, fits, 0, [])
-    late = _fitted(prepared._replace(data=delayed(prepared.data, first)), options, advance)
+    fewer = [n for n in prepared.orders if n <= best_order(fits).n]  # a delay takes no more poles
+    shifted = prepared._replace(data=delayed(prepared.data, first), orders=fewer)
+    late = _fitted(shifted, options, advance)
     samples = refined_delay(late[1], first)
     if samples != first:
         shifted = late[0]._replace(data=delayed(late[0].data, samples - first))
         late = _fitted(shifted, options, advance, later(late[1], samples - first))
     if not better_delay(fits, late[1]):
         return Found(prepared, fits, 0, alike(fits, late[1]))
-    return Found(*late, samples, [])
+    found, fits = late
+    return Found(found._replace(orders=prepared.orders), fits, samples, [])
 
 
 def _fitted(
