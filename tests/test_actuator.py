@@ -27,6 +27,8 @@ from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.exports import parts as export_parts
+from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.unknown_actuator import Zones, entering
 from undeadzone.plants.system import sampled
@@ -364,6 +366,17 @@ def test_engines_agree_to_the_last_bit(
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     scenario = loop(simulation={"duration": 2.0})
     assert uz.export(scenario, out=tmp_path / "fw", precision="double", name="o").passed
+
+
+@pytest.mark.parametrize("method", ["none", "inverse", "smooth_inverse", "adaptive_inverse"])
+def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> None:
+    compensator = {"method": method, "coast": 0.4, "every": 1.0}
+    problem = resolve_scenario(loop(compensator=compensator, simulation={"duration": 3.0}))
+    expected = vectors.recorded(problem, export_parts.build(problem))[:, 1]
+    step = export_parts.build(problem, "observer+controller")
+    rows = vectors.recorded(problem, step)
+    found, _ = interpret.run(step.function, step.start, rows, step.defaults)
+    assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 def test_an_ensemble_varies_the_actuator() -> None:
