@@ -64,7 +64,7 @@ def identify_output(
     Raises:
         InputError: nothing can be learnt.
     """
-    grid = shortened(grid)
+    grid = shortened(grid, options.integrators)
     prepared = prepare(grid, options)
     prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
