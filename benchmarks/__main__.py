@@ -34,6 +34,7 @@ NAMES = (
     "arms",
     "identify",
     "identify_known",
+    "identify_speed",
     "damaged_logs",
     "firmware",
     "arena_effort",

@@ -63,30 +63,32 @@ def plant(rng: np.random.Generator) -> tuple[Floats, Floats, float, float, int]:
     return b.ravel(), a, step, omega, n
 
 
-def excitation(rng: np.random.Generator, step: float, omega: float, sines: bool) -> Floats:
+def excitation(
+    rng: np.random.Generator, step: float, omega: float, sines: bool, samples: int = SAMPLES
+) -> Floats:
     """First-order noise, steps, or two to four sines."""
-    time_ = np.arange(SAMPLES) * step
+    time_ = np.arange(samples) * step
     if sines:
         count = int(rng.integers(2, 5))
-        u = np.zeros(SAMPLES)
+        u = np.zeros(samples)
         for factor in (0.21, 0.47, 0.83, 1.31)[:count]:
             phase = rng.uniform(0, 6.3)
             u += rng.uniform(0.5, 1) * np.sin(omega * factor * time_ + phase)
         return u
     if rng.random() < 0.5:
         pole = math.exp(-step * omega * rng.uniform(0.3, 1))
-        return lfilter([1], [1, -pole], rng.standard_normal(SAMPLES))
+        return lfilter([1], [1, -pole], rng.standard_normal(samples))
     hold = max(2, int(rng.uniform(0.5, 2) * 2 * np.pi / omega / step))
-    return np.repeat(rng.standard_normal(SAMPLES // hold + 1), hold)[:SAMPLES]
+    return np.repeat(rng.standard_normal(samples // hold + 1), hold)[:samples]
 
 
-def make(seed: int, family: str) -> Made:
-    """A log of a family."""
+def make(seed: int, family: str, samples: int = SAMPLES) -> Made:
+    """A log of a family; a motor's has `SAMPLES`."""
     rng = np.random.default_rng(90_000 + seed)
     if family == "motor":
         return motor(rng)
     b, a, step, omega, n = plant(rng)
-    u = excitation(rng, step, omega, family == "sines")
+    u = excitation(rng, step, omega, family == "sines", samples)
     z = lfilter(b, a, u)
     if family == "late":
         late = int(rng.integers(1, 9))
@@ -96,10 +98,10 @@ def make(seed: int, family: str) -> Made:
     if family == "one":
         left = -float(np.quantile(z, 0.03)) * rng.uniform(0.8, 1)
     s = float(rng.choice([0.02, 0.05, 0.1]))
-    e = s * rng.standard_normal(SAMPLES)
+    e = s * rng.standard_normal(samples)
     if family == "heavy":
-        e = 0.08 / math.sqrt(3) * rng.standard_t(3, SAMPLES)
-    w = disturbance(rng, family, b, a, step, omega)
+        e = 0.08 / math.sqrt(3) * rng.standard_t(3, samples)
+    w = disturbance(rng, family, (b, a), step, omega, samples)
     if family == "none":
         return Made(step, u, z + e, n, 0.0, 0.0)
     if family == "behind":
@@ -132,18 +134,23 @@ def motor(rng: np.random.Generator) -> Made:
 
 
 def disturbance(
-    rng: np.random.Generator, family: str, b: Floats, a: Floats, step: float, omega: float
+    rng: np.random.Generator,
+    family: str,
+    plant: tuple[Floats, Floats],
+    step: float,
+    omega: float,
+    samples: int,
 ) -> Floats:
     """What is added to z ahead of the zone besides white noise."""
     if family in DISTURBED:
         pole = math.exp(-step * omega / rng.uniform(0.3, 2))
-        w = lfilter(b, a, lfilter([1], [1, -pole], rng.standard_normal(SAMPLES + 500)))[500:]
+        w = lfilter(*plant, lfilter([1], [1, -pole], rng.standard_normal(samples + 500)))[500:]
         return w / w.std() * DISTURBED[family]
     if family == "drift":
         pole = math.exp(-step * omega / 20)
-        w = lfilter([1], [1, -pole], rng.standard_normal(SAMPLES + 3000))[3000:]
+        w = lfilter([1], [1, -pole], rng.standard_normal(samples + 3000))[3000:]
         return w / w.std() * 0.15
-    return np.zeros(SAMPLES)
+    return np.zeros(samples)
 
 
 def mapped(seed: int, kind: str) -> Made:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from undeadzone.identification.excitation import Excitation
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.grid import Grid
@@ -125,6 +127,10 @@ class Answer(NamedTuple):
         time = -self.evidence.grid.step / math.log(rho) if 0.05 < rho < 1 else None
         best = self.evidence.kalman[0] if self.evidence.kalman else None
         ahead = self.fit.objective.kind != "behind"
+        if not ahead:  # the climb to s ends early where it meets a zone without width
+            left = self.fit.objective.residuals(self.fit.theta)[self.fit.objective.readings.ok]
+            rms = math.sqrt(float(np.mean(left**2)))
+            return Disturbance(rms * self.scale, time, None, None, ahead)
         if best is None:
             return Disturbance(self.fit.s * self.scale, time, None, None, ahead)
         white = best.r * self.scale

@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.identification.fit import Fit, climbed, fit_linear
 from undeadzone.identification.objective import Objective
+from undeadzone.identification.options import MOST_LATE
 from undeadzone.identification.orders import OrderFit, best_order
 from undeadzone.identification.plant_fit import Data, Simulator
 
@@ -16,6 +17,7 @@ SCREENED = 2  # order of the linear plant
 STEPS = 30  # of a climb
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 CLEARLY = 20.0  # of BIC, by which a delay must be better than more poles
+REACH = 6.0  # of BIC: odds of 20 to 1, within which a delay may be the true one
 
 
 def delayed(data: Data, samples: int) -> Data:
@@ -85,38 +87,63 @@ def _is_sampled(fit: Fit) -> bool:
     return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
-def refined_delay(late: list[OrderFit]) -> int:
-    """By how many more samples the input acts late, by BIC, -2 to 2.
+def refined_delay(late: list[OrderFit], samples: int) -> int:
+    """By how many samples the input acts late, by BIC: as far from a delay as it gets better.
 
     Args:
         late: fits with a delay, one an order.
+        samples: the delay.
     """
     best = best_order(late)
     smaller = [one.pairs for one in late if one.n <= best.n][-2:]
-    known = {0: best.pairs.bic}
+    known = {samples: best.pairs.bic}
     for direction in (-1, 1):
-        for more in (direction, 2 * direction):
-            known[more] = min(_late(fit, more).bic for fit in smaller)
-            if known[more] >= known[more - direction]:
+        trial = samples + direction
+        while 0 <= trial <= MOST_LATE:
+            known[trial] = min(_late(fit, trial - samples).bic for fit in smaller)
+            if known[trial] >= known[trial - direction]:
                 break
-    return min(known, key=lambda more: known[more])
+            trial += direction
+    return min(known, key=lambda trial: known[trial])
+
+
+def alike(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFit]:
+    """What explains a log as well as its best fit, or nearly: the best fit with a delay, or none.
+
+    Args:
+        fits: those that were chosen, one an order.
+        late: those with the delay that was not.
+    """
+    other = best_order(late)
+    return [other] if other.pairs.bic < best_order(fits).pairs.bic + REACH else []
+
+
+def later(fits: list[OrderFit], samples: int) -> list[OrderFit]:
+    """Fits with the input later, from where they ended; their checks are those of before.
+
+    Args:
+        fits: one an order.
+        samples: by how many.
+    """
+    moved = []
+    for one in fits:
+        singles = _late(one.singles, samples)
+        pairs = singles if one.pairs is one.singles else _late(one.pairs, samples)
+        moved.append(one._replace(singles=singles, pairs=pairs))
+    return moved
 
 
 def _late(fit: Fit, samples: int) -> Fit:
-    """A fit with the input later, from where it ended: its numerators moved by as much."""
+    """A fit with the input later, from the numerators with which z is nearest to what it was."""
     old = fit.objective
     layout = old.layout
-    data = delayed(old.data, samples)
-    simulator = Simulator(data, layout.n, layout.integrators)
+    simulator = Simulator(delayed(old.data, samples), layout.n, layout.integrators)
     objective = Objective(simulator, old.kind, old.limits)
+    linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
+    columns = simulator.gradient(fit.theta, fit.z)[:, linear]
     theta = fit.theta.copy()
-    numerators = theta[layout.b].reshape(layout.m, layout.n)
-    moved = np.zeros_like(numerators)
-    for k in range(layout.n):
-        if 0 <= k + samples < layout.n:
-            moved[:, k] = numerators[:, k + samples]
-    if not moved.any():
-        moved[:, 0] = numerators.sum(axis=1)
-    theta[layout.b] = moved.ravel()
+    theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
+    missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
     top = climbed(objective, theta, STEPS)
     return Fit(objective, top.theta, top.value)

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.identification.delay import better_delay, delayed, likely_delay, refined_delay
+from undeadzone.identification.delay import (
+    alike,
+    better_delay,
+    delayed,
+    later,
+    likely_delay,
+    refined_delay,
+)
 from undeadzone.identification.options import Options
 from undeadzone.identification.orders import OrderFit, at_limit, best_order, fit_orders
 from undeadzone.identification.prepare import FAR_EDGE, Prepared
@@ -48,9 +55,25 @@ def without_unreached(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]:
     return prepared._replace(limits=changed), tuple(unreached)
 
 
+class Found(NamedTuple):
+    """Every order, fitted.
+
+    Attributes:
+        prepared: the log without glitches, its input shifted.
+        fits: one an order.
+        delay: samples by which the input acts late.
+        alike: a fit with another delay that explains the log as well.
+    """
+
+    prepared: Prepared
+    fits: list[OrderFit]
+    delay: int
+    alike: list[OrderFit]
+
+
 def fitted_with_delay(
     prepared: Prepared, options: Options, advance: Callable[[int], None]
-) -> tuple[Prepared, list[OrderFit], int]:
+) -> Found:
     """Every order, fitted; once more where the input turns out to act later.
 
     Delay and starts of a long log are found in a part of it.
@@ -60,44 +83,40 @@ def fitted_with_delay(
         options: what the user said.
         advance: called with the number of steps just done.
 
-    Returns:
-        The log (without glitches, its input shifted), a fit an order, and the delay in samples.
-
     Raises:
         InputError: no stable plant fits.
     """
     part = part_of(prepared.data)
     if part is prepared.data:
         return _searched(prepared, options, advance)
-    _, begun, delay = _searched(prepared._replace(data=part), options, advance)
-    if at_limit(best_order(begun)):  # perhaps since the part is short
+    begun = _searched(prepared._replace(data=part), options, advance)
+    if at_limit(best_order(begun.fits)):  # perhaps since the part is short
         return _searched(prepared, options, advance)
-    late = prepared._replace(data=delayed(prepared.data, delay))
-    return *_fitted(late, options, advance, begun), delay
+    late = prepared._replace(data=delayed(prepared.data, begun.delay))
+    return Found(*_fitted(late, options, advance, begun.fits), begun.delay, [])
 
 
-def _searched(
-    prepared: Prepared, options: Options, advance: Callable[[int], None]
-) -> tuple[Prepared, list[OrderFit], int]:
+def _searched(prepared: Prepared, options: Options, advance: Callable[[int], None]) -> Found:
     """`fitted_with_delay` with all samples. Raises InputError."""
     if options.delay != "auto":
         samples = int(options.delay)
         data = delayed(prepared.data, samples)
-        prepared, fits = _fitted(prepared._replace(data=data), options, advance)
-        return prepared, fits, samples
+        return Found(*_fitted(prepared._replace(data=data), options, advance), samples, [])
     prepared, fits = _fitted(prepared, options, advance)
-    samples = likely_delay(fits)
-    if not samples:
-        return prepared, fits, 0
-    late = _fitted(prepared._replace(data=delayed(prepared.data, samples)), options, advance)
+    first = likely_delay(fits)
+    if not first:
+        return Found(prepared, fits, 0, [])
+    fewer = [n for n in prepared.orders if n <= best_order(fits).n]  # a delay takes no more poles
+    shifted = prepared._replace(data=delayed(prepared.data, first), orders=fewer)
+    late = _fitted(shifted, options, advance)
+    samples = refined_delay(late[1], first)
+    if samples != first:
+        shifted = late[0]._replace(data=delayed(late[0].data, samples - first))
+        late = _fitted(shifted, options, advance, later(late[1], samples - first))
     if not better_delay(fits, late[1]):
-        return prepared, fits, 0
-    more = refined_delay(late[1])
-    if more:
-        samples += more
-        data = delayed(prepared.data, samples)
-        late = _fitted(prepared._replace(data=data), options, advance)
-    return *late, samples
+        return Found(prepared, fits, 0, alike(fits, late[1]))
+    found, fits = late
+    return Found(found._replace(orders=prepared.orders), fits, samples, [])
 
 
 def _fitted(

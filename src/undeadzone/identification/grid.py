@@ -16,6 +16,7 @@ LONG = 20  # steps; a longer gap begins a new record, since nobody knows the inp
 
 
 MOST = 100_000  # samples that are used; more would take minutes and say little more
+MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
 STRETCHES = 5  # into which these are cut, of a longer log
 
 
@@ -106,16 +107,22 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     )
 
 
-def shortened(grid: Grid) -> Grid:
-    """Stretches of a very long log, evenly spread over it, with a remark; others as they are."""
+def shortened(grid: Grid, integrators: int = 0) -> Grid:
+    """Stretches of a very long log, evenly spread over it, with a remark; others as they are.
+
+    Args:
+        grid: the records.
+        integrators: of the plant.
+    """
     size = grid.t.size
-    if size <= MOST:
+    most = MOST_SUMMED if integrators else MOST
+    if size <= most:
         return grid
+    long = most // STRETCHES
     remark = (
-        f"the log has {size} samples; {STRETCHES} stretches of {MOST // STRETCHES}, evenly spread"
-        " over it, are used: cut the log to use others"
+        f"the log has {size} samples; {STRETCHES} stretches of {long}, evenly spread over it, are"
+        " used: cut the log to use others"
     )
-    long = MOST // STRETCHES
     firsts = np.linspace(0, size - long, STRETCHES).astype(int)
     kept = np.concatenate([np.arange(first, first + long) for first in firsts])
     begins = np.union1d(np.flatnonzero(np.isin(kept, grid.start)), long * np.arange(STRETCHES))

@@ -61,6 +61,7 @@ class Widths(NamedTuple):
 def find_widths(
     chosen: OrderFit,
     others: list[OrderFit],
+    alike: list[OrderFit],
     kalman: KalmanFit | None,
     quantum: float,
     offset: float | None,
@@ -70,6 +71,7 @@ def find_widths(
     Args:
         chosen: the order that was chosen.
         others: the orders that are credible.
+        alike: fits with another delay that explain the log as well.
         kalman: the third stage; None where it was not run.
         quantum: of the readings, scaled.
         offset: rms of an unknown offset, scaled; None: free.
@@ -109,6 +111,8 @@ def find_widths(
         if name != "width":
             half = math.inf if offset is None else math.hypot(half, offset)
         intervals[name] = Interval(values[name], values[name] - half, values[name] + half)
+        for other in alike:
+            intervals[name] = _reaching(intervals[name], _difference(row, other, chosen))
     if apart:
         fits = False
         remarks.append(
@@ -162,10 +166,20 @@ def _stages(
 
 def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
     """The spread of a width over credible orders, which no score can show."""
-    row = DIRECTIONS[name]
-    own = np.dot(row, (chosen.pairs.right, chosen.pairs.left))
-    gaps = [abs(float(np.dot(row, (o.pairs.right, o.pairs.left)) - own)) for o in others]
+    gaps = [_difference(DIRECTIONS[name], other, chosen) for other in others]
     return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
+
+
+def _difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
+    """By how much a width is larger in another fit."""
+    one, own = other.pairs, chosen.pairs
+    return float(np.dot(row, (one.right - own.right, one.left - own.left)))
+
+
+def _reaching(interval: Interval, gap: float) -> Interval:
+    """An interval that also holds itself, moved by a gap."""
+    low, high = interval.low + min(gap, 0.0), interval.high + max(gap, 0.0)
+    return Interval(interval.value, low, high)
 
 
 def lower_bound(fit: Fit, side: str) -> float:

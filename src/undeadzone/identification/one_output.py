@@ -64,11 +64,11 @@ def identify_output(
     Raises:
         InputError: nothing can be learnt.
     """
-    grid = shortened(grid)
+    grid = shortened(grid, options.integrators)
     prepared = prepare(grid, options)
     prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
-    prepared, fits, delay = fitted_with_delay(prepared, options, advance)
+    prepared, fits, delay, alike = fitted_with_delay(prepared, options, advance)
     chosen = _polished(best_order(fits))
     data = prepared.data
     no_zone = judge_no_zone(chosen.pairs)
@@ -112,6 +112,7 @@ def identify_output(
     widths = find_widths(
         chosen,
         credible(fits),
+        alike,
         kalman[0] if kalman else None,
         quantum,
         None if offset is None else offset / data.y_scale,

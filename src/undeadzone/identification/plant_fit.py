@@ -113,6 +113,7 @@ class Simulator:
     def __init__(self, data: Data, n: int, integrators: int = 0) -> None:
         self.data = data
         self.layout = Layout(n, data.u.shape[1], data.start.size, integrators)
+        self.longest = max(part.stop - part.start for part in data.records())
         self.lagged = np.zeros((data.y.size, n * data.u.shape[1]))
         for part in data.records():
             for k in range(data.u.shape[1]):
@@ -163,23 +164,35 @@ class Simulator:
 
     def poles(self, theta: Floats) -> Any:
         """Poles of the sampled plant (n), complex; integrators last."""
-        moving = np.roots(np.append(1.0, theta[self.layout.a]))
+        moving = roots(theta[self.layout.a])
         return np.append(moving, np.ones(self.layout.integrators))
 
     def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
         """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
-        longest = max(part.stop - part.start for part in self.data.records())
-        poles = np.roots(np.append(1.0, theta[self.layout.a]))
+        longest = self.longest
+        poles = roots(theta[self.layout.a])
         slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
         limit = np.where(slow, 1 - margin * SLOW / longest, 1 - margin * RINGING / longest)
         return bool(np.all(np.abs(poles) < limit))
 
 
+def roots(a: Floats) -> Any:
+    """Roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
+
+    Args:
+        a: coefficients, finite (n).
+    """
+    companion = np.eye(a.size, k=-1)
+    if a.size:
+        companion[0] = -a
+    return np.linalg.eigvals(companion)
+
+
 def stabilised(a: Floats, radius: float = 0.98) -> Floats:
     """Denominator coefficients a_1.. with poles beyond `radius` moved onto it, for starts."""
-    poles = np.roots(np.append(1.0, a))
+    poles = roots(a)
     size = np.abs(poles)
     moved = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
     return np.atleast_1d(np.real(np.poly(moved)))[1:]

@@ -171,7 +171,7 @@ class MapFit:
         e = (self.simulator.data.y - value)[self.use]
         variance = float(e @ e) / e.size + 1e-30
         hessian = rows.T @ rows / variance + 1e-9 * np.eye(self.free.size)
-        return self.value(theta), rows.T @ e / variance, hessian
+        return -0.5 * e.size * math.log(variance), rows.T @ e / variance, hessian
 
     def _dragged(self, slope: Floats, moves: Floats) -> Floats:
         """d(play)/dtheta: that of z - p_0 or z + p_1, by where it last moved."""

@@ -268,7 +268,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
     disturbance = answer.disturbance
     where = "at z" if disturbance.ahead else "behind the zone"
     if not disturbance.ahead and not answer.zone:
-        where = "left of the readings"
+        where = "in what the plant leaves of the readings"
     text = f"rms {disturbance.rms:.3g}{unit} {where}"
     if disturbance.correlation_time is not None:
         unit_of_time = "samples" if answer.evidence.grid.counted else "s"

@@ -163,8 +163,9 @@ def _shown(
     shown: dict[str, Interval | None] = {}
     for name in ("right", "left", "width", "centre"):
         interval = getattr(widths, name).scaled(scale)
-        half = wider * interval.half
-        shown[name] = Interval(interval.value, interval.value - half, interval.value + half)
+        value = interval.value
+        low, high = wider * (value - interval.low), wider * (interval.high - value)
+        shown[name] = Interval(value, value - low, value + high)
     for name in ("right", "left"):
         low, high = options.bounds("right" if name == "right" else "left")
         if low == high:

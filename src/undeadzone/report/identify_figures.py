@@ -84,7 +84,7 @@ def overview(found_log: Identified) -> Figure:
     fit, t = found_log.answer.fit, found_log.answer.evidence.grid.t[part]
     side, whose = data.side, "Side of the readings"
     if fit.objective.kind == "behind":  # where readings inside the zone are noise
-        side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), "Side of z^"
+        side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), r"Side of $\hat z$"
     side = np.where(data.ok, side, np.nan)[part]
     panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
@@ -119,14 +119,16 @@ def _shade_held_out(axes: Axes, found_log: Identified) -> None:
 
 def _zone_bands(axes: Axes, found_log: Identified) -> None:
     """The zone, and the intervals of its edges."""
-    for interval, sign, name in ((found_log.right, 1, "d_r"), (found_log.left, -1, "d_l")):
+    words: str | None = "edges, 95 %"
+    for interval, sign in ((found_log.right, 1), (found_log.left, -1)):
         if interval is None or not math.isfinite(interval.high):
             continue
         axes.axhline(sign * interval.value, color=PRINTED, linewidth=1.0, label=None)
         axes.axhspan(
             sign * interval.low, sign * interval.high, color=PRINTED, alpha=0.25, linewidth=0,
-            label=f"edge ${name}$, 95 %",
+            label=words,
         )  # fmt: skip
+        words = None
 
 
 def _hidden(found_log: Identified) -> Figure:
@@ -164,13 +166,15 @@ def _residual_map(found_log: Identified) -> Figure:
     axes.fill_between(x, curve - band, curve + band, color=PRINTED, alpha=0.25, linewidth=0)
     axes.plot(x, curve, color=PRINTED, label="mean residual, 95 %")
     unit = _unit(found_log)
-    finish(axes, "Residual by z^", label("y - E[y | z^]", unit), label(r"$\hat z$", unit))
+    finish(
+        axes, r"Residual by $\hat z$", label(r"$y - E[y | \hat z]$", unit), label(r"$\hat z$", unit)
+    )
     axes = panels["static"]
     axes.plot((fit.z * scale)[ok], answer.evidence.grid.y[ok], ".", color=READING,
               markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
+    finish(axes, r"Reading by $\hat z$", label("y", unit), label(r"$\hat z$", unit))
     return figure
 
 

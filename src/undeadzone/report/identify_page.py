@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from undeadzone.identification.orders import OrderFit, at_limit
 from undeadzone.identification.result import Identified
 from undeadzone.identification.summary import HEADS, rivals_in_words
 from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
@@ -102,7 +103,7 @@ def _rivals(found_log: Identified) -> list[Html]:
         f" p = {evidence.no_zone.chance:.2g}."
     )
     rivals = rivals_in_words(found_log.answer)
-    return [table(("instead of a dead zone", "behind, nats a sample"), rivals), paragraph(words)]
+    return [table(("what the sensor may be", "behind, nats a sample"), rivals), paragraph(words)]
 
 
 def _place(found_log: Identified) -> list[Html]:
@@ -128,6 +129,11 @@ def _place(found_log: Identified) -> list[Html]:
 def _stages(found_log: Identified) -> Html:
     """Widths by stage of the fit."""
     answer = found_log.answer
+    if answer.evidence.jumps is not None:
+        return paragraph(
+            "The edges of a jump sensor come from the least readings of their passages; plant and"
+            " likelihoods take them as known."
+        )
     names = {
         "L1": "single samples",
         "L2": "pairs of samples",
@@ -158,7 +164,14 @@ def _orders(found_log: Identified) -> Html:
                 one.error * answer.scale,
                 one.pairs.right * answer.scale,
                 one.pairs.left * answer.scale,
-                "chosen" if one.n == answer.order else "",
+                _standing(found_log, one),
             )
         )
     return table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
+
+
+def _standing(found_log: Identified, one: OrderFit) -> str:
+    """Whether an order was chosen, or could not be."""
+    if one.n == found_log.order:
+        return "chosen"
+    return "a pole does not settle within the log" if at_limit(one) else ""
