@@ -65,8 +65,8 @@ def table() -> str:
         "",
         "One Kalman filter with an offset for each (sign of y, direction of y), plant known: z'' ="
         " -a0 z - 2 z' + u on 5 sin 1.3 t, 100 Hz, 30 s, noise 0.01, white disturbance 0.5, gaps"
-        " and zones of 0.2 to 1 a side. Errors are medians of |error|, widths c_r + c_l, d_r + d_l, and"
-        " b1 - b2 - b3 + b4, which must be 0; 95 % intervals.",
+        " and zones of 0.2 to 1 a side. Errors are medians of |error|, widths c_r + c_l, d_r + d_l,"
+        " and b1 - b2 - b3 + b4, which must be 0; 95 % intervals.",
         "",
         *known_plant(),
         "",

@@ -33,7 +33,9 @@ class Sensing(NamedTuple):
     window: int
 
 
-def sensing(y: Floats, ok: Flags, start: Integers, quantum: float) -> Sensing:
+def sensing(
+    y: Floats, ok: Flags, start: Integers, quantum: float, longest: float = np.inf
+) -> Sensing:
     """How the readings of a log show motion.
 
     Args:
@@ -41,18 +43,22 @@ def sensing(y: Floats, ok: Flags, start: Integers, quantum: float) -> Sensing:
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         quantum: smallest common spacing of the readings, 0 if there is none.
+        longest: window over which z hardly turns.
 
     Returns:
         The rule; of noisy readings with the window that makes out most sides.
     """
     change, known = _changes(y, ok, start)
-    if (change[known] == 0).mean() > HELD and not _chatters(change[known]):
+    spoken = change[known & (y != 0)]
+    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(spoken):
         return Sensing(0.0, quantum, 1)
     rms = float(np.hypot(white_noise(y, ok, start), quantum / np.sqrt(12)))
-    counts = []
+    best, most = WINDOWS[0], -1
     for window in WINDOWS:
-        counts.append(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
-    return Sensing(rms, 0.0, WINDOWS[int(np.argmax(counts))])
+        count = int(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
+        if count > most and (window == WINDOWS[0] or window <= longest):
+            best, most = window, count
+    return Sensing(rms, 0.0, best)
 
 
 def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
@@ -91,7 +97,7 @@ def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
 
 def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
     """rms of the white noise of readings, by the median of their third differences."""
-    known = ok.copy()
+    known = ok & (y != 0)  # what is silent has none
     difference = y
     for _ in range(3):
         difference = np.append(0.0, np.diff(difference))
@@ -117,3 +123,9 @@ def _chatters(change: Floats) -> bool:
     if ticks.size < 10:
         return False
     return float((ticks[1:] == -ticks[:-1]).mean()) > CHATTER
+
+
+def turns_between(z: Floats) -> float:
+    """Mean number of samples between two turns of a smooth signal."""
+    rising = np.diff(z) > 0
+    return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)
