@@ -93,7 +93,7 @@ def identify_output(
     if prepared.jumps is None:
         offsets = of_zone(chosen.pairs, quantum)
         found = found._replace(offsets=offsets)
-        if is_asked(verdict, offsets, options):
+        if is_asked(verdict, offsets, chosen.pairs, rivals, options):
             logs = _undelayed(as_recorded, data, options, delay)
             found = find_play(verdict, offsets, logs, fits, rivals, quantum, options, advance)
             verdict = found.verdict

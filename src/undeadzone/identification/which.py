@@ -206,9 +206,8 @@ def of_zone(fit: Fit, quantum: float) -> Offsets:
 def _along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Offsets:
     """The four offsets, with a fitted plant taken for known."""
     data = simulator.data
-    longest = (
-        turns_between(simulator.z(np.append(theta[: simulator.layout.right], np.zeros(4)))) / 8
-    )
+    z = simulator.z(np.append(theta[: simulator.layout.right], np.zeros(4)))
+    longest = turns_between(z) / 8
     how = sensing(data.y, data.ok, data.start, quantum, longest)
     plant = moving(simulator, theta, rms, white_noise(data.y, data.ok, data.start))
     return four_offsets(plant, data.u, data.y, data.ok, data.start, how)
