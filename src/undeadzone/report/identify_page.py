@@ -25,6 +25,8 @@ CAPTIONS = {
     " for white residuals: what stands out is not in the model.",
     "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
     " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
+    "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
+    " leaves of the readings; a curve there is something that it does not hold.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
@@ -82,12 +84,22 @@ def identified_page(
         *map(paragraph, answer.reasons),
         section("The answer", table(("what", "value"), rows), *pick(shown, "overview")),
         section("Hidden output", *pick(shown, "hidden")),
+        *([] if answer.element is None else [section("What it is", *pick(shown, "element"))]),
         section("Is it a dead zone?", *_rivals(found_log), *pick(shown, "residual_map")),
         *_place(found_log),
-        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
-        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+        *_fits(found_log, shown),
         origin=origin,
     )
+
+
+def _fits(found_log: Identified, shown: dict[str, Html]) -> list[Html]:
+    """Stages and orders of the fit with a zone of the sensor; none beside another element."""
+    if found_log.answer.element is not None:
+        return []
+    return [
+        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
+        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+    ]
 
 
 def _rivals(found_log: Identified) -> list[Html]:
