@@ -104,7 +104,7 @@ def of_play(gap: Gap, offset: float | None) -> Element:
         zone=zone,
         ahead=gap.ahead,
         noise=gap.noise,
-        rms=gap.fit.density.rms,
+        rms=model.rms(gap.fit.theta),
         remarks=remarks,
     )
 

@@ -118,7 +118,7 @@ def _matched(
     size = model.data.y.size
     colour = white(RUNS, size, ahead.phi)
     behind = noise * np.random.default_rng(1).standard_normal((RUNS, size))
-    left = _unexplained(fit.density.rms, noise)
+    left = _unexplained(model.rms(fit.theta), noise)
     theta, rms = fit.theta, ahead.rms
     for _ in range(ROUNDS):
         w = shaped(layout, theta, colour)
@@ -152,7 +152,7 @@ def _refitted(
         copy = model.of_readings(y)
         top = copy.climbed(theta, STEPS, 1e-3)
         fits.append(top.theta)
-        residuals.append(float(np.sqrt(np.mean(copy.residual(top.theta)[copy.data.ok] ** 2))))
+        residuals.append(copy.rms(top.theta))
     return np.array(fits), np.array(residuals)
 
 

@@ -102,6 +102,10 @@ class PlayModel:
         """y less what is expected (N); 0 where a reading is missing."""
         return (self.data.y - self.readings(self.z(theta), theta)) * self.data.ok
 
+    def rms(self, theta: Floats) -> float:
+        """rms of what is left of the readings that there are."""
+        return float(np.sqrt(np.mean(self.residual(theta)[self.data.ok] ** 2)))
+
     def value(self, theta: Floats) -> float:
         """Minus N / 2 ln of the mean square of the residual."""
         if not self.simulator.admissible(self._plant(theta)):
@@ -243,10 +247,10 @@ def _best(model: PlayModel, starts: list[Floats]) -> PlayFit | None:
 def density_of(model: PlayModel, theta: Floats) -> Density:
     """The model's account of the readings, with whether a curve over z explains what it leaves."""
     ok: Flags = model.data.ok
-    e = model.residual(theta)[ok]
+    e = model.residual(theta)
     widths = tuple(float(number) for number in theta[model.base :])
     density = first_order_density(model.name, e, model.free.size, widths)
-    return density._replace(strange=is_strange(*curve_over(model.z(theta)[ok], e)))
+    return density._replace(strange=is_strange(*curve_over(model.z(theta)[ok], e[ok])))
 
 
 def _least(fits: list[PlayFit | None]) -> PlayFit | None:

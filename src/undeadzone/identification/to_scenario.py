@@ -22,6 +22,7 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
 
 SURE = 0.999  # level of the intervals that the observer is given
+UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 NARROWEST = 1e-9  # the range of a width that is 0
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
@@ -293,6 +294,11 @@ def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, fl
     """rms at the input and correlation time [s] of what disturbs the plant behind an element."""
     if element.ahead is None:
         return None
+    unseen = UNSEEN * element.noise
+    if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
+        layout, theta = element.simulator.layout, element.theta
+        gain = input_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
+        return unseen / math.sqrt(gain) * scale, 0.5 * step
     return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
 
 

@@ -190,7 +190,7 @@ def of_gap(gap: Gap, quantum: float) -> Offsets:
         gap: play, or play and dead zone.
         quantum: of the readings, scaled.
     """
-    return _along(gap.model.simulator, gap.theta, gap.fit.density.rms, quantum)
+    return _along(gap.model.simulator, gap.theta, gap.model.rms(gap.fit.theta), quantum)
 
 
 def of_zone(fit: Fit, quantum: float) -> Offsets:

@@ -25,9 +25,14 @@ CAPTIONS = {
     " for white residuals: what stands out is not in the model.",
     "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
     " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
+    "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
+}
+
+OF_ELEMENT = {  # in place of these
+    "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
+    " the log. Below: in which contact the play is, or on which side of its zone the input.",
     "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
     " leaves of the readings; a curve there is something that it does not hold.",
-    "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
 
@@ -77,13 +82,14 @@ def identified_page(
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
             rows.append((name, text))
-    shown = pictures(images, CAPTIONS)
+    captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
+    shown = pictures(images, captions)
     return page(
         f"Identified: {source}",
         head,
         *map(paragraph, answer.reasons),
         section("The answer", table(("what", "value"), rows), *pick(shown, "overview")),
-        section("Hidden output", *pick(shown, "hidden")),
+        *([section("Hidden output", *pick(shown, "hidden"))] if "hidden" in shown else []),
         *([] if answer.element is None else [section("What it is", *pick(shown, "element"))]),
         section("Is it a dead zone?", *_rivals(found_log), *pick(shown, "residual_map")),
         *_place(found_log),
