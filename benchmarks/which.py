@@ -75,7 +75,7 @@ def identified(kind: str, family: str, seed: int) -> tuple[bool, list[tuple[floa
     for place, name in [shown[kind]] if kind in shown else []:
         errors.append(_error(numbers[name], log.widths[place]))
     if kind == "both":
-        errors.append(_error(numbers["both_zone"], log.widths[1]))
+        errors.append(_error(numbers["zone_width"], log.widths[1]))
     return True, [error for error in errors if error is not None]
 
 

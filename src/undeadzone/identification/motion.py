@@ -16,7 +16,7 @@ from undeadzone.support.arrays import Floats, Integers
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
 HELD = 0.01  # share of readings equal to the one before that shows a sensor without noise
-CHATTER = 0.02  # share of ticks that are taken back at once, from which ticks are noise
+CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
 
 
 class Sensing(NamedTuple):
@@ -50,7 +50,7 @@ def sensing(
     """
     change, known = _changes(y, ok, start)
     spoken = change[known & (y != 0)]
-    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(spoken):
+    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(np.where(known, change, 0.0)):
         return Sensing(0.0, quantum, 1)
     rms = float(np.hypot(white_noise(y, ok, start), quantum / np.sqrt(12)))
     best, most = WINDOWS[0], -1
@@ -118,11 +118,12 @@ def _changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
 
 
 def _chatters(change: Floats) -> bool:
-    """Whether many changes are taken back by the next one: noise about a boundary."""
-    ticks = change[change != 0]
+    """Whether many ticks are taken back within two readings: noise about a boundary."""
+    ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
-    return float((ticks[1:] == -ticks[:-1]).mean()) > CHATTER
+    back = (change[ticks[1:]] == -change[ticks[:-1]]) & (np.diff(ticks) <= 2)
+    return float(back.mean()) > CHATTER
 
 
 def turns_between(z: Floats) -> float:

@@ -51,7 +51,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
             "gain": answer.gain.tolist(),
         },
         "disturbance": answer.disturbance._asdict(),
-        "both_zone": None if answer.element is None else _listed(answer.element.zone),
+        "zone_width": None if answer.element is None else _listed(answer.element.zone),
         "offsets": _offsets(answer),
         "alternatives": _alternatives(answer),
         "place": _place(answer),

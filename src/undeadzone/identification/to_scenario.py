@@ -180,9 +180,15 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
                 f"scenario: the {name} edge is never reached in the log; give it by --{name}"
             )
         if edge.value < 0:
+            cure = "take a constant offset away from the readings that are not silent, or from u"
+            if answer.verdict == "play" and answer.centre is not None:
+                middle = -answer.centre.value
+                cure = (
+                    f"an offset of a play is its centre: --zero {middle:.4g} makes both sides even"
+                )
+            value = f"{edge.value:.4g}"
             raise InputError(
-                f"scenario: the {name} width {edge.value:.4g} is negative: it does not hold z = 0;"
-                " take a constant offset away from the readings that are not silent, or from u"
+                f"scenario: the {name} width {value} is negative: z = 0 is not inside; {cure}"
             )
     return answer.right, answer.left
 
