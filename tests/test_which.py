@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,8 @@ from undeadzone.support.arrays import Floats
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05
 START = np.zeros(1, int)
+ROOT = Path(__file__).parents[1]
+NUMBER = r"-?\d+\.?\d*"
 
 
 def through(v: Floats, gaps: tuple[float, float], widths: tuple[float, float]) -> Floats:
@@ -351,5 +355,19 @@ def test_commands_take_the_scenario_of_an_actuator(
     assert low < right < high
     assert not group.main(["run", "valve.toml", "--no-figures"], standalone_mode=False)
     assert not group.main(["check", "valve.toml", "--no-figures"], standalone_mode=False)
-    assert not group.main(["export", "valve.toml", "--out", "c"], standalone_mode=False)
     capsys.readouterr()
+
+
+def test_pictures_are_up_to_date() -> None:
+    spec = importlib.util.spec_from_file_location("signatures", ROOT / "docs" / "signatures.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name, text in module.pictures().items():
+        shown = (module.FOLDER / name).read_text(encoding="utf-8")
+        words, numbers = (re.sub(NUMBER, "#", one) for one in (shown, text)), []
+        assert len(set(words)) == 1, "run: python docs/signatures.py"
+        for one in (shown, text):
+            numbers.append([float(number) for number in re.findall(NUMBER, one)])
+        assert np.abs(np.subtract(*numbers)).max() < 0.2, "run: python docs/signatures.py"
