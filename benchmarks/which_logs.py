@@ -14,6 +14,7 @@ from undeadzone.identification.four_offsets import Moving
 from undeadzone.support.arrays import Floats
 
 KINDS = ("neither", "dead_zone", "play", "both")
+WHERE = (*KINDS, "input_zone")
 STEP, SAMPLES = 0.01, 3000
 NOISE, DISTURBANCE = 0.01, 0.5  # rms, of readings and at the input
 AMPLITUDE, RATE = 5.0, 1.3  # of the reference, and in rad/s
@@ -30,7 +31,7 @@ class Loop(NamedTuple):
 
 
 class Open(NamedTuple):
-    """A log without a loop: step [s], u, y, the four widths c_r, c_l, d_r, d_l."""
+    """A log without a loop: step [s], u, y, c_r + c_l, and d_r + d_l of the sensor or input."""
 
     step: float
     u: Floats
@@ -86,13 +87,18 @@ def open_log(kind: str, family: str, seed: int) -> Open:
     u = excitation(rng, step, omega, False)
     z = lfilter(b, a, u)
     u, z = u[:LENGTH] / z.std(), z[:LENGTH] / z.std()
+    c, d = rng.uniform(0.1, 0.8, 2), rng.uniform(0.15, 0.6, 2)
+    if kind == "input_zone":
+        d = d * u.std()
+        z = lfilter(b, a, np.maximum(u - d[0], 0.0) + np.minimum(u + d[1], 0.0))
+        b, z = b / z.std(), z / z.std()
     pole = math.exp(-step * omega / rng.uniform(0.3, 2))
     w = lfilter(b, a, lfilter([1], [1, -pole], rng.standard_normal(LENGTH + 500)))[500:]
     z = z + FAMILIES[family] * w / w.std()
     noise = float(rng.choice([0.01, 0.03, 0.06]))
-    c, d = rng.uniform(0.1, 0.8, 2), rng.uniform(0.15, 0.6, 2)
-    c, d = c * (kind in ("play", "both")), d * (kind in ("dead_zone", "both"))
-    y = through(z, c, d)
+    c = c * (kind in ("play", "both"))
+    y = through(z, c, d * (kind in ("dead_zone", "both")))
     e = noise * rng.standard_normal(LENGTH)
     y = QUANTUM * np.round(y / QUANTUM) if family == "encoder" else y + e
-    return Open(step, u, y, np.concatenate([c, d]))
+    d = d * (kind in ("dead_zone", "both", "input_zone"))
+    return Open(step, u, y, np.array([c.sum(), d.sum()]))

@@ -43,6 +43,7 @@ FIRST = {
     ],
     "The problem": [
         "model.md",
+        "nonlinearities.md",
         "play.md",
         "actuator.md",
         "observer.md",

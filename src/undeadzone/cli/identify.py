@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
 @click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
 @click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
-@click.option("--kind", type=click.Choice(["auto", "deadzone", "jump"]), default="auto")
+@click.option("--kind", type=click.Choice(["auto", "deadzone", "jump", "play"]), default="auto")
 @click.option("--delay", default="auto", help="Samples by which the recording delays the input.")
 @click.option("--zero", default=0.0, help="What the sensor reads inside its zone.")
 @click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
@@ -61,13 +61,15 @@ def identify(
 
     A log is a CSV file of any dialect (t, u, y; units in brackets), .npz or .mat; several are
     records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
-    intervals, the plant, and how it does on held-out data. Writes NAME.toml, a scenario for run,
+    intervals, the plant, and how it does on held-out data. A play or an actuator's dead zone is
+    named and measured instead. Writes NAME.toml, a scenario for run,
     check, design and watch, and identify.json, figures and report.html to DIR (default:
     NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
     kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no dead zone
     of the sensor, or nothing can be said.
     """
     from undeadzone.identification.identify import identify as identified
+    from undeadzone.identification.result import WRITTEN
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
@@ -81,7 +83,7 @@ def identify(
         is_found = answer.verdict in ("dead_zone", options["kind"])
         written: list[Path] = []
         reason = None
-        if is_found:
+        if is_found or answer.verdict in WRITTEN:
             path = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
             written, reason = _scenario(answer, path)
         if folder is not None:

@@ -7,17 +7,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.identification.element import Element
 from undeadzone.identification.excitation import Excitation
 from undeadzone.identification.fit import Fit
+from undeadzone.identification.four_offsets import Offsets
 from undeadzone.identification.grid import Grid
 from undeadzone.identification.intervals import Interval, Widths
 from undeadzone.identification.jump_edges import JumpEdge
 from undeadzone.identification.kalman_fit import KalmanFit
-from undeadzone.identification.kalman_likelihood import NAMES
+from undeadzone.identification.kalman_likelihood import AT_INPUT, NAMES
 from undeadzone.identification.no_zone import NoZone
 from undeadzone.identification.options import Options
 from undeadzone.identification.orders import OrderFit
 from undeadzone.identification.place import Place
+from undeadzone.identification.plant_fit import Layout
 from undeadzone.identification.residual_map import ResidualMap
 from undeadzone.identification.static_rivals import Density
 from undeadzone.support.arrays import Floats
@@ -40,6 +43,8 @@ class Evidence(NamedTuple):
         unreached: edges that no reading passes.
         jumps: edges of a jump sensor, scaled; None for a dead zone.
         delay: samples by which the input acts late.
+        element: what stands in the place of a sensor's dead zone; None: nothing does.
+        offsets: the four offsets along the log, with the element's plant; None: not looked at.
     """
 
     grid: Grid
@@ -55,6 +60,8 @@ class Evidence(NamedTuple):
     unreached: tuple[str, ...]
     jumps: tuple[JumpEdge, JumpEdge] | None
     delay: int
+    element: Element | None = None
+    offsets: Offsets | None = None
 
 
 class Disturbance(NamedTuple):
@@ -79,11 +86,11 @@ class Answer(NamedTuple):
     """What a log says.
 
     Attributes:
-        verdict: dead_zone, none, saturation, jump, play, friction, input_zone, other, unclear or
-            unreached.
+        verdict: dead_zone, none, saturation, jump, play, both (play and dead zone), friction,
+            input_zone, other, unclear or unreached.
         reasons: why, in words.
-        right, left, width, centre: (value, low, high) with 95 % intervals [y]; None where the
-            verdict allows no such number.
+        right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
+            names [y], of an input zone [u]; None where the verdict allows no such number.
         order: poles of the plant.
         poles: of the plant (n) [1/s], complex.
         gain: DC gain from each input (m) [y/u].
@@ -121,8 +128,36 @@ class Answer(NamedTuple):
         return self.fit.objective.data.y_scale
 
     @property
+    def element(self) -> Element | None:
+        """What stands in the place of a sensor's dead zone."""
+        return self.evidence.element
+
+    @property
+    def z(self) -> Floats:
+        """Output of the plant (N), scaled."""
+        return self.fit.z if self.element is None else self.element.z
+
+    @property
+    def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
+        """Layout, a, b in units of y and u, and their covariance together."""
+        element, data = self.element, self.fit.objective.data
+        if element is None:
+            layout, theta = self.fit.objective.layout, self.fit.theta
+            V = self.fit.objective.spread(theta).V
+        else:
+            layout, theta, V = element.simulator.layout, element.theta, element.V
+        count = layout.b.stop
+        scale = np.ones(count)
+        factors = np.repeat(data.y_scale / data.u_scale, layout.n)
+        scale[layout.b] = factors
+        V = V[:count, :count] * np.outer(scale, scale)
+        return layout, theta[layout.a], theta[layout.b] * factors, V
+
+    @property
     def disturbance(self) -> Disturbance:
         """What disturbs z."""
+        if self.element is not None:
+            return _beside(self.element, self.evidence.grid.step, self.scale)
         rho = self.fit.rho
         time = -self.evidence.grid.step / math.log(rho) if 0.05 < rho < 1 else None
         best = self.evidence.kalman[0] if self.evidence.kalman else None
@@ -135,3 +170,12 @@ class Answer(NamedTuple):
             return Disturbance(self.fit.s * self.scale, time, None, None, ahead)
         white = best.r * self.scale
         return Disturbance(self.fit.s * self.scale, time, white, NAMES[best.model], ahead)
+
+
+def _beside(element: Element, step: float, scale: float) -> Disturbance:
+    """What disturbs the z of an element."""
+    ahead, noise = element.ahead, element.noise * scale
+    if ahead is None:
+        return Disturbance(element.rms * scale, None, noise, None, True)
+    time = -step / math.log(ahead.phi) if ahead.phi > 0 else None
+    return Disturbance(ahead.rms * scale, time, noise, NAMES[AT_INPUT], True)

@@ -62,7 +62,7 @@ def identify(
         held_out: share of the log, at its end, that checks the fit.
         noise: "before" the zone, "after" it, or "auto".
         place: "sensor" where the user knows that the zone is there, or "auto".
-        kind: "deadzone", "jump" (readings are not shifted) or "auto".
+        kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
         delay: samples by which the recording makes the input late, or "auto" to find how late it
             acts.
         zero: what the sensor reads inside its zone [y].
@@ -87,7 +87,7 @@ def identify(
     words = {
         "noise": ("before", "after", "auto"),
         "place": ("sensor", "auto"),
-        "kind": ("deadzone", "jump", "auto"),
+        "kind": ("deadzone", "jump", "play", "auto"),
     }
     for name, value in (("noise", noise), ("place", place), ("kind", kind)):
         if value not in words[name]:

@@ -16,7 +16,7 @@ from undeadzone.support.arrays import Floats, Integers
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
 HELD = 0.01  # share of readings equal to the one before that shows a sensor without noise
-CHATTER = 0.02  # share of ticks that are taken back at once, from which ticks are noise
+CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
 
 
 class Sensing(NamedTuple):
@@ -33,7 +33,9 @@ class Sensing(NamedTuple):
     window: int
 
 
-def sensing(y: Floats, ok: Flags, start: Integers, quantum: float) -> Sensing:
+def sensing(
+    y: Floats, ok: Flags, start: Integers, quantum: float, longest: float = np.inf
+) -> Sensing:
     """How the readings of a log show motion.
 
     Args:
@@ -41,18 +43,22 @@ def sensing(y: Floats, ok: Flags, start: Integers, quantum: float) -> Sensing:
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         quantum: smallest common spacing of the readings, 0 if there is none.
+        longest: window over which z hardly turns.
 
     Returns:
         The rule; of noisy readings with the window that makes out most sides.
     """
     change, known = _changes(y, ok, start)
-    if (change[known] == 0).mean() > HELD and not _chatters(change[known]):
+    spoken = change[known & (y != 0)]
+    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(np.where(known, change, 0.0)):
         return Sensing(0.0, quantum, 1)
     rms = float(np.hypot(white_noise(y, ok, start), quantum / np.sqrt(12)))
-    counts = []
+    best, most = WINDOWS[0], -1
     for window in WINDOWS:
-        counts.append(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
-    return Sensing(rms, 0.0, WINDOWS[int(np.argmax(counts))])
+        count = int(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
+        if count > most and (window == WINDOWS[0] or window <= longest):
+            best, most = window, count
+    return Sensing(rms, 0.0, best)
 
 
 def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
@@ -91,7 +97,7 @@ def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
 
 def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
     """rms of the white noise of readings, by the median of their third differences."""
-    known = ok.copy()
+    known = ok & (y != 0)  # what is silent has none
     difference = y
     for _ in range(3):
         difference = np.append(0.0, np.diff(difference))
@@ -112,8 +118,15 @@ def _changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
 
 
 def _chatters(change: Floats) -> bool:
-    """Whether many changes are taken back by the next one: noise about a boundary."""
-    ticks = change[change != 0]
+    """Whether many ticks are taken back within two readings: noise about a boundary."""
+    ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
-    return float((ticks[1:] == -ticks[:-1]).mean()) > CHATTER
+    back = (change[ticks[1:]] == -change[ticks[:-1]]) & (np.diff(ticks) <= 2)
+    return float(back.mean()) > CHATTER
+
+
+def turns_between(z: Floats) -> float:
+    """Mean number of samples between two turns of a smooth signal."""
+    rising = np.diff(z) > 0
+    return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)

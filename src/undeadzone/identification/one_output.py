@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.identification.answer import Evidence
 from undeadzone.identification.climb import KeptClimbs
+from undeadzone.identification.element_check import held_out_of
 from undeadzone.identification.excitation import excitation
 from undeadzone.identification.first_fit import fitted_with_delay, without_unreached
 from undeadzone.identification.fit import Fit, polished
@@ -27,7 +28,7 @@ from undeadzone.identification.orders import (
     trained_part,
 )
 from undeadzone.identification.place import find_place
-from undeadzone.identification.plant_fit import Simulator
+from undeadzone.identification.plant_fit import Data, Simulator
 from undeadzone.identification.prepare import Prepared, prepare
 from undeadzone.identification.records import longest_record, reduced
 from undeadzone.identification.residual_map import residual_map
@@ -42,6 +43,7 @@ from undeadzone.identification.verdict import (
     saturated,
     static_verdict,
 )
+from undeadzone.identification.which import Which, find_actuator, find_play, is_asked, of_zone
 
 
 def identify_output(
@@ -68,6 +70,7 @@ def identify_output(
     prepared = prepare(grid, options)
     prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
+    as_recorded = prepared.data
     prepared, fits, delay, alike = fitted_with_delay(prepared, options, advance)
     chosen = _polished(best_order(fits))
     data = prepared.data
@@ -86,7 +89,15 @@ def identify_output(
     if prepared.jumps is None and verdict.word == "jump" and _can_be_jump(prepared, options):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(grid, as_jump, advance, climbs)
-    asks_place = _asks_place(prepared, options, unreached)
+    found = Which(verdict, None, None)
+    if prepared.jumps is None:
+        offsets = of_zone(chosen.pairs, quantum)
+        found = found._replace(offsets=offsets)
+        if is_asked(verdict, offsets, chosen.pairs, rivals, options):
+            logs = _undelayed(as_recorded, data, options, delay)
+            found = find_play(verdict, offsets, logs, fits, rivals, quantum, options, advance)
+            verdict = found.verdict
+    asks_place = _asks_place(prepared, options, unreached) and found.element is None
     kalman: list[KalmanFit] = []
     place = None
     is_jump = prepared.jumps is not None and verdict.word == "jump"
@@ -108,6 +119,8 @@ def identify_output(
         verdict = there
     if verdict.word in ("dead_zone", "other", "unclear"):
         verdict = unmodelled(verdict, chosen.pairs)
+    if verdict.word == "input_zone":
+        found = find_actuator(verdict, fits, found.offsets)
     offset = options.offset_rms()
     widths = find_widths(
         chosen,
@@ -120,6 +133,9 @@ def identify_output(
     excited = excitation(
         data.readings(), chosen.pairs.z, widths.right.value, widths.left.value, data.silent_zeros
     )
+    if found.element is not None:
+        check = held_out_of(found.element, options.held_out)
+        chosen = chosen._replace(error=check.error, share=check.share, white=check.white)
     if kalman:
         chosen = chosen._replace(white=_white_after_filter(kalman[0], options.held_out))
     evidence = Evidence(
@@ -135,10 +151,26 @@ def identify_output(
         widths=widths,
         unreached=unreached,
         jumps=prepared.jumps,
-        delay=delay,
+        delay=_late(delay, data, found),
+        element=found.element,
+        offsets=found.offsets,
     )
     advance(1)
     return Identified(to_answer(prepared, options, evidence, verdict))
+
+
+def _undelayed(recorded: Data, used: Data, options: Options, delay: int) -> list[Data]:
+    """The records in which a play is looked for: a play is late, so a delay may be one."""
+    logs = [used] if options.delay != "auto" or not delay else [recorded, used]
+    return [one._replace(climbs=used.climbs) for one in logs]
+
+
+def _late(delay: int, used: Data, found: Which) -> int:
+    """By how many samples the input acts late; of a play in the records as they are, by none."""
+    element = found.element
+    if element is None or element.kind == "input_zone" or element.simulator.data.u is used.u:
+        return delay
+    return 0
 
 
 def _polished(chosen: OrderFit) -> OrderFit:

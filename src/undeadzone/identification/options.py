@@ -25,7 +25,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         held_out: share of the log, at its end, that checks the fit; default 0.3.
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
-        kind: deadzone, jump (readings are not shifted), or auto: a jump sensor is told apart.
+        kind: deadzone, jump (readings are not shifted), play, or auto: they are told apart.
         delay: samples by which the input acts late: auto, or a number that belongs to the
             recording.
         zero: what the sensor reads inside its zone [y]; it is taken off every reading.
@@ -41,7 +41,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     held_out: float = 0.3
     noise: Literal["before", "after", "auto"] = "auto"
     place: Literal["sensor", "auto"] = "auto"
-    kind: Literal["deadzone", "jump", "auto"] = "auto"
+    kind: Literal["deadzone", "jump", "play", "auto"] = "auto"
     delay: str = "auto"
     zero: float = 0.0
     threshold: float | None = None

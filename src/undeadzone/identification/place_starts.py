@@ -16,6 +16,7 @@ class PlaceStarts:
         fit: plant and sensor zone of one record.
 
     Attributes:
+        simulator: the plant, with its record.
         n, m: order, inputs.
         linear: numbers of a plant without a zone.
         at_sensor: numbers with the zone at the sensor.
@@ -23,6 +24,7 @@ class PlaceStarts:
 
     def __init__(self, fit: Fit) -> None:
         simulator = fit.objective.simulator
+        self.simulator = simulator
         self.n, self.m = simulator.layout.n, simulator.layout.m
         self.base = simulator.layout.right
         self.plant = fit.theta[: self.base]

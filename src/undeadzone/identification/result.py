@@ -12,8 +12,10 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer
+from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_smoother import smoothed_with_spread
+from undeadzone.identification.plant_fit import Simulator
 from undeadzone.identification.summary import in_words, numbers
 from undeadzone.identification.to_scenario import scenario_text
 from undeadzone.support import shown
@@ -23,6 +25,8 @@ from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
     pass
+
+WRITTEN = ("play", "input_zone")  # verdicts besides the sensor's zone that a scenario has
 
 
 class States(NamedTuple):
@@ -53,7 +57,7 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """One word: dead_zone, none, saturation, jump, play, friction, input_zone, ..."""
+        """One word: dead_zone, none, saturation, jump, play, both, friction, input_zone, ..."""
         return self.answer.verdict
 
     @property
@@ -63,22 +67,22 @@ class Identified:
 
     @property
     def right(self) -> Interval | None:
-        """d_r as (value, low, high) [y]."""
+        """d_r, of a play c_r [y], of an input zone b_r [u]: (value, low, high)."""
         return self.answer.right
 
     @property
     def left(self) -> Interval | None:
-        """d_l as (value, low, high) [y]."""
+        """d_l, of a play c_l [y], of an input zone b_l [u]: (value, low, high)."""
         return self.answer.left
 
     @property
     def width(self) -> Interval | None:
-        """d_r + d_l as (value, low, high) [y]."""
+        """The sum of both as (value, low, high)."""
         return self.answer.width
 
     @property
     def centre(self) -> Interval | None:
-        """(d_r - d_l) / 2 as (value, low, high) [y]."""
+        """Half of their difference as (value, low, high)."""
         return self.answer.centre
 
     @property
@@ -103,6 +107,8 @@ class Identified:
             The smoothed states where a disturbance was found ahead of the zone, else those of the
             simulation.
         """
+        if self.answer.element is not None:
+            return self._states_of(self.answer.element)
         kalman = self.answer.evidence.kalman
         n = self.answer.order
         t = self.answer.evidence.grid.t
@@ -121,14 +127,22 @@ class Identified:
             t,
             self.answer.fit.z * self.answer.scale,
             std * self.answer.scale,
-            self._simulated_states(),
+            self._simulated_states(objective.simulator, self.answer.fit.theta),
         )
 
-    def _simulated_states(self) -> Floats:
+    def _states_of(self, element: Element) -> States:
+        """z and states behind an element, simulated; the deviation holds what disturbs z."""
+        simulator, scale = element.simulator, self.answer.scale
+        slope = simulator.gradient(element.theta, element.z)[:, : len(element.V)]
+        variance = np.einsum("tp,pq,tq->t", slope, element.V, slope)
+        rms = element.rms if element.ahead is None else element.ahead.rms
+        std = np.sqrt(np.maximum(variance, 0.0) + rms**2)
+        x = self._simulated_states(simulator, element.theta)
+        return States(self.answer.evidence.grid.t, element.z * scale, std * scale, x)
+
+    def _simulated_states(self, simulator: Simulator, theta: Floats) -> Floats:
         """States of the simulation in observer form (N x n) [y]."""
-        layout = self.answer.fit.objective.layout
-        theta = self.answer.fit.theta
-        data = self.answer.fit.objective.data
+        layout, data = simulator.layout, simulator.data
         F = np.eye(layout.n, k=1)
         F[:, 0] = -layout.denominator(theta[layout.a])
         drive = data.u @ theta[layout.b].reshape(layout.m, layout.n)
@@ -150,7 +164,8 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        if not self.answer.zone and self.answer.evidence.jumps is None:
+        known = self.answer.zone or self.answer.evidence.jumps is not None
+        if not known and self.verdict not in WRITTEN:
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )

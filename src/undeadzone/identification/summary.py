@@ -17,6 +17,7 @@ HEADS = {
     "saturation": "NO: a saturation",
     "jump": "NO: a zone with a jump, readings are not shifted",
     "play": "NO: play",
+    "both": "NO, not alone: a play and a dead zone",
     "friction": "NO: friction in the plant",
     "input_zone": "NO: a zone of the input",
     "other": "NO: another nonlinearity",
@@ -50,6 +51,8 @@ def numbers(answer: Answer) -> dict[str, Any]:
             "gain": answer.gain.tolist(),
         },
         "disturbance": answer.disturbance._asdict(),
+        "zone_width": None if answer.element is None else _listed(answer.element.zone),
+        "offsets": _offsets(answer),
         "alternatives": _alternatives(answer),
         "place": _place(answer),
         "held_out": {
@@ -90,6 +93,16 @@ def numbers(answer: Answer) -> dict[str, Any]:
 def _listed(interval: Interval | None) -> list[float] | None:
     """[value, low, high]."""
     return None if interval is None else [float(number) for number in interval]
+
+
+def _offsets(answer: Answer) -> dict[str, Any] | None:
+    """What the four offsets of the readings say."""
+    offsets = answer.evidence.offsets
+    if offsets is None:
+        return None
+    pairs = zip(offsets.widths * answer.scale, offsets.std * answer.scale, strict=True)
+    play, zone, rest = ([float(value), float(std)] for value, std in pairs)
+    return {"name": offsets.name, "play": play, "dead_zone": zone, "rest": rest}
 
 
 def _alternatives(answer: Answer) -> dict[str, Any]:
@@ -153,6 +166,43 @@ def in_words(answer: Answer) -> dict[str, Any]:
     if place is not None:
         lines["where"] = _where(answer)
     unit = "" if answer.evidence.grid.output_unit == "1" else f" {answer.evidence.grid.output_unit}"
+    if answer.element is not None:
+        lines |= _element(answer)
+    else:
+        lines |= _edges(answer, unit)
+    lines["disturbance"] = _disturbance(answer, unit)
+    lines["held out"] = _held_out(answer, unit)
+    if answer.remarks:
+        lines["note"] = answer.remarks
+    return lines
+
+
+def _element(answer: Answer) -> dict[str, str]:
+    """The widths of what stands in the place of a sensor's dead zone, and the four offsets."""
+    element, grid = answer.element, answer.evidence.grid
+    assert element is not None
+    letter, unit = "c", grid.output_unit
+    if element.kind == "input_zone":
+        letter, unit = "b", grid.input_unit
+    unit = "" if unit == "1" else f" {unit}"
+    lines = {}
+    titles = (f"{letter}_right", f"{letter}_left", f"{letter} width", f"{letter} centre")
+    for title, interval in zip(titles, element.widths.values(), strict=True):
+        if interval is not None:
+            lines[title] = _in_words(interval, unit)
+            if title == "c centre" and np.isfinite(interval.high):
+                lines[title] += "  assumes z = 0 at u = 0"
+    if element.zone is not None:
+        lines["d width"] = _in_words(element.zone, unit)
+    offsets = answer.evidence.offsets
+    if offsets is not None:
+        lines["four offsets"] = offsets.name.replace("_", " ")
+    return lines
+
+
+def _edges(answer: Answer, unit: str) -> dict[str, str]:
+    """The widths of the sensor's zone."""
+    lines = {}
     visits = dict(zip(("right", "left"), answer.evidence.excitation.visits, strict=True))
     samples = dict(zip(("right", "left"), answer.evidence.excitation.samples, strict=True))
     for name, title in (
@@ -171,12 +221,7 @@ def in_words(answer: Answer) -> dict[str, Any]:
             text += "  assumes z = 0 at u = 0"
         lines[f"{title}_{name}" if name in visits else title] = text
     lines = {name.replace("d_r_right", "d_right"): text for name, text in lines.items()}
-    lines = {name.replace("d_l_left", "d_left"): text for name, text in lines.items()}
-    lines["disturbance"] = _disturbance(answer, unit)
-    lines["held out"] = _held_out(answer, unit)
-    if answer.remarks:
-        lines["note"] = answer.remarks
-    return lines
+    return {name.replace("d_l_left", "d_left"): text for name, text in lines.items()}
 
 
 def _in_words(interval: Interval, unit: str) -> str:

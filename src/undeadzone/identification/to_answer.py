@@ -26,19 +26,24 @@ def to_answer(prepared: Prepared, options: Options, evidence: Evidence, verdict:
         evidence: all that was computed.
         verdict: in the end.
     """
-    chosen = evidence.chosen
-    simulator = chosen.pairs.objective.simulator
+    chosen, element = evidence.chosen, evidence.element
+    simulator, theta = chosen.pairs.objective.simulator, chosen.pairs.theta
+    if element is not None:
+        simulator, theta = element.simulator, element.theta
     data = prepared.data
-    poles = simulator.poles(chosen.pairs.theta).astype(complex)
+    poles = simulator.poles(theta).astype(complex)
     with np.errstate(divide="ignore"):
         rates = np.log(poles) / evidence.grid.step
-    gain = simulator.gain(chosen.pairs.theta) * data.y_scale / data.u_scale
+    gain = simulator.gain(theta) * data.y_scale / data.u_scale
     gain /= evidence.grid.step**options.integrators
     remarks = [*prepared.remarks, *verdict.cautions]
     shown: dict[str, Interval | None] = dict.fromkeys(("right", "left", "width", "centre"))
     word = verdict.word
     has_edges = word == "dead_zone" or (word == "jump" and evidence.jumps is not None)
-    if evidence.delay and has_edges:
+    if element is not None:
+        shown = dict(element.widths)
+        remarks += element.remarks
+    if evidence.delay and (has_edges or element is not None):
         late = f" ({evidence.delay * evidence.grid.step:.4g} s)"
         if evidence.grid.counted:
             late = ""
@@ -59,7 +64,7 @@ def to_answer(prepared: Prepared, options: Options, evidence: Evidence, verdict:
         shown["left"],
         shown["width"],
         shown["centre"],
-        chosen.n,
+        simulator.layout.n,
         rates,
         gain,
         remarks,

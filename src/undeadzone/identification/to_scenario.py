@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer
+from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_likelihood import AT_INPUT, WHITE, input_gain
 from undeadzone.identification.to_continuous import entry_spread
@@ -20,6 +21,8 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
 
+UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
+NARROWEST = 1e-9  # the range of a width that is 0
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
@@ -43,7 +46,8 @@ def scenario_text(answers: Sequence[Answer]) -> str:
     plant = _joined([part.plant for part in parts])
     spread_A = block_diag(*[part.spread_A for part in parts])
     spread_B = np.vstack([part.spread_B for part in parts])
-    right, left = [part.right for part in parts], [part.left for part in parts]
+    zones = [] if first.verdict == "input_zone" else [_edges(answer) for answer in answers]
+    right, left = [edges[0] for edges in zones], [edges[1] for edges in zones]
     driven = plant.B.shape[1] >= len(parts)
     lines = [
         f'title = "Identified from {_name(first)}"',
@@ -54,16 +58,15 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         f"C = {_rows(plant.C)}",
         "",
         "[sensor]",
-        *(['kind = "jump"'] if first.verdict == "jump" else []),
-        f"right = {_each(right)}  # 95 %: {_intervals(right)}",
-        f"left = {_each(left)}  # 95 %: {_intervals(left)}",
+        *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
+        *_widths(right, left),
         *_noise(answers),
         "",
+        *(_actuator(first) if first.verdict == "input_zone" else []),
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
         'method = "censored"',
-        f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
-        f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
+        *_claimed([] if first.verdict == "input_zone" else answers),
         *_disturbance(answers),
         f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
         "",
@@ -84,14 +87,45 @@ def scenario_text(answers: Sequence[Answer]) -> str:
     return "\n".join(["# Written by undeadzone identify.", *cautions, *lines]) + "\n"
 
 
+def _widths(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
+    """The sensor's widths."""
+    if not right:
+        return ["right = 0.0  # the sensor has no zone", "left = 0.0"]
+    return [
+        f"right = {_each(right)}  # 95 %: {_intervals(right)}",
+        f"left = {_each(left)}  # 95 %: {_intervals(left)}",
+    ]
+
+
+def _claimed(answers: Sequence[Answer]) -> list[str]:
+    """The widths as the observer knows them; no answers: the sensor has no zone."""
+    if not answers:
+        return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
+    return [
+        f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
+        f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
+    ]
+
+
+def _actuator(answer: Answer) -> list[str]:
+    """The actuator's dead zone, and what is known of it. Raises InputError."""
+    right, left = _edges(answer)
+    return [
+        "[actuator]",
+        *_widths([right], [left]),
+        "",
+        "[model.actuator]",
+        *_claimed([answer]),
+        "",
+    ]
+
+
 class _Part(NamedTuple):
-    """What one output adds: its plant, relative spreads of A and B, its edges."""
+    """What one output adds: its plant, relative spreads of A and B."""
 
     plant: Matrices
     spread_A: Floats
     spread_B: Floats
-    right: Interval
-    left: Interval
 
 
 def _part(answer: Answer) -> _Part:
@@ -102,9 +136,8 @@ def _part(answer: Answer) -> _Part:
             f"scenario: the input acts {delay} samples ({delay * grid.step:.4g} s) late, and"
             f" scenarios have no delay; if only the recording is late, say --delay {delay}"
         )
-    a, b, V = _plant_numbers(answer)
-    plant, spread_A, spread_B = entry_spread(a, b, answer.fit.objective.layout, grid.step, V)
-    return _Part(plant, spread_A, spread_B, *_edges(answer))
+    layout, a, b, V = answer.plant_numbers
+    return _Part(*entry_spread(a, b, layout, grid.step, V))
 
 
 def _joined(plants: Sequence[Matrices]) -> Matrices:
@@ -136,22 +169,6 @@ def _listed(texts: Sequence[str]) -> str:
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
-def _plant_numbers(answer: Answer) -> tuple[Floats, Floats, Floats]:
-    """a, b in units of y and u, and their covariance together."""
-    fit = answer.fit
-    layout, data = fit.objective.layout, fit.objective.data
-    V = fit.objective.spread(fit.theta).V
-    count = layout.b.stop
-    scale = np.ones(count)
-    factors = np.repeat(data.y_scale / data.u_scale, layout.n)
-    scale[layout.b] = factors
-    return (
-        fit.theta[layout.a],
-        fit.theta[layout.b] * factors,
-        V[:count, :count] * np.outer(scale, scale),
-    )
-
-
 def _edges(answer: Answer) -> tuple[Interval, Interval]:
     """Both widths. Raises InputError."""
     if answer.right is None or answer.left is None:
@@ -162,9 +179,15 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
                 f"scenario: the {name} edge is never reached in the log; give it by --{name}"
             )
         if edge.value < 0:
+            cure = "take a constant offset away from the readings that are not silent, or from u"
+            if answer.verdict == "play" and answer.centre is not None:
+                middle = -answer.centre.value
+                cure = (
+                    f"an offset of a play is its centre: --zero {middle:.4g} makes both sides even"
+                )
+            value = f"{edge.value:.4g}"
             raise InputError(
-                f"scenario: d_{name} = {edge.value:.4g} is negative: the zone does not hold z = 0;"
-                " take a constant offset away from the readings that are not silent, or from u"
+                f"scenario: the {name} width {value} is negative: z = 0 is not inside; {cure}"
             )
     return answer.right, answer.left
 
@@ -178,10 +201,9 @@ def _noise(answers: Sequence[Answer]) -> list[str]:
     """Noise of the sensor, its threshold and quantum."""
     before, behind, thresholds = [], [], []
     for answer in answers:
-        disturbance = answer.disturbance
-        white = disturbance.rms if disturbance.white is None else disturbance.white
-        before.append(white if disturbance.ahead else 0.0)
-        behind.append(0.0 if disturbance.ahead else disturbance.rms)
+        ahead, after = _rms_of_noise(answer)
+        before.append(ahead)
+        behind.append(after)
         thresholds.append(max(0.5 * answer.evidence.grid.quantum, answer.options.threshold or 0.0))
     lines = []
     if any(before):
@@ -195,11 +217,20 @@ def _noise(answers: Sequence[Answer]) -> list[str]:
     return lines
 
 
+def _rms_of_noise(answer: Answer) -> tuple[float, float]:
+    """rms of white noise ahead of the zone and behind it; of another element always behind."""
+    disturbance = answer.disturbance
+    white = disturbance.rms if disturbance.white is None else disturbance.white
+    if answer.element is not None:
+        return 0.0, white
+    return (white, 0.0) if disturbance.ahead else (0.0, disturbance.rms)
+
+
 def _reference(answers: Sequence[Answer], A: Floats) -> list[str]:
     """A sine within the range of z and the bandwidth of the plant."""
     amplitudes = []
     for answer in answers:
-        z = np.abs(answer.fit.z) * answer.scale
+        z = np.abs(answer.z) * answer.scale
         amplitudes.append(_number(float(np.quantile(z, 0.98))))
     return [
         "[reference]  # fits the range of z in the log",
@@ -243,18 +274,37 @@ def _claim(answer: Answer) -> tuple[float, float] | None:
     layout = answer.fit.objective.layout
     kalman = answer.evidence.kalman
     data = answer.fit.objective.data
+    if answer.element is not None:
+        return _claim_ahead(answer.element, step, float(data.u_scale[0]))
     if not kalman:
         return (0.0, 0.5 * step) if answer.evidence.chosen.white else None
     best = kalman[0]
     phi = best.phi
     rms = best.q / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
     if best.model not in (WHITE, AT_INPUT):
-        a, b, _ = _plant_numbers(answer)
+        _, a, b, _ = answer.plant_numbers
         at_z = best.q / math.sqrt(1 - phi * phi) * answer.scale
         rms = at_z / math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
+    return rms, _correlation_time(phi, step)
+
+
+def _correlation_time(phi: float, step: float) -> float:
+    """The correlation time [s] of a correlation over one step."""
     if phi <= 0.01:
-        return rms, 0.5 * step
-    return rms, float(np.clip(-step / math.log(phi), 0.11 * step, 1e5 * step))
+        return 0.5 * step
+    return float(np.clip(-step / math.log(phi), 0.11 * step, 1e5 * step))
+
+
+def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, float] | None:
+    """rms at the input and correlation time [s] of what disturbs the plant behind an element."""
+    if element.ahead is None:
+        return None
+    unseen = UNSEEN * element.noise
+    if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
+        layout, theta = element.simulator.layout, element.theta
+        gain = input_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
+        return unseen / math.sqrt(gain) * scale, 0.5 * step
+    return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
 
 
 def _tolerance(spread_A: Floats, spread_B: Floats) -> str:

@@ -13,6 +13,7 @@ from undeadzone.identification.orders import correlation, innovations, trained_p
 from undeadzone.identification.records import MANY
 from undeadzone.identification.residual_map import expected_reading
 from undeadzone.identification.result import Identified
+from undeadzone.report import element_figures
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -45,8 +46,10 @@ def figures(found_log: Identified) -> dict[str, Figure]:
 
     Returns:
         Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
-        a log that is not long, profiles.
+        a log that is not long, profiles; of a play, or of an input zone, overview and element.
     """
+    if found_log.answer.element is not None:
+        return element_figures.figures(found_log, found_log.answer.element)
     drawn = {
         "overview": overview(found_log),
         "residual_map": _residual_map(found_log),
@@ -98,9 +101,10 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     answer, part = found_log.answer, _shown(found_log)
     grid = answer.evidence.grid
     t = grid.t[part]
-    _zone_bands(axes, found_log)
+    if answer.element is None:
+        _zone_bands(axes, found_log)
     y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, (answer.fit.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(t, (answer.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
     axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"

@@ -29,6 +29,13 @@ CAPTIONS = {
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
+OF_ELEMENT = {  # in place of these
+    "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
+    " the log. Below: in which contact the play is, or on which side of its zone the input.",
+    "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
+    " leaves of the readings; a curve there is something that it does not hold.",
+}
+
 
 def write_identified(
     found_log: Identified, folder: Path, source: str, origin: Origin | None = None
@@ -76,19 +83,30 @@ def identified_page(
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
             rows.append((name, text))
-    shown = pictures(images, CAPTIONS)
+    captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
+    shown = pictures(images, captions)
     return page(
         f"Identified: {source}",
         head,
         *map(paragraph, answer.reasons),
         section("The answer", table(("what", "value"), rows), *pick(shown, "overview")),
-        section("Hidden output", *pick(shown, "hidden")),
+        *([section("Hidden output", *pick(shown, "hidden"))] if "hidden" in shown else []),
+        *([] if answer.element is None else [section("What it is", *pick(shown, "element"))]),
         section("Is it a dead zone?", *_rivals(found_log), *pick(shown, "residual_map")),
         *_place(found_log),
-        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
-        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+        *_fits(found_log, shown),
         origin=origin,
     )
+
+
+def _fits(found_log: Identified, shown: dict[str, Html]) -> list[Html]:
+    """Stages and orders of the fit with a zone of the sensor; none beside another element."""
+    if found_log.answer.element is not None:
+        return []
+    return [
+        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
+        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+    ]
 
 
 def _rivals(found_log: Identified) -> list[Html]:

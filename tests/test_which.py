@@ -1,0 +1,373 @@
+"""Which nonlinearity is it: four offsets, a play, a play and a dead zone, a zone of the input."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import cont2discrete, lfilter
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.errors import InputError
+from undeadzone.identification.ahead import disturbance_ahead
+from undeadzone.identification.four_offsets import (
+    NAMES,
+    WIDTHS,
+    Moving,
+    classes,
+    four_offsets,
+    named,
+)
+from undeadzone.identification.motion import Sensing, moved_before, sensing, sides, white_noise
+from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.identification.play_model import PlayModel
+from undeadzone.scenario.reader import read
+from undeadzone.support.arrays import Floats
+
+A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
+STEP = 0.05
+START = np.zeros(1, int)
+ROOT = Path(__file__).parents[1]
+NUMBER = r"-?\d+\.?\d*"
+
+
+def through(v: Floats, gaps: tuple[float, float], widths: tuple[float, float]) -> Floats:
+    """What a play and a dead zone after it read of v."""
+    y, now = np.empty(v.size), 0.0
+    for k, value in enumerate(v):
+        now = max(min(now, value + gaps[1]), value - gaps[0])
+        y[k] = now
+    return np.maximum(y - widths[0], 0.0) + np.minimum(y + widths[1], 0.0)
+
+
+def driven(seed: int, size: int = 1000) -> tuple[np.random.Generator, Floats, Floats]:
+    """Random steps u, and the output z of a second-order plant."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal(size // 12 + 1), 12)[:size]
+    return rng, u, lfilter(np.append(0.0, B), np.append(1.0, A), u)
+
+
+def disturbed(rng: np.random.Generator, rms: float, size: int = 1000) -> Floats:
+    """What a first-order disturbance of the input makes of z."""
+    w = lfilter([1.0], [1.0, -0.8], rng.standard_normal(size + 200))
+    w = lfilter(np.append(0.0, B), np.append(1.0, A), w)[200:]
+    return np.asarray(rms * w / w.std())
+
+
+def loop(kind: str, a0: float, seed: int) -> tuple[Moving, Floats, Floats, Floats]:
+    """z'' = -a0 z - 2 z' + u on a sine: the model, u, y and true c_r + c_l, d_r + d_l, 0."""
+    rng = np.random.default_rng(seed)
+    step, size = 0.01, 3000
+    block = np.zeros((3, 3))
+    block[:2, :2], block[1, 2] = [[0.0, 1.0], [-a0, -2.0]], 1.0
+    held = expm(block * step)
+    F, gain = held[:2, :2], held[:2, 2]
+    c, d = rng.uniform(0.2, 1.0, (2, 2))
+    c, d = c * (kind in ("play", "both")), d * (kind in ("dead_zone", "both"))
+    x, u, z = np.zeros(2), np.empty(size), np.empty(size)
+    for k in range(size):
+        t = k * step
+        r = 5 * np.array([math.sin(1.3 * t), 1.3 * math.cos(1.3 * t)])
+        u[k] = (36 - a0) * (r[0] - x[0]) + 10 * (r[1] - x[1]) + a0 * r[0] + 2 * r[1]
+        z[k] = x[0]
+        x = F @ x + gain * (u[k] + 0.5 * rng.standard_normal())
+    y = through(z, tuple(c), tuple(d)) + 0.01 * rng.standard_normal(size)
+    Q = 0.25 * np.outer(gain, gain)
+    model = Moving(F, gain[:, None], np.array([1.0, 0.0]), Q, 100 * np.eye(2), 0.01)
+    return model, u[:, None], y, np.array([c.sum(), d.sum(), 0.0])
+
+
+@pytest.mark.parametrize("a0", [1.0, 0.0])
+@pytest.mark.parametrize("kind", NAMES)
+def test_four_offsets_name_what_is_there(kind: str, a0: float) -> None:
+    for seed in (1, 2):
+        model, u, y, truth = loop(kind, a0, seed)
+        whole = np.ones(y.size, bool)
+        found = four_offsets(model, u, y, whole, START, Sensing(0.01, 0.0, 20))
+        assert found.name == kind
+        assert np.all(np.abs(found.widths - truth) < 4 * found.std)
+        assert np.all(found.std < 0.01)
+
+
+def test_offsets_make_widths() -> None:
+    c, d = np.array([0.4, 0.3]), np.array([0.2, 0.6])
+    y = np.array([1.0, 1.0, -1.0, -1.0, 1e-3])
+    side = np.array([1, -1, 1, -1, 1])
+    assert classes(y, side, 0.01).tolist() == [0, 1, 2, 3, -1]
+    assert classes(y, 0 * side, 0.01).tolist() == [-1] * 5
+    beta = np.array([-c[0] - d[0], c[1] - d[0], -c[0] + d[1], c[1] + d[1]])  # (O1)
+    assert WIDTHS @ beta == pytest.approx([c.sum(), d.sum(), 0.0])
+    assert WIDTHS @ (beta + 0.7) == pytest.approx([c.sum(), d.sum(), 0.0])  # an offset is no width
+    assert named(np.array([0.5, 0.01]), np.array([0.2, 0.001]), 1.0) == "neither"
+    assert named(np.array([0.5, 0.3]), np.array([0.01, 0.01]), 1.0) == "both"
+
+
+def test_noise_alone_moves_to_no_side() -> None:
+    rng = np.random.default_rng(0)
+    y = 0.1 * rng.standard_normal(200_000)
+    whole = np.ones(y.size, bool)
+    assert white_noise(y, whole, START) == pytest.approx(0.1, rel=0.02)
+    for window in (4, 16):
+        assert not sides(y, whole, START, Sensing(0.1, 0.0, window)).any()
+    ramp = 0.05 * np.arange(y.size) + y
+    share = sides(ramp, whole, START, Sensing(0.1, 0.0, 32)).mean()
+    assert share > 0.99
+
+
+def test_motion_is_that_of_the_readings_before() -> None:
+    y = np.concatenate([np.zeros(10), np.arange(10.0), np.full(10, 9.0)])
+    whole = np.ones(30, bool)
+    moved = moved_before(y, whole, START, 4)
+    assert moved[14:21] == pytest.approx(np.full(7, 4.0))  # readings 10 to 19 rise by 1 each
+    assert not moved[:11].any()
+    assert not moved[24:].any()
+    assert not moved_before(y, whole, np.array([0, 15]), 4)[15:19].any()  # a record begins anew
+    whole[16] = False
+    assert not moved_before(y, whole, START, 4)[17:21].any()
+
+
+def test_how_readings_show_motion() -> None:
+    rng, _, z = driven(3)
+    whole = np.ones(z.size, bool)
+    exact = through(z, (0.3, 0.2), (0.0, 0.0))
+    assert sensing(exact, whole, START, 0.0) == Sensing(0.0, 0.0, 1)
+    ticks = 0.05 * np.round(exact / 0.05)
+    assert sensing(ticks, whole, START, 0.05) == Sensing(0.0, 0.05, 1)
+    noisy = exact + 0.02 * rng.standard_normal(z.size)
+    assert sensing(noisy, whole, START, 0.0).noise == pytest.approx(0.02, rel=0.3)
+    chattering = 0.05 * np.round((exact + 0.05 * rng.standard_normal(z.size)) / 0.05)
+    assert sensing(chattering, whole, START, 0.05).noise > 0.02
+
+
+@pytest.mark.parametrize("zone", [False, True])
+@pytest.mark.parametrize("integrators", [0, 1])
+def test_gradients_of_a_play(zone: bool, integrators: int) -> None:
+    rng, u, z = driven(4, 300)
+    y = through(z, (0.3, 0.2), (0.1, 0.2)) + 0.02 * rng.standard_normal(z.size)
+    ok = rng.random(y.size) > 0.1
+    data = Data(
+        u[:, None], y, ok, np.array([0, 150]), np.sign(y).astype(int), False, np.ones(1), 1.0
+    )
+    model = PlayModel(Simulator(data, 2, integrators), zone)
+    a = A if not integrators else np.array([-0.68])
+    theta = np.concatenate([a, B, [0.1, 0.05, -0.1, 0.02], [0.31, 0.23, 0.12, 0.15]])
+    theta = model.project(theta)
+    _, rows = model.rows(theta)
+    for column, index in enumerate(model.free):
+        step = np.zeros(theta.size)
+        step[index] = 1e-6
+        if model.tied and index == model.base:
+            step[index + 1] = 1e-6
+        slope = (model.residual(theta - step) - model.residual(theta + step)) / 2e-6
+        smooth = np.abs(slope - rows[:, column]) < 1e-5 * (1 + np.abs(slope))
+        assert smooth.mean() > 0.99  # but where a contact begins
+
+
+def test_a_disturbance_is_told_from_noise() -> None:
+    rng, u, z = driven(5, 4000)
+    layout = Simulator(
+        Data(u[:, None], z, np.ones(z.size, bool), START, 0 * START, False, np.ones(1), 1.0), 2
+    ).layout
+    plant = np.concatenate([A, B, np.zeros(2), np.zeros(4)])
+    noise = 0.05 * rng.standard_normal(z.size)
+    whole = np.ones(z.size, bool)
+    found = disturbance_ahead(layout, plant, disturbed(rng, 0.1, 4000) + noise, whole)
+    assert found.rms == pytest.approx(0.1, rel=0.15)
+    assert 0.6 < found.phi < 0.95
+    assert disturbance_ahead(layout, plant, noise, whole).rms < 0.02
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_the_gap_of_a_play_is_found(seed: int) -> None:
+    rng, u, z = driven(10 + seed)
+    gaps = tuple(rng.uniform(0.1, 0.4, 2))
+    w = disturbed(rng, 0.03 * (seed % 2))
+    y = through(z + w, gaps, (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
+    found = uz.identify(t=STEP, u=u, y=y, order="2-3")
+    assert found.verdict == "play"
+    assert not found.zone
+    assert found.width.low <= sum(gaps) <= found.width.high
+    assert found.width.half < 0.1
+    assert found.centre.low <= (gaps[0] - gaps[1]) / 2 <= found.centre.high
+    assert found.numbers()["offsets"]["name"] == "play"
+    assert found.numbers()["zone_width"] is None
+    states = found.states()
+    error = (states.z - z - w)[100:]
+    assert np.mean(np.abs(error) < 1.96 * states.z_std[100:]) > 0.85
+
+
+def test_what_has_no_play_is_given_none() -> None:
+    rng, u, z = driven(20)
+    e = 0.01 * rng.standard_normal(z.size)
+    zone = uz.identify(t=STEP, u=u, y=through(z, (0.0, 0.0), (0.3, 0.2)) + e, order=2)
+    assert zone.verdict == "dead_zone"
+    assert zone.answer.element is None
+    assert zone.numbers()["offsets"]["name"] == "dead_zone"
+    none = uz.identify(t=STEP, u=u, y=z + e, order=2, kind="play")
+    assert none.verdict == "none"
+    assert none.width is None
+    assert none.numbers()["offsets"]["name"] == "neither"
+    with pytest.raises(InputError, match="no zone to write"):
+        none.scenario()
+
+
+def test_a_play_with_a_dead_zone_is_both() -> None:
+    rng, u, z = driven(21)
+    y = through(z, (0.25, 0.15), (0.2, 0.3)) + 0.01 * rng.standard_normal(z.size)
+    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    assert found.verdict == "both"
+    assert not found.zone
+    assert found.width.low <= 0.4 <= found.width.high
+    value, low, high = found.numbers()["zone_width"]
+    assert low <= 0.5 <= high
+    assert high - low < 0.1
+    assert low < value < high
+    assert found.right is None
+    assert found.centre is None
+    assert "d width" in found.summary()
+    with pytest.raises(InputError, match="both"):
+        found.scenario()
+
+
+def test_a_strong_disturbance_withdraws_the_gap() -> None:
+    rng, u, z = driven(22)
+    w = disturbed(rng, 0.4 * float(z.std()))
+    y = through(z + w, (0.3, 0.2), (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
+    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    assert found.verdict == "play"
+    assert found.width is None
+    assert found.right is None
+    assert any("hide the gap" in remark for remark in found.answer.remarks)
+    with pytest.raises(InputError, match="both widths must be known"):
+        found.scenario()
+
+
+def test_the_position_of_a_motor_shows_the_gap_and_no_centre() -> None:
+    rng = np.random.default_rng(3)
+    num, den, _ = cont2discrete(([1.0], [0.25, 1.0, 0.0]), 0.02)
+    b, wanted = num.ravel(), np.repeat(rng.standard_normal(61), 25)[:1500]
+    u, z = np.zeros(1500), np.zeros(1500)
+    for k in range(1500):
+        if k > 1:
+            z[k] = -den[1] * z[k - 1] - den[2] * z[k - 2] + b[1:] @ u[[k - 1, k - 2]]
+        u[k] = 3 * wanted[k] - 2 * z[k]
+    z = z / z.std()
+    y = through(z, (0.3, 0.2), (0.0, 0.0)) + 0.02 * rng.standard_normal(1500)
+    found = uz.identify(t=0.02, u=u, y=y, order=2, integrators=1)
+    assert found.verdict == "play"
+    assert found.centre is None
+    assert found.width.low <= 0.5 <= found.width.high
+    assert any("no zero of its own" in remark for remark in found.answer.remarks)
+    scenario = found.scenario()
+    assert 'kind = "play"' in scenario
+
+
+def record_of_gears() -> tuple[float, Floats, Floats]:
+    """A record of gears of half width 0.4: step, u and y."""
+    rng = np.random.default_rng(5)
+    step, w = 0.02, 2 * math.pi * 0.8
+    b, a, _ = cont2discrete(([w * w], [1, 0.8 * w, w * w]), step)
+    u = lfilter([1], [1, -math.exp(-step * w * 0.7)], rng.standard_normal(2000))
+    z = lfilter(b.ravel(), a, u)
+    e = 0.03 * rng.standard_normal(2000)
+    return step, u / z.std(), through(z / z.std(), (0.4, 0.4), (0.0, 0.0)) + e
+
+
+def test_commands_take_the_scenario_of_a_play(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    step, u, y = record_of_gears()
+    columns = np.column_stack([step * np.arange(y.size), u, y])
+    np.savetxt("gears.csv", columns, delimiter=",", header="t [s],u [V],y [mm]", comments="")
+    command = ["identify", "gears.csv", "--order", "2", "--out", "out"]
+    assert group.main(command, standalone_mode=False) == 1  # no dead zone of the sensor
+    text = capsys.readouterr().out
+    assert "NO: play" in text
+    assert "c width" in text
+    assert Path("out/element.svg").exists()
+    assert Path("out/report.html").exists()
+    scenario = "out/gears.toml"
+    sensor = read(Path(scenario)).sensor
+    assert sensor.kind == "play"
+    assert 0.79 < sensor.right + sensor.left < 0.82
+    assert group.main([*command, "--kind", "play", "--no-figures"], standalone_mode=False) == 0
+    capsys.readouterr()
+    assert not group.main(["run", scenario, "--no-figures"], standalone_mode=False)
+    assert not group.main(["check", scenario, "--no-figures"], standalone_mode=False)
+    capsys.readouterr()
+    assert not group.main(
+        ["estimate", scenario, "gears.csv", "--no-figures"], standalone_mode=False
+    )
+    assert "consistent  yes" in capsys.readouterr().out
+
+
+def test_a_play_about_an_offset_says_how_to_take_it_away() -> None:
+    step, u, y = record_of_gears()
+    found = uz.identify(t=step, u=u, y=y + 1.0, order=2)
+    assert found.verdict == "play"
+    assert found.width.low - 0.01 <= 0.8 <= found.width.high + 0.01
+    assert found.centre.value == pytest.approx(-1.0, abs=0.02)
+    with pytest.raises(InputError, match="--zero"):
+        found.scenario()
+    free = uz.identify(t=step, u=u, y=y, order=2, kind="play", offset="free")
+    assert math.isinf(free.centre.high)
+    assert math.isfinite(free.width.high)
+
+
+def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
+    """What is identified of a plant behind an actuator's dead zone, and the true widths."""
+    rng, u, _ = driven(seed)
+    widths = tuple(rng.uniform(0.2, 0.8, 2))
+    passed = np.maximum(u - widths[0], 0.0) + np.minimum(u + widths[1], 0.0)
+    z = lfilter(np.append(0.0, B), np.append(1.0, A), passed)
+    y = z + disturbed(rng, 0.02) + 0.01 * rng.standard_normal(z.size)
+    return uz.identify(t=STEP, u=u, y=y, order=2, **more), widths
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_widths_of_an_actuator_are_found(seed: int) -> None:
+    found, (right, left) = valve(30 + seed)
+    assert found.verdict == "input_zone"
+    assert not found.zone
+    assert found.right.low <= right <= found.right.high
+    assert found.left.low <= left <= found.left.high
+    assert found.width.half < 0.15
+    assert any("of the input" in remark for remark in found.answer.remarks)
+
+
+def test_commands_take_the_scenario_of_an_actuator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found, (right, _left) = valve(31)
+    Path("valve.toml").write_text(found.scenario())
+    scenario = read(Path("valve.toml"))
+    assert scenario.actuator.right == pytest.approx(found.right.value)
+    low, high = scenario.model.actuator.right
+    assert low < right < high
+    assert not group.main(["run", "valve.toml", "--no-figures"], standalone_mode=False)
+    assert not group.main(["check", "valve.toml", "--no-figures"], standalone_mode=False)
+    capsys.readouterr()
+
+
+def test_pictures_are_up_to_date() -> None:
+    spec = importlib.util.spec_from_file_location("signatures", ROOT / "docs" / "signatures.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name, text in module.pictures().items():
+        shown = (module.FOLDER / name).read_text(encoding="utf-8")
+        words, numbers = (re.sub(NUMBER, "#", one) for one in (shown, text)), []
+        assert len(set(words)) == 1, "run: python docs/signatures.py"
+        for one in (shown, text):
+            numbers.append([float(number) for number in re.findall(NUMBER, one)])
+        assert np.abs(np.subtract(*numbers)).max() < 0.2, "run: python docs/signatures.py"
