@@ -38,6 +38,7 @@ NAMES = (
     "firmware",
     "arena_effort",
     "play",
+    "behind_play",
     "both_ends",
 )
 HEAD = (
