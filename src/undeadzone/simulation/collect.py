@@ -9,7 +9,6 @@ import numpy as np
 
 import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.errors import InputError
@@ -27,10 +26,12 @@ from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.verdicts import (
+    actuator_unknown,
     as_far_as_known,
     by_claims,
     constant_inputs,
     linear_verdicts,
+    told_at_both_ends,
 )
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -56,24 +57,12 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     return with_false_claims(problem, found)
 
 
-def actuator_unknown(problem: Problem) -> bool:
-    """Whether the actuator's widths are to be estimated, of a linear plant."""
-    belief = problem.belief
-    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
-
-
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
     """What a run's readings tell of the sensor's widths where the actuator's are not known.
 
     The deviations are those that the filter claims in the end.
     """
-    linear, belief = problem.model.linear, problem.belief
-    assert belief is not None
-    drive = belief.drive if problem.actuator is None else problem.actuator
-    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
-    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
-    bias = constant_inputs(problem, linear.B)
-    outputs = both_ends(linear, schedule, modes, drive, bias).outputs
+    outputs = told_at_both_ends(problem, signal, schedule)
     e = signal.estimate
     claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
     judged = []
