@@ -144,6 +144,7 @@ def test_an_ensemble_varies_the_gaps() -> None:
     }
     result = run_ensemble(motor(ensemble=vary))
     assert deviation(result, 2) == 0
+    assert result.column("rms_behind_play").max() < result.column("rms_tracking").min() / 3
 
 
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
