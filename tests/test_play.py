@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks import play
+from benchmarks.random_loops import run_loops
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -191,6 +193,16 @@ def test_a_wrong_model_is_as_bad_as_none() -> None:
     )
     wrong = taken.z_hat[:, 0] - right.z[:, 0]
     assert late(right, wrong) > 10 * late(right, right.z[:, 0] - right.z_hat[:, 0])
+
+
+def test_a_held_reading_is_heard_for_no_more_than_it_says() -> None:
+    """A motor whose hold levels are noisy: with each of them heard at every reading, .73 of 60."""
+    world, reading = play.WORLDS["motor"], "noise 1 %"
+    each = [play.posed(world, reading, play.censored, False, seed) for seed in range(40)]
+    ran = run_loops(each, 0.8 * world.duration)
+    error = ran.errors.sum(axis=1)
+    assert np.mean(np.abs(error) <= 1.96 * ran.width_std) > 0.9
+    assert abs(np.median(error / ran.width)) < 0.06
 
 
 def test_one_glitch_costs_little() -> None:
