@@ -40,6 +40,7 @@ NAMES = (
     "play",
     "behind_play",
     "both_ends",
+    "which",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "
