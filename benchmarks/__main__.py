@@ -39,6 +39,7 @@ NAMES = (
     "firmware",
     "arena_effort",
     "play",
+    "behind_play",
     "both_ends",
     "which",
 )

@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.engine import lanes
 from undeadzone.plants.options import Plant
+from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree
@@ -25,6 +26,8 @@ class Loops(NamedTuple):
         stds: claimed deviations of the same (K x 2), or without columns.
         width_std: that of their sum (K), or empty.
         width: true sum of the widths (K).
+        behind: rms of y / m - r without noise, late (K); of a sensor without play that of z - r.
+        peak: largest |u|, late (K).
         actuator: errors of the actuator's widths in the end (K x 2), or without columns.
         actuator_stds: claimed deviations of the same.
     """
@@ -35,6 +38,8 @@ class Loops(NamedTuple):
     stds: Floats
     width_std: Floats
     width: Floats
+    behind: Floats
+    peak: Floats
     actuator: Floats
     actuator_stds: Floats
 
@@ -77,7 +82,8 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     t = np.arange(len(shared)) * step
     r = np.stack([problem.reference.value(t)[:, 0] for problem in each])
     judged = slice(round(late / step), None)
-    z = out[:, judged, places.z][..., 0]
+    z, u = out[:, judged, places.z][..., 0], out[:, judged, places.u]
+    behind = np.stack([_behind(*pair) for pair in zip(each, out[..., places.z], strict=True)])
     widths = np.concatenate([out[:, -1, estimate.right], out[:, -1, estimate.left]], 1)
     stds = np.concatenate([out[:, -1, estimate.right_std], out[:, -1, estimate.left_std]], 1)
     true = np.stack([[problem.sensor.right[0], problem.sensor.left[0]] for problem in each])
@@ -93,9 +99,19 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
         stds=stds,
         width_std=out[:, -1, estimate.width_std].ravel(),
         width=true.sum(axis=1),
+        behind=_rms((behind - r)[:, judged]),
+        peak=np.abs(u).max(axis=(1, 2)),
         actuator=wrong,
         actuator_stds=np.concatenate(b_stds, 1),
     )
+
+
+def _behind(problem: Problem, z: Floats) -> Floats:
+    """What is behind the play of a loop along outputs (N x 1), z itself without one (N)."""
+    sensor = problem.sensor
+    if sensor.kind != "play":
+        return z[:, 0]
+    return levels(z, sensor.right, sensor.left, sensor.start)[:, 0]
 
 
 def _rms(error: Floats) -> Floats:

@@ -86,6 +86,22 @@ def test_with_known_gaps_the_rest_of_the_error_is_that_of_the_crossing(
     assert error.max() > 1e-3
 
 
+def test_a_plant_with_a_zero_is_led_across_too() -> None:
+    """Of third order; the filter is a copy of the plant, so its zero needs no inverse."""
+    plant = {
+        "transfer_function": {"numerator": [3.0, 60.0], "denominator": [1.0, 14.0, 58.0, 60.0]}
+    }
+    changes = {"plant": plant, "sensor": {"kind": "play"} | GAPS, "disturbance": None}
+    controller = {"method": "state_feedback", "poles": [-10.0, -11.0, -12.0]}
+    observer = {"method": "full_state"}
+    run = simulate(motor(30.0, observer=observer, controller=controller, **changes))
+    assert run.level is not None
+    error = np.abs(run.level - run.r)[:, 0]
+    crossed = (run.t > 6.0) & (np.abs(np.cos(np.pi * run.t)) > 0.9)
+    assert error[crossed].max() < 2e-3
+    assert error[crossed].max() < 0.05 * np.abs(run.z - run.r)[crossed].min()
+
+
 def test_the_run_tells_both_errors() -> None:
     run = simulate(motor())
     summary = run.summary()
@@ -144,6 +160,7 @@ def test_an_ensemble_varies_the_gaps() -> None:
     }
     result = run_ensemble(motor(ensemble=vary))
     assert deviation(result, 2) == 0
+    assert result.column("rms_behind_play").max() < result.column("rms_tracking").min() / 3
 
 
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:

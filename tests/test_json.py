@@ -27,11 +27,13 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["run", "examples/asymmetric_noise.toml", *COMMON],
         ["run", "arm.toml", *COMMON],
         ["run", "examples/valve_both_ends.toml", *COMMON],
+        ["run", "examples/geared_motor.toml", *COMMON],
         ["run", "study/runs.npz", "--replay", "1", *COMMON],
     ],
     "check": [
         ["check", "examples/paper_poles.toml", *COMMON],
         ["check", "examples/paper_5sin.toml", *COMMON],
+        ["check", "examples/geared_motor.toml", *COMMON],
     ],
     "design": [["design", "examples/paper_5sin.toml", "--maximise", "rate", *COMMON]],
     "ensemble": [

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.two_masses import GAIN, TAU, TS, TURN, Log, two_masses
+from benchmarks.behind_play import gap_error
+from benchmarks.two_masses import GAIN, TAU, TS, TURN, two_masses
 
 import undeadzone as uz
 from scenes import scene
@@ -119,13 +120,6 @@ def test_friction_acts_on_the_motor_while_y_moves() -> None:
         x = A @ x + B @ (plain.u[k] - 0.02 * rubbed.side[k])
     np.testing.assert_allclose(rubbed.x[-1], x, atol=1e-9)
     assert np.abs(rubbed.z - plain.z).max() > 0.01
-
-
-def gap_error(log: Log, load_friction: Any) -> float:
-    """The relative error of the gap that `kalman` finds in a log."""
-    model = {"load_friction": load_friction}
-    found = uz.estimate(motor({}, model=model), t=log.t, y=log.y, u=log.u)
-    return float(found.d_hat[-1].sum() / log.gap - 1)
 
 
 def test_friction_that_is_not_told_makes_the_gap_small_and_estimated_friction_does_not() -> None:

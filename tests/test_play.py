@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from benchmarks import play
+from benchmarks.random_loops import run_loops
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +25,7 @@ from undeadzone.play import contacts, held
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import Sensor, resolve
-from undeadzone.signals.exosystem import exosystem
+from undeadzone.signals.exosystem import Sine, exosystem
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
@@ -191,6 +194,32 @@ def test_a_wrong_model_is_as_bad_as_none() -> None:
     )
     wrong = taken.z_hat[:, 0] - right.z[:, 0]
     assert late(right, wrong) > 10 * late(right, right.z[:, 0] - right.z_hat[:, 0])
+
+
+def test_a_held_reading_is_heard_for_no_more_than_it_says() -> None:
+    """A motor whose hold levels are noisy: with each of them heard at every reading, .73 of 60."""
+    world, reading = play.WORLDS["motor"], "noise 1 %"
+    each = [play.posed(world, reading, play.censored, False, seed) for seed in range(40)]
+    ran = run_loops(each, 0.8 * world.duration)
+    error = ran.errors.sum(axis=1)
+    assert np.mean(np.abs(error) <= 1.96 * ran.width_std) > 0.9
+    assert abs(np.median(error / ran.width)) < 0.06
+
+
+def test_silence_of_a_dead_zone_is_heard_for_no_more_than_it_says() -> None:
+    """Grazing motion under a white disturbance that is told: heard at every sample, .70 of 40."""
+    world, each = play.WORLDS["slow"], []
+    for seed in range(40):
+        posed = play.posed(world, "noise 1 %", play.censored, False, seed).scenario
+        sensor = msgspec.structs.replace(posed.sensor, kind="deadzone")
+        widest = max(sensor.right, sensor.left)
+        amplitude = np.random.default_rng([seed, 7]).uniform(0.4, 1.6) * widest
+        reference = Sine(amplitude=amplitude, frequency=0.2)
+        grazing = msgspec.structs.replace(posed, sensor=sensor, reference=reference)
+        each.append(resolve_scenario(grazing))
+    ran = run_loops(each, 0.8 * world.duration)
+    assert np.mean(np.abs(ran.errors.sum(axis=1)) <= 1.96 * ran.width_std) > 0.9
+    assert np.mean(np.abs(ran.errors) <= 1.96 * ran.stds) > 0.9
 
 
 def test_one_glitch_costs_little() -> None:

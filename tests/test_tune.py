@@ -320,7 +320,7 @@ def test_another_structure_is_another_graph() -> None:
 
 def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
     runs = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
-    names = metrics.columns(resolve_scenario(gusts()).plant)
+    names = metrics.columns(resolve_scenario(gusts()).plant, "deadzone")
     rows = np.zeros((5, len(names)))
     rows[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
     rows[:, names.index("diverged")] = [0, 1, 1, 0, 0]

@@ -104,7 +104,7 @@ def test_states_that_are_large_in_their_unit_have_not_diverged() -> None:
     states = 10 * scales.states[None]
     assert states.max() > 1e18
     one, none = np.ones((1, 1)), np.zeros((1, 0))
-    tally = Tally(one, one, one, one, one, one, one, one, none)
+    tally = Tally(one, one, one, one, one, one, one, one, none, none)
     for factor, lost in ((1.0, 0.0), (1e12, 1.0), (np.nan, 1.0)):
         assert rows(tally, factor * states, scales, 10, 5, 1)[0, -1] == lost
 

@@ -136,7 +136,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
         known_params=known_params(params, binding.indices),
         fused=True,
     )
-    names = (*binding.names, *metrics.columns(problem.plant))
+    names = (*binding.names, *metrics.columns(problem.plant, problem.sensor.kind))
     exogenous = np.column_stack([shared, t, tail])
     digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
     layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})

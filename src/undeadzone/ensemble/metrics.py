@@ -29,6 +29,7 @@ class Tally(NamedTuple):
         right, left: the latest d_r^, d_l^ (p each)
         tip: of an arm, the sum over the tail of squared distances of its tip from its path [m^2];
             empty for other plants
+        behind: of a play, the sum over the tail of |y / m - r|^2, y without noise; else empty
     """
 
     tracking: Any
@@ -40,6 +41,7 @@ class Tally(NamedTuple):
     right: Any
     left: Any
     tip: Any
+    behind: Any
 
 
 class Measured(NamedTuple):
@@ -60,7 +62,7 @@ class Measured(NamedTuple):
 def measured(loop: Loop, problem: Problem) -> Measured:
     """The loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    zero = _nothing(problem.plant)
+    zero = _nothing(problem.plant, problem.sensor.kind)
     size = tree.size(zero)
     s = ca.SX.sym("s", step.size1_in(0) + size)
     w = ca.SX.sym("w", step.size1_in(1) + 2)
@@ -78,16 +80,21 @@ def measured(loop: Loop, problem: Problem) -> Measured:
     if problem.plant.arm is not None:
         astray = _astray(problem.plant.arm, problem.model, params, outputs, instant)
         tally = tally._replace(tip=tally.tip + tail * ca.sumsqr(astray))
+    if problem.sensor.kind == "play":
+        level = tree.unpack(loop.state, following).sensor[problem.tracked]
+        missed = level - scale * instant.target.r
+        tally = tally._replace(behind=tally.behind + tail * ca.sumsqr(missed))
     results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
     parts = tuple(ca.Function("rare", [s, w, p], part(*arguments)) for part in rare)
     return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
 
 
-def _nothing(plant: System) -> Tally:
+def _nothing(plant: System, sensor: str) -> Tally:
     """The tally of a run that has not begun."""
     one, each = np.zeros(1), np.zeros(plant.p)
     tip = np.zeros(0 if plant.arm is None else 1)
-    return Tally(one, one, one, one, one, one, each, each, tip)
+    behind = np.zeros(1 if sensor == "play" else 0)
+    return Tally(one, one, one, one, one, one, each, each, tip, behind)
 
 
 def _astray(arm: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
@@ -99,7 +106,7 @@ def _astray(arm: Arm, model: System, params: Params, out: Outputs, instant: Exog
 def _add(
     tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX
 ) -> Tally:
-    """The tally with one sample more, but for the tip."""
+    """The tally with one sample more, but for the tip and what is behind a play."""
     worst = ca.norm_inf(error)
     return tally._replace(
         tracking=tally.tracking + tail * ca.sumsqr(error),
@@ -113,11 +120,12 @@ def _add(
     )
 
 
-def columns(plant: System) -> tuple[str, ...]:
-    """The names of the metrics of a plant."""
+def columns(plant: System, sensor: str) -> tuple[str, ...]:
+    """The names of the metrics of a plant behind a sensor of that kind."""
     right = [f"d_right[{i}]" for i in range(plant.p)]
     left = [f"d_left[{i}]" for i in range(plant.p)]
     tip = [] if plant.arm is None else ["rms_tip"]
+    behind = ["rms_behind_play"] if sensor == "play" else []
     return (
         "rms_tracking",
         "rms_estimation",
@@ -128,6 +136,7 @@ def columns(plant: System) -> tuple[str, ...]:
         *right,
         *left,
         *tip,
+        *behind,
         "diverged",
     )
 
@@ -159,4 +168,5 @@ def rows(
         worst = shares(scales, [states[:, : scales.states.size]], outputs, metrics[-1])
         bounded = np.isfinite(states).all(axis=1) & (worst < LIMIT)
     tip = np.sqrt(tally.tip / tail)
-    return np.hstack([*metrics, tally.right, tally.left, tip, ~bounded[:, None]])
+    behind = np.sqrt(tally.behind / (tail * tracked))
+    return np.hstack([*metrics, tally.right, tally.left, tip, behind, ~bounded[:, None]])

@@ -12,6 +12,7 @@ from undeadzone.support.text import label
 METRICS: Final = {
     "rms_tracking": "rms z - r, last {last} s",
     "rms_estimation": "rms z - z^, last {last} s",
+    "rms_behind_play": "rms y/m - r, last {last} s",
     "rms_tip": "rms distance of the tip from its path, last {last} s",
     "d_error": "largest |d^ - d|, at the end",
     "settling_time": "settling time",

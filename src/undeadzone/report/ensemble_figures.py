@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 WORDS: Final = {
     "rms_tracking": "rms of z − r",
     "rms_estimation": "rms of z − z^",
+    "rms_behind_play": "rms of y / m − r",
     "rms_tip": "rms distance of the tip from its path",
     "peak_tracking": "largest |z − r|",
     "settling_time": "settling time",
@@ -35,7 +36,12 @@ WORDS: Final = {
     "rms_input": "rms of u",
     WIDTHS: "largest |d^ − d| at the end",
 }
-LATE: Final = ("rms_tracking", "rms_estimation", "rms_tip")  # metrics of the end of a run
+LATE: Final = (
+    "rms_tracking",
+    "rms_estimation",
+    "rms_behind_play",
+    "rms_tip",
+)  # metrics of the end of a run
 MARKS: Final = {"median": (0.5, TRUTH), "95 %": (0.95, READING), "99 %": (0.99, PRINTED)}
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
 
@@ -96,8 +102,9 @@ def distribution(axes: Axes, result: Ensemble) -> None:
 def _distributed(result: Ensemble) -> list[str]:
     """The metrics whose distributions are shown; settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
-    if "rms_tip" in result.metrics:
-        names.insert(0, "rms_tip")
+    for name in ("rms_behind_play", "rms_tip"):
+        if name in result.metrics:
+            names.insert(0, name)
     if result.settled[result.independent].any():
         names.append("settling_time")
     if np.any(result.sample(WIDTHS)):

@@ -84,6 +84,8 @@ def _numbers(run: Run) -> dict[str, Any]:
         label(f"rms of z − r, {last}", unit): run.rms_tracking,
         label(f"rms of z − z^, {last}", unit): run.rms_estimation,
     }
+    if run.rms_behind_play is not None:
+        numbers[label(f"rms of y / m − r, {last}", unit)] = run.rms_behind_play
     if run.rms_tip is not None:
         numbers[f"rms distance of the tip from its path, {last} [m]"] = run.rms_tip
     for name, parameter in run.parameters.items():

@@ -182,7 +182,7 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
         rows: of metrics (... x columns)
     """
     problem = runs.problem
-    names = metrics.columns(problem.plant)
+    names = metrics.columns(problem.plant, problem.sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:
         size = columns[metric]
@@ -237,7 +237,7 @@ def _possible(scenario: Scenario) -> Problem | None:
 def _check_metric(metric: str, problem: Problem) -> None:
     """Raise InputError for a metric that the runs of a problem do not have."""
     known = []
-    for name in metrics.columns(problem.plant):
+    for name in metrics.columns(problem.plant, problem.sensor.kind):
         if name != "diverged" and not name.startswith("d_"):
             known.append(name)
     for i in range(problem.plant.p):

@@ -91,6 +91,7 @@ def row(problem: Problem, out: Outputs) -> Floats:
         right=out.estimate.right[-1:],
         left=out.estimate.left[-1:],
         tip=tip,
+        behind=np.empty((1, 0)),  # no observer that computes in Python knows a play
     )
     states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
     scales, length = plant_scales(problem), t.size - tail.start

@@ -71,11 +71,12 @@ class Params(NamedTuple):
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
-        lasting: steps for which a linearisation error keeps its sign, and for which a silent edge
-            is not heard again.
+        lasting: steps for which a linearisation error keeps its sign, and for which a limit is not
+            heard again.
         doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
         ends: of the range of the readings, as `Ends`; None: they have none.
         zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
+        rest: steps for which a silent edge is not heard again.
     """
 
     model: Any
@@ -92,6 +93,7 @@ class Params(NamedTuple):
     doubt: Any = None
     ends: Any = None
     zones: Any = None
+    rest: Any = 1.0
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
@@ -115,6 +117,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),
         lasting=np.asarray(1.0),
+        rest=np.asarray(1.0),
     )
 
 

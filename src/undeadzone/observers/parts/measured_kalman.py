@@ -35,7 +35,7 @@ from undeadzone.observers.parts.limited_reading import (
     surely_exact,
     use_limits,
 )
-from undeadzone.observers.parts.measured_reading import Heard, correct, use_bounds
+from undeadzone.observers.parts.measured_reading import Heard, correct, resting, use_bounds
 from undeadzone.observers.parts.member import Member, Step, log_density
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
@@ -108,7 +108,11 @@ def measured_filter(
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
     params = params._replace(
-        lasting=np.asarray(lasting), doubt=doubt, ends=ends(sensor, prior), zones=zones
+        lasting=np.asarray(lasting),
+        doubt=doubt,
+        ends=ends(sensor, prior),
+        zones=zones,
+        rest=np.asarray(resting(model, sensor, lasting)),
     )
     smoothing = Smoothing(
         moments=partial(moments, setup),

@@ -16,7 +16,10 @@ from undeadzone.numerics.doubtful import (
 from undeadzone.numerics.gaussian import Gaussian, linearise, truncate
 from undeadzone.observers.parts.gaussian_filter import Params, informed
 from undeadzone.observers.parts.shown_belief import Setup
-from undeadzone.sensor import LEFT, RIGHT, offset
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import pace
+from undeadzone.play import readings_of_motion
+from undeadzone.sensor import LEFT, RIGHT, Zone, offset
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.
 DOUBT = 1.6448536269514722
@@ -72,13 +75,29 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any
     return together(each)
 
 
+def resting(model: System, sensor: Zone, lasting: float) -> float:
+    """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
+
+    A jump sensor's readings bound its edges too, each from another place.
+
+    Args:
+        model: the model.
+        sensor: the sensor.
+        lasting: steps for which an error of the linearisation keeps its sign.
+    """
+    if sensor.kind == "jump" or model.flow is None or model.Ts is None:
+        return lasting
+    return max(lasting, readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+
+
 def use_bounds(
     setup: Setup, q: Params, known: Heard, silent: Any, side: Any, level: Any = None
 ) -> Heard:
     """What is known given that z is inside the edges of a silent sensor.
 
-    The z of a jump sensor is beyond the edge that it is on, besides. What a play holds is heard
-    once in the window over which its motion is judged: it is one level, however often it is read.
+    The z of a jump sensor is beyond the edge that it is on, besides. Silence is heard once in a
+    while: its samples say the same of the same edge, and mean and covariance do not show that a
+    tail was cut already.
 
     Args:
         setup: the filter.
@@ -91,7 +110,6 @@ def use_bounds(
     waits: list[Any] = []
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
-    rest = q.lasting if level is None else ca.fmax(q.lasting, setup.sensor.window)
     for edge in (RIGHT, LEFT):
         for i in range(setup.model.p):
             outside = (side[i] == edge) if setup.jump else 0.0
@@ -103,7 +121,7 @@ def use_bounds(
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, rest, waiting - 1))
+            waits.append(ca.if_else(used, q.rest, waiting - 1))
     return Heard(belief, ca.vertcat(*waits), trust, log)
 
 
