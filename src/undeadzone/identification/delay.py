@@ -11,10 +11,12 @@ from undeadzone.identification.objective import Objective
 from undeadzone.identification.options import MOST_LATE
 from undeadzone.identification.orders import OrderFit, best_order
 from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.support.arrays import Floats
 
 PROBES = (0, 1, 2, 3, 5, 7, 10, 14, 19, 25)  # samples
 SCREENED = 2  # order of the linear plant
 STEPS = 30  # of a climb
+ROUGH = 0.3  # rms of what a linear plant leaves, at the start of a climb
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 CLEARLY = 20.0  # of BIC, by which a delay must be better than more poles
 REACH = 6.0  # of BIC: odds of 20 to 1, within which a delay may be the true one
@@ -134,16 +136,36 @@ def later(fits: list[OrderFit], samples: int) -> list[OrderFit]:
 
 
 def _late(fit: Fit, samples: int) -> Fit:
-    """A fit with the input later, from the numerators with which z is nearest to what it was."""
+    """A fit with the input later, from two starts.
+
+    One has the numerators with which z is nearest to what it was, the other the linear plant.
+    """
     old = fit.objective
-    layout = old.layout
-    simulator = Simulator(delayed(old.data, samples), layout.n, layout.integrators)
+    simulator = Simulator(delayed(old.data, samples), old.layout.n, old.layout.integrators)
     objective = Objective(simulator, old.kind, old.limits)
+    begun = [_near(fit, simulator), _linear(fit, simulator)]
+    top = max((climbed(objective, theta, STEPS) for theta in begun), key=lambda one: one.value)
+    return Fit(objective, top.theta, top.value)
+
+
+def _near(fit: Fit, simulator: Simulator) -> Floats:
+    """The poles of a fit, and numerators with which z is nearest to what it was."""
+    layout = simulator.layout
     linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.gradient(fit.theta, fit.z)[:, linear]
     theta = fit.theta.copy()
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
     missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
     theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
-    top = climbed(objective, theta, STEPS)
-    return Fit(objective, top.theta, top.value)
+    return theta
+
+
+def _linear(fit: Fit, simulator: Simulator) -> Floats:
+    """The widths of a fit, and the linear plant with the gain that these take away."""
+    layout = simulator.layout
+    theta = fit.theta.copy()
+    plant = fit_linear(simulator).theta
+    theta[: layout.right] = plant[: layout.right]
+    theta[layout.b] *= float(fit.z.std() / simulator.z(plant).std())
+    theta[layout.right + 2] = math.log(ROUGH)
+    return theta

@@ -112,11 +112,17 @@ def _searched(prepared: Prepared, options: Options, advance: Callable[[int], Non
     samples = refined_delay(late[1], first)
     if samples != first:
         shifted = late[0]._replace(data=delayed(late[0].data, samples - first))
-        late = _fitted(shifted, options, advance, later(late[1], samples - first))
+        warm = _fitted(shifted, options, advance, later(late[1], samples - first))
+        late = min((warm, _fitted(shifted, options, advance)), key=_least)
     if not better_delay(fits, late[1]):
         return Found(prepared, fits, 0, alike(fits, late[1]))
     found, fits = late
     return Found(found._replace(orders=prepared.orders), fits, samples, [])
+
+
+def _least(late: tuple[Prepared, list[OrderFit]]) -> float:
+    """BIC of the best order."""
+    return best_order(late[1]).pairs.bic
 
 
 def _fitted(

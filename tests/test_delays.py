@@ -1,0 +1,72 @@
+"""Delays of the input: refined sample by sample, or allowed for where they are not named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from undeadzone.identification.delay import _late, alike, better_delay, delayed, refined_delay
+from undeadzone.identification.intervals import DIRECTIONS, find_widths
+from undeadzone.identification.objective import Limits
+from undeadzone.identification.orders import OrderFit, fit_orders
+from undeadzone.identification.plant_fit import Data
+
+LATE = 6
+POLES = np.array([0.86 + 0.19j, 0.86 - 0.19j, 0.71])
+
+
+@pytest.fixture(scope="module")
+def data() -> Data:
+    """A plant of third order whose input acts `LATE` samples late."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(90), 12)
+    z = lfilter(np.r_[np.zeros(LATE + 1), 0.013, 0.006, 0.017], np.poly(POLES).real, u)
+    e = 2 * z + 0.05 * rng.standard_normal(u.size)
+    y = np.maximum(e - 0.5, 0.0) + np.minimum(e + 0.4, 0.0)
+    ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
+    return Data(u[:, None], y, ok, np.zeros(1, int), side, True, np.ones(1), 1.0)
+
+
+def fitted(data: Data, samples: int, orders: list[int]) -> list[OrderFit]:
+    return fit_orders(delayed(data, samples), orders, Limits(), 0.3, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def beyond(data: Data) -> list[OrderFit]:
+    """Fits two samples later than the input acts."""
+    return fitted(data, LATE + 2, [2, 3])
+
+
+@pytest.mark.parametrize("off", [2, -2])
+def test_a_delay_is_refined_to_where_the_input_acts(data: Data, off: int) -> None:
+    late = fitted(data, LATE + off, [2, 3])
+    assert abs(refined_delay(late, LATE + off) - LATE) <= 1  # a zero may take a sample
+
+
+@pytest.mark.parametrize("samples", [-2, -1, 1])
+def test_climbs_at_the_next_delay_end_where_those_from_scratch_do(
+    data: Data, beyond: list[OrderFit], samples: int
+) -> None:
+    moved = _late(beyond[-1].pairs, samples)
+    scratch = fitted(data, LATE + 2 + samples, [3])[0].pairs
+    assert moved.bic < scratch.bic + 40  # of -2900; the plant two samples off has -2600
+
+
+def test_intervals_reach_over_a_delay_that_is_not_excluded(data: Data) -> None:
+    none = fitted(data, 0, [3])
+    near = fitted(data, LATE, [3])
+    assert better_delay(none, near)
+    assert alike(near, none) == []
+    assert len(alike(none, near)) == 1
+    chosen, other = near[-1], none[-1]
+    alone = find_widths(chosen, [chosen], [], None, 0.0, 0.0)
+    both = find_widths(chosen, [chosen], [other], None, 0.0, 0.0)
+    for name, row in DIRECTIONS.items():
+        gap = np.dot(row, (other.pairs.right, other.pairs.left))
+        gap -= np.dot(row, (chosen.pairs.right, chosen.pairs.left))
+        one, wide = getattr(alone, name), getattr(both, name)
+        assert wide.value == one.value
+        assert wide.low == pytest.approx(min(one.low, one.low + gap))
+        assert wide.high == pytest.approx(max(one.high, one.high + gap))
+        assert abs(gap) > 0
