@@ -129,7 +129,8 @@ def _better(
     if play.density.strange or play.density.rms > 1 - LEAST:
         return None
     ahead = [compare_statistic(play.density, one) for one in static]
-    return play if min(ahead) > (-CLEARLY if asked else CLEARLY) else None
+    least = -CLEARLY if asked else CLEARLY
+    return play if min(ahead) > least else None
 
 
 def _both_there(gap: Gap, offsets: Offsets) -> bool:
