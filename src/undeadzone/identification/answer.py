@@ -13,6 +13,7 @@ from undeadzone.identification.fit import Fit
 from undeadzone.identification.four_offsets import Offsets
 from undeadzone.identification.grid import Grid
 from undeadzone.identification.intervals import Interval, Widths
+from undeadzone.identification.jump_edges import JumpEdge
 from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_likelihood import AT_INPUT, NAMES
 from undeadzone.identification.no_zone import NoZone
@@ -57,7 +58,7 @@ class Evidence(NamedTuple):
     excitation: Excitation
     widths: Widths
     unreached: tuple[str, ...]
-    jumps: tuple[Interval, Interval] | None
+    jumps: tuple[JumpEdge, JumpEdge] | None
     delay: int
     element: Element | None = None
     offsets: Offsets | None = None

@@ -30,7 +30,7 @@ from undeadzone.identification.orders import (
 from undeadzone.identification.place import find_place
 from undeadzone.identification.plant_fit import Data, Simulator
 from undeadzone.identification.prepare import Prepared, prepare
-from undeadzone.identification.records import longest_record
+from undeadzone.identification.records import longest_record, reduced
 from undeadzone.identification.residual_map import residual_map
 from undeadzone.identification.result import Identified
 from undeadzone.identification.static_rivals import Density, better_rivals, static_rivals
@@ -91,9 +91,10 @@ def identify_output(
         return identify_output(grid, as_jump, advance, climbs)
     found = Which(verdict, None, None)
     if prepared.jumps is None:
-        offsets = of_zone(chosen.pairs, quantum)
+        brief = reduced(chosen.pairs)
+        offsets = of_zone(brief, quantum)
         found = found._replace(offsets=offsets)
-        if is_asked(verdict, offsets, chosen.pairs, rivals, options):
+        if is_asked(verdict, offsets, brief, rivals, options):
             logs = _undelayed(as_recorded, data, options, delay)
             found = find_play(verdict, offsets, logs, fits, rivals, quantum, options, advance)
             verdict = found.verdict
@@ -112,7 +113,9 @@ def identify_output(
             advance(1)
     elif asks_place:
         elsewhere = find_place(longest_record(chosen.pairs))
-        there = rescued(verdict, elsewhere, rivals)
+        one = longest_record(chosen.singles)
+        beside = rivals if one is chosen.singles else static_rivals(one)
+        there = rescued(verdict, elsewhere, beside)
         place = None if there is verdict else elsewhere
         verdict = there
     if verdict.word in ("dead_zone", "other", "unclear"):
@@ -179,9 +182,10 @@ def _polished(chosen: OrderFit) -> OrderFit:
 
 def _rivals(prepared: Prepared, chosen: OrderFit, fits: list[OrderFit]) -> dict[str, Density]:
     """Static rivals, on the readings as they are."""
-    rivals = static_rivals(_of_readings(prepared, chosen.singles))
+    rivals = static_rivals(_of_readings(prepared, reduced(chosen.singles)))
     if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given
-        rivals = better_rivals(rivals, static_rivals(_of_readings(prepared, fits[-1].singles)))
+        larger = static_rivals(_of_readings(prepared, reduced(fits[-1].singles)))
+        rivals = better_rivals(rivals, larger)
     return rivals
 
 

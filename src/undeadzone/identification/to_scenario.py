@@ -15,13 +15,12 @@ from undeadzone.identification.answer import Answer
 from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_likelihood import AT_INPUT, WHITE, input_gain
-from undeadzone.identification.long_run import degrees_of, quantile
 from undeadzone.identification.to_continuous import entry_spread
+from undeadzone.identification.told_range import told_range
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
 
-SURE = 0.999  # level of the intervals that the observer is given
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 NARROWEST = 1e-9  # the range of a width that is 0
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
@@ -67,7 +66,7 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
         'method = "censored"',
-        *_claimed(right, left),
+        *(_claimed(answers) if right else _unclaimed()),
         *_disturbance(answers),
         f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
         "",
@@ -98,14 +97,17 @@ def _widths(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
     ]
 
 
-def _claimed(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
-    """The widths as the observer knows them."""
-    if not right:
-        return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
+def _claimed(answers: Sequence[Answer]) -> list[str]:
+    """The widths as the observer knows them. Raises InputError."""
     return [
-        f"right = {_pairs(right)}  # 99.9 % interval",
-        f"left = {_pairs(left)}  # 99.9 % interval",
+        f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
+        f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
     ]
+
+
+def _unclaimed() -> list[str]:
+    """The widths of a sensor without a zone as the observer knows them."""
+    return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
 
 
 def _actuator(answer: Answer) -> list[str]:
@@ -116,7 +118,7 @@ def _actuator(answer: Answer) -> list[str]:
         *_widths([right], [left]),
         "",
         "[model.actuator]",
-        *_claimed([right], [left]),
+        *_claimed([answer]),
         "",
     ]
 
@@ -160,9 +162,9 @@ def _intervals(edges: Sequence[Interval]) -> str:
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
-def _pairs(edges: Sequence[Interval]) -> str:
-    """The 99.9 % intervals of all outputs."""
-    return _listed([_pair(edge) for edge in edges])
+def _pairs(ranges: Sequence[tuple[float, float]]) -> str:
+    """The ranges of all outputs."""
+    return _listed([f"[{_number(low)}, {_number(high)}]" for low, high in ranges])
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -316,18 +318,6 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
             value = float(np.clip(spread[i, j], LEAST, MOST))
             entries.append(f'"{name}[{i},{j}]" = {value:.3g}')
     return "{ " + ", ".join(entries) + " }"
-
-
-def _pair(edge: Interval) -> str:
-    """The interval at a higher level, within widths that make sense."""
-    degrees = degrees_of(1000)
-    wider = quantile(degrees, SURE) / quantile(degrees, 0.95)
-    half = wider * edge.half
-    low = max(edge.value - half, 0.0)
-    high = edge.value + half
-    if high - low < 1e-9 * max(high, 1e-12):
-        low, high = low * (1 - 1e-6), high * (1 + 1e-6) + 1e-9
-    return f"[{_number(low)}, {_number(high)}]"
 
 
 def _rows(matrix: Any) -> str:

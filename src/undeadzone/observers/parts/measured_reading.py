@@ -77,7 +77,8 @@ def use_bounds(
 ) -> Heard:
     """What is known given that z is inside the edges of a silent sensor.
 
-    The z of a jump sensor is beyond the edge that it is on, besides.
+    The z of a jump sensor is beyond the edge that it is on, besides. What a play holds is heard
+    once in the window over which its motion is judged: it is one level, however often it is read.
 
     Args:
         setup: the filter.
@@ -90,6 +91,7 @@ def use_bounds(
     waits: list[Any] = []
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
+    rest = q.lasting if level is None else ca.fmax(q.lasting, setup.sensor.window)
     for edge in (RIGHT, LEFT):
         for i in range(setup.model.p):
             outside = (side[i] == edge) if setup.jump else 0.0
@@ -101,7 +103,7 @@ def use_bounds(
             belief = one.belief
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, q.lasting, waiting - 1))
+            waits.append(ca.if_else(used, rest, waiting - 1))
     return Heard(belief, ca.vertcat(*waits), trust, log)
 
 
