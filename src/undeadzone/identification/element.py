@@ -11,7 +11,7 @@ from undeadzone.identification.input_zone import InputZone
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.place_models import PlaceModel
 from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.play_gap import Gap
+from undeadzone.identification.play_gap import RUNS, Gap
 from undeadzone.identification.play_model import PlayModel
 from undeadzone.support.arrays import Floats, Integers
 
@@ -35,6 +35,7 @@ class Element(NamedTuple):
         zone: both: d_r + d_l beside the play's width [y]; else None.
         ahead: what disturbs z, scaled; None where it was not told apart.
         noise: rms of the readings' white noise, scaled.
+        degrees: of freedom of the intervals.
         rms: of what the fit leaves, scaled.
         remarks: what to know of the widths.
     """
@@ -52,20 +53,23 @@ class Element(NamedTuple):
     zone: Interval | None
     ahead: Ahead | None
     noise: float
+    degrees: float
     rms: float
     remarks: list[str]
 
 
-def of_play(gap: Gap, offset: float | None) -> Element:
+def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
     """The element of a play, and of the dead zone after it.
 
     Args:
-        gap: what was found.
+        gap: what was found, of the log or of its busiest part.
+        whole: all records.
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
-    model, data = gap.model, gap.model.data
-    z = model.z(gap.theta)
-    level, moved = model.level(z, gap.theta)
+    model, theta = _of_all(gap, whole)
+    data = model.data
+    z = model.z(theta)
+    level, moved = model.level(z, theta)
     moves = np.append(False, np.diff(level) != 0)
     remarks = []
     widths: dict[str, Interval | None] = dict(NONE)
@@ -92,21 +96,35 @@ def of_play(gap: Gap, offset: float | None) -> Element:
         )
     return Element(
         kind="both" if model.zone else "play",
-        model=model,
+        model=gap.model,
         fitted=gap.fit.theta,
         simulator=model.simulator,
-        theta=gap.theta,
+        theta=theta,
         V=gap.V,
         z=z,
-        readings=model.readings(z, gap.theta),
+        readings=model.readings(z, theta),
         side=np.where(moves, moved, 0.0).astype(int),
         widths=widths,
         zone=zone,
         ahead=gap.ahead,
         noise=gap.noise,
-        rms=model.rms(gap.fit.theta),
+        degrees=RUNS - 1,
+        rms=gap.model.rms(gap.fit.theta),
         remarks=remarks,
     )
+
+
+def _of_all(gap: Gap, whole: Data) -> tuple[PlayModel, Floats]:
+    """The model of all records, and its numbers; at rest at first where a part was fitted."""
+    old = gap.model
+    if old.data.y.size == whole.y.size:
+        return old, gap.theta
+    layout = old.simulator.layout
+    model = PlayModel(Simulator(whole, layout.n, layout.integrators), old.zone)
+    theta = np.zeros(model.size)
+    theta[: layout.b.stop] = gap.theta[: layout.b.stop]
+    theta[model.base :] = gap.theta[old.base :]
+    return model, theta
 
 
 def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
@@ -154,6 +172,7 @@ def of_input_zone(found: InputZone, data: Data) -> Element:
         zone=None,
         ahead=found.ahead,
         noise=found.noise,
+        degrees=found.degrees,
         rms=found.fit.density.rms,
         remarks=[
             "the widths are those of the input, in its unit; they hold if the input does not answer"

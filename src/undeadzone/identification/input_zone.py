@@ -34,6 +34,7 @@ class InputZone(NamedTuple):
         V: covariance of the plant's numbers a and b.
         ahead: what disturbs the plant.
         noise: rms of the readings' white noise.
+        degrees: of freedom of the intervals, the fewest of them.
     """
 
     fit: PlaceFit
@@ -41,6 +42,7 @@ class InputZone(NamedTuple):
     V: Floats
     ahead: Ahead
     noise: float
+    degrees: float
 
 
 def find_input_zone(fits: list[OrderFit]) -> InputZone | None:
@@ -61,11 +63,12 @@ def find_input_zone(fits: list[OrderFit]) -> InputZone | None:
     best = min(tops, key=lambda one: one.density.bic)
     model, theta = best.model, best.theta
     spread = spread_of(best)
-    intervals = {}
+    intervals, degrees = {}, math.inf
     for name, weights in DIRECTIONS.items():
         row = np.zeros(model.size)
         row[model.base + 5 : model.base + 7] = weights
         value = float(row @ theta)
+        degrees = min(degrees, spread.accuracy(row[model.free])[1])
         half = math.hypot(spread.half_width(row[model.free]), FINEST)
         intervals[name] = Interval(value, value - half, value + half)
     data, layout = model.data, model.simulator.layout
@@ -73,7 +76,7 @@ def find_input_zone(fits: list[OrderFit]) -> InputZone | None:
     ahead = disturbance_ahead(layout, theta, model.residual(theta), ok)
     noise = min(white_noise(data.y, ok, data.start), best.density.rms)
     count = layout.b.stop
-    return InputZone(best, intervals, spread.V[:count, :count], ahead, noise)
+    return InputZone(best, intervals, spread.V[:count, :count], ahead, noise, degrees)
 
 
 def spread_of(fitted: PlaceFit) -> Spread:

@@ -91,9 +91,10 @@ def identify_output(
         return identify_output(grid, as_jump, advance, climbs)
     found = Which(verdict, None, None)
     if prepared.jumps is None:
-        offsets = of_zone(chosen.pairs, quantum)
+        brief = reduced(chosen.pairs)
+        offsets = of_zone(brief, quantum)
         found = found._replace(offsets=offsets)
-        if is_asked(verdict, offsets, chosen.pairs, rivals, options):
+        if is_asked(verdict, offsets, brief, rivals, options):
             logs = _undelayed(as_recorded, data, options, delay)
             found = find_play(verdict, offsets, logs, fits, rivals, quantum, options, advance)
             verdict = found.verdict

@@ -66,7 +66,7 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
         'method = "censored"',
-        *_claimed([] if first.verdict == "input_zone" else answers),
+        *(_claimed(answers) if right else _unclaimed()),
         *_disturbance(answers),
         f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
         "",
@@ -98,13 +98,16 @@ def _widths(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
 
 
 def _claimed(answers: Sequence[Answer]) -> list[str]:
-    """The widths as the observer knows them; no answers: the sensor has no zone."""
-    if not answers:
-        return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
+    """The widths as the observer knows them. Raises InputError."""
     return [
         f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
         f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
     ]
+
+
+def _unclaimed() -> list[str]:
+    """The widths of a sensor without a zone as the observer knows them."""
+    return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
 
 
 def _actuator(answer: Answer) -> list[str]:

@@ -8,10 +8,9 @@ from typing import Literal
 from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer
 from undeadzone.identification.intervals import Interval
-from undeadzone.identification.long_run import degrees_of, quantile
+from undeadzone.identification.long_run import quantile
 
 SURE = 0.999  # level of the ranges
-ELSEWHERE = 1000  # samples for which widths of a play or an actuator have their degrees of freedom
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 
@@ -52,8 +51,8 @@ def _reach(answer: Answer, side: str, edge: Interval) -> tuple[float, float]:
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]
         return below + (jump.low - jump.lowest) * answer.scale, above
-    degrees: float = degrees_of(ELSEWHERE)
-    if answer.element is None:
-        degrees = answer.evidence.widths.degrees[side]
+    degrees = answer.evidence.widths.degrees[side]
+    if answer.element is not None:
+        degrees = answer.element.degrees
     wider = quantile(degrees, SURE) / quantile(degrees)
     return wider * below, wider * above

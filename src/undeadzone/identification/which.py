@@ -20,6 +20,7 @@ from undeadzone.identification.orders import OrderFit
 from undeadzone.identification.plant_fit import Data, Simulator
 from undeadzone.identification.play_gap import Gap, find_gap
 from undeadzone.identification.play_model import PlayFit, density_of, fit_both, fit_play
+from undeadzone.identification.records import part_of, reduced
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 from undeadzone.identification.verdict import LEAST, Verdict
 from undeadzone.support.arrays import Floats
@@ -89,12 +90,15 @@ def find_play(
         advance: called with the number of steps just done.
     """
     orders = [one.n for one in fits]
-    plays = [fit_play(data, orders, options.integrators) for data in logs]
-    known = [_without_glitches(one) for one in plays if one is not None]
-    if not known:
+    plays = []
+    for data in logs:
+        fitted = fit_play(part_of(data), orders, options.integrators)
+        if fitted is not None and fitted.density.value.size == rivals["none"].value.size:
+            plays.append((_without_glitches(fitted), data))
+    if not plays:
         return Which(verdict, None, offsets)
-    play = min(known, key=lambda one: one.density.bic)
-    same = [one.pairs for one in fits if one.pairs.objective.data.u is play.model.data.u]
+    play, whole = min(plays, key=lambda one: one[0].density.bic)
+    same = [reduced(one.pairs) for one in fits] if whole is logs[-1] else []
     both = fit_both([play, *same])
     best = _better(play, both, rivals, options.kind == "play")
     if best is None:
@@ -110,7 +114,7 @@ def find_play(
     if not best.model.zone and not is_there(gap.intervals["width"], LEAST_GAP) and gap.sure:
         return Which(_no_gap(verdict, gap), None, offsets)
     rms = options.offset_rms()
-    element = of_play(gap, None if rms is None else rms / best.model.data.y_scale)
+    element = of_play(gap, whole, None if rms is None else rms / whole.y_scale)
     return Which(_named(element, offsets), element, offsets)
 
 
@@ -129,7 +133,8 @@ def _better(
     if play.density.strange or play.density.rms > 1 - LEAST:
         return None
     ahead = [compare_statistic(play.density, one) for one in static]
-    return play if min(ahead) > (-CLEARLY if asked else CLEARLY) else None
+    least = -CLEARLY if asked else CLEARLY
+    return play if min(ahead) > least else None
 
 
 def _both_there(gap: Gap, offsets: Offsets) -> bool:
