@@ -220,7 +220,8 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
 
     The same readings, whatever is believed; the prior decides.
     """
-    options = Censored(**EXACT | {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1})
+    told = {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1, "x_std": [10.0, 10.0]}
+    options = Censored(**EXACT | told)
     u = tones(30.0, 8.0)
     shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
     biased = watch(

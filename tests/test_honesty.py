@@ -17,7 +17,7 @@ from scenes import PAPER_PLANT
 from test_glitches import AT, PLANT, SENSOR, TS, drive
 from undeadzone.interfaces import Estimate, NumericObserver, Reading
 from undeadzone.linear.hold import zoh
-from undeadzone.numerics.doubtful import truncate_unless_fake
+from undeadzone.numerics.doubtful import truncate_unless_fake, update_unless_glitch
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.plants.system import sampled
 from undeadzone.sensor import resolve
@@ -130,14 +130,16 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
     belief = Gaussian(ca.SX(mean), ca.SX(P))
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved))
+        one, *_ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved))
         after, cov = numbers(*one.belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0]))
-    plain, _ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
+    every, *_ = truncate_unless_fake(
+        belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
+    )
+    plain, *_ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
     for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
@@ -153,6 +155,89 @@ def test_edges_that_are_never_reached_stay_unknown_under_default_claims() -> Non
     verdict = glitches.observe(options, posed).verdict
     assert verdict.covered().min() >= 0.92
     assert (np.abs(verdict.errors.mean(axis=0)[:4]) < 0.15).all()
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_a_reading_leaves_alone_what_it_may_not_move(e: float, share: float, seed: int) -> None:
+    """The covariance is that of the gain that was used (Joseph), where the reading is sure."""
+    root = np.random.default_rng(seed).normal(size=(3, 3))
+    P, mean, row, R = (
+        root @ root.T + 0.1 * np.eye(3),
+        np.array([1.0, 2.0, 0.5]),
+        [1.0, -1.0, 0],
+        0.1,
+    )
+    belief, h, sure = Gaussian(ca.SX(mean), ca.SX(P)), ca.SX([row]), -500.0
+    shares = np.array([1.0, 1.0, share])
+    one = update_unless_glitch(belief, h, e, R, 1.0, sure, 20.0, ca.SX(shares))
+    after, cov = numbers(*one.belief)
+    gain = shares * (P @ row) / (row @ P @ row + R)
+    rest = np.eye(3) - np.outer(gain, row)
+    assert after[:, 0] == pytest.approx(mean + e * gain, rel=1e-9, abs=1e-9)
+    assert cov == pytest.approx(rest @ P @ rest.T + R * np.outer(gain, gain), rel=1e-9, abs=1e-9)
+    every = update_unless_glitch(belief, h, e, R, 1.0, -3.0, 20.0, ca.SX([1.0, 1.0, 1.0]))
+    plain = update_unless_glitch(belief, h, e, R, 1.0, -3.0, 20.0)
+    for here, there in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
+        assert here == pytest.approx(there, rel=1e-9, abs=1e-12)
+
+
+def test_readings_on_one_edge_tell_nothing_of_the_other_under_default_claims() -> None:
+    """Silence had bound z to the edge that was not reached, and readings then moved it inwards."""
+    posed = honest_problems.problems(honest_problems.KINDS["right edge only"], 2, 120, 11)
+    verdict = glitches.observe(glitches.from_ranges, posed).verdict
+    assert verdict.covered().min() >= 0.93
+    away = posed.z.min(axis=0) > -posed.d[:, 1]
+    assert away.sum() > 20
+    left = verdict.errors[away, 1]
+    assert abs(left.mean()) < 0.2 * np.ptp(posed.ranges[away, 1], axis=1).mean()
+    assert (np.abs(left) <= 1.96 * verdict.stds[away, 1]).mean() >= 0.97
+
+
+# --- How far z can move
+
+
+def test_a_reading_that_leaves_silence_farther_than_z_can_move_is_refused() -> None:
+    """The belief itself is wide: nothing but the silence before and after speaks against it."""
+    options = uz.Censored(right=[LOW, HIGH])
+    rng = np.random.default_rng(0)
+    for sign in (1.0, -1.0):
+        y = 0.01 * rng.normal(size=300)
+        y[150::50] = sign * np.array([0.3, 0.8, 1.5])
+        lone = uz.Online(options, PLANT, SENSOR, TS)
+        last = [lone.update(value, 0.0) for value in y][-1]
+        assert last.refused == 3
+        middle, std = (LOW + HIGH) / 2, (HIGH - LOW) / np.sqrt(12)
+        for width, width_std in ((last.right, last.right_std), (last.left, last.left_std)):
+            assert width[0] == pytest.approx(middle, abs=0.1)
+            assert width_std[0] == pytest.approx(std, rel=0.05)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_readings_that_leave_silence_as_fast_as_z_moves_are_believed(missing: float) -> None:
+    """z crosses the whole zone in four samples."""
+    u, z, y = drive()
+    gone = np.random.default_rng(1).uniform(size=y.size) < missing
+    seen = np.where(gone, np.nan, y)[::4]
+    online = uz.Online(uz.Censored(right=[0.0, 3.0]), PLANT, SENSOR, 4 * TS)
+    errors = []
+    for k, value in enumerate(seen):
+        last = online.update(value, u[4 * k : 4 * k + 4].mean())
+        errors.append(last.z[0] - z[4 * k])
+    assert last.refused <= 1
+    assert np.sqrt(np.mean(np.square(errors[150:]))) < 0.05
+
+
+def test_a_tenth_of_wrong_readings_costs_little_under_default_claims() -> None:
+    """Coverage of the width was .84, and a tenth of the errors ten times the usual ones."""
+    posed = honest_problems.problems(honest_problems.KINDS["both edges"], 1, 120, 12)
+    clean = glitches.observe(glitches.from_ranges, posed)
+    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
+    outcome = glitches.observe(glitches.from_ranges, posed._replace(y=wrong))
+    assert outcome.verdict.covered().min() >= 0.92
+    ratio = outcome.rms / clean.rms
+    assert np.median(ratio) < 1.1
+    assert np.quantile(ratio, 0.9) < 2.0
 
 
 # --- Late constants

@@ -36,7 +36,15 @@ class Weighed(NamedTuple):
 
 
 def update_unless_glitch(
-    belief: Gaussian, h: Any, e: Any, R: Any, use: Any, odds: Any, reach: Any
+    belief: Gaussian,
+    h: Any,
+    e: Any,
+    R: Any,
+    use: Any,
+    odds: Any,
+    reach: Any,
+    moved: Any = None,
+    surprise: Any = 0.0,
 ) -> Weighed:
     """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
 
@@ -50,14 +58,26 @@ def update_unless_glitch(
         use: 0 leaves the belief as it is.
         odds: log of the odds of a glitch before the reading is seen; None: none is one.
         reach: range over which a glitch is spread, besides `TAIL` standard deviations.
+        moved: share by which the reading moves each variable (N); None: all move. What it says of
+            the others is then known given those that stay.
+        surprise: log of what else speaks for a regular reading (0) or against it (below).
     """
     P = belief.cov
     S = ca.fmax(h @ P @ h.T, 0.0) + R
-    return settle(belief, P @ h.T / S, e, S, R, use, odds, reach)
+    return settle(belief, P @ h.T / S, e, S, R, use, odds, reach, moved, surprise)
 
 
 def settle(
-    belief: Gaussian, K: Any, e: Any, S: Any, R: Any, use: Any, odds: Any, reach: Any
+    belief: Gaussian,
+    K: Any,
+    e: Any,
+    S: Any,
+    R: Any,
+    use: Any,
+    odds: Any,
+    reach: Any,
+    moved: Any = None,
+    surprise: Any = 0.0,
 ) -> Weighed:
     """The belief after a reading of which the gain is known, or after a glitch.
 
@@ -71,38 +91,59 @@ def settle(
         e: innovation.
         S: variance of the innovation.
         R: variance of v.
-        use, odds, reach: as `update_unless_glitch` takes them.
+        use, odds, reach, moved, surprise: as `update_unless_glitch` takes them.
     """
     std = ca.sqrt(S)
     if odds is None:
-        return Weighed(_moved(belief, K, e, S, R, use), e, std, ca.SX(1.0), 0.0)
+        return Weighed(_moved(belief, K, e, S, 0.0, R, use), e, std, ca.SX(1.0), 0.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = odds - ca.log(reach + TAIL * std)
-    right = -(r**2) / 2 - ca.log(2 * math.pi * S) / 2
+    right = surprise - (r**2) / 2 - ca.log(2 * math.pi * S) / 2
     trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
     weight = ca.if_else(use, trust, 0.0)
-    after = _moved(belief, K, near, S - (1 - weight) * near**2, R, weight)
+    after = _moved(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
     log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
 
 
-def _moved(belief: Gaussian, K: Any, e: Any, known: Any, R: Any, weight: Any) -> Gaussian:
+def _moved(
+    belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, moved: Any = None
+) -> Gaussian:
     """The belief moved by a share of K e.
 
     Args:
         belief: of x (N).
         K: gain (N).
         e: innovation.
-        known: what the covariance loses along K, per share.
+        S: what the covariance loses along K, per share.
+        between: what it gains along the way that the mean moves, per share.
         R: variance of v.
         weight: the share.
+        moved: as `update_unless_glitch` takes it.
     """
     mean, P = belief
-    cov = P - (weight * known * K) @ K.T
-    least = weight * R * K**2
+    shift = K if moved is None else moved * K
+    if moved is None:
+        cov = P - (weight * (S - between) * K) @ K.T
+    else:
+        cov = P - lost_given(K, shift, weight * S, weight * between)
+    least = weight * R * shift**2
     cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
-    return Gaussian(mean + weight * e * K, from_upper(cov))
+    return Gaussian(mean + weight * e * shift, from_upper(cov))
+
+
+def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
+    """What a covariance loses: certain (g g' - (g - s) (g - s)') - between s s'.
+
+    Args:
+        along: g, along which a bound or a reading would move the mean (N).
+        shift: s, along which it does (N).
+        certain: by how much the covariance is less where it is right.
+        between: by how much it is more, as it may be wrong.
+    """
+    half = shift @ (certain * along - (certain + between) / 2 * shift).T
+    return half + half.T
 
 
 def together(readings: Sequence[Weighed]) -> Weighed:
@@ -125,7 +166,7 @@ def truncate_unless_fake(
     limit: float,
     fake: Any,
     moved: Any = None,
-) -> tuple[Weighed, Any]:
+) -> tuple[Weighed, Any, Any]:
     """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
 
     Mean and covariance of the mixture are matched.
@@ -137,7 +178,8 @@ def truncate_unless_fake(
             the others is then known given those that stay.
 
     Returns:
-        What is known, and 1 where the bound was used.
+        What is known, 1 where the bound was used, and the probability that the silence is no fake,
+        used or not.
     """
     mean, P = belief
     std = ca.sqrt(ca.fmax(h @ P @ h.T, 0.0) + R)
@@ -152,11 +194,10 @@ def truncate_unless_fake(
         shift, lost = along, (certain - between) * (along @ along.T)
     else:
         shift = moved * along
-        lost = shift @ (certain * along - (certain + between) / 2 * shift).T
-        lost = lost + lost.T  # certain (along along' - stay stay') - between shift shift'
+        lost = lost_given(along, shift, certain, between)
     after = Gaussian(mean - trust * ratio * shift, from_upper(P - lost))
     log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
-    return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used
+    return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used, trust
 
 
 def log_of_sum(a: Any, b: Any) -> Any:

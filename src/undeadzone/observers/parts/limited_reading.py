@@ -111,7 +111,7 @@ def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: A
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
             waits.append(ca.if_else(used, q.lasting, waiting - 1))
-    return Heard(belief, ca.vertcat(*waits), trust, log)
+    return known._replace(belief=belief, wait=ca.vertcat(*waits), trust=trust, log=log)
 
 
 def heard_limit(
@@ -135,7 +135,7 @@ def heard_limit(
         after, used = truncate(belief, -end * h, over, q.R[i], bounded, DOUBT)
         return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
     fake = q.doubt.glitch + math.log(BEYOND)
-    one, used = truncate_unless_fake(belief, -end * h, over, q.R[i], bounded, DOUBT, fake)
+    one, used, _ = truncate_unless_fake(belief, -end * h, over, q.R[i], bounded, DOUBT, fake)
     return one, ca.logic_and(used, one.trust > 0.5)
 
 

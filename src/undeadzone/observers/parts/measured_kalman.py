@@ -35,8 +35,15 @@ from undeadzone.observers.parts.limited_reading import (
     surely_exact,
     use_limits,
 )
-from undeadzone.observers.parts.measured_reading import Heard, correct, resting, use_bounds
+from undeadzone.observers.parts.measured_reading import (
+    Heard,
+    correct,
+    rest_of,
+    sure_side,
+    use_bounds,
+)
 from undeadzone.observers.parts.member import Member, Step, log_density
+from undeadzone.observers.parts.pace import Pace, moved_on, resting, surprise
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
@@ -69,6 +76,7 @@ class State(NamedTuple):
             the readings have a range, then until a limit is, upper ones, then lower ones (2p).
         u: the last input (m).
         patience: with readings that are refused.
+        pace: of z.
     """
 
     mean: Any
@@ -78,6 +86,7 @@ class State(NamedTuple):
     wait: Any
     u: Any
     patience: Patience
+    pace: Pace
 
 
 def measured_filter(
@@ -98,12 +107,15 @@ def measured_filter(
     augmentation = with_widths(with_friction(augmentation, sensor), zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
-    setup = Setup(model, sensor, augmentation, entries, bounds, order, blind, doubts, careful)
+    centred = prior.centre is not None
+    setup = Setup(
+        model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred
+    )
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
         each, waits = np.zeros(p), np.zeros(4 * p if setup.limited else 2 * p)
-        return State(q.mean, q.cov, each, each, waits, np.zeros(m), patient(p))
+        return State(q.mean, q.cov, each, each, waits, np.zeros(m), patient(p), resting(setup))
 
     params = filter_numbers(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
@@ -112,7 +124,7 @@ def measured_filter(
         doubt=doubt,
         ends=ends(sensor, prior),
         zones=zones,
-        rest=np.asarray(resting(model, sensor, lasting)),
+        rest=np.asarray(rest_of(model, sensor, lasting)),
     )
     smoothing = Smoothing(
         moments=partial(moments, setup),
@@ -139,7 +151,8 @@ def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
     y = ca.if_else(seen, reading.y, 0.0)
     side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
-    corrected = correct(setup, q, before, y, side, variances(q, reading))
+    R = variances(q, reading)
+    corrected = correct(setup, q, before, y, side, R, surprise(setup, q, s.pace, y, side, R))
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     if setup.bounds:
         heard = with_bounds(setup, q, s, heard, reading, y, side)
@@ -175,7 +188,8 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     mean, cov, restarted = sound(
         q, setup.entries, predicted(setup, q, heard.belief, u, reading.side)
     )
-    after = State(mean, cov, y, s.last, heard.wait, u, s.patience)
+    pace = moved_on(setup, q, s.pace, heard, u, side, reading)
+    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
     if setup.doubts:
         after = reconsidered(setup, q, after, side, heard.trust)
     return Step(
@@ -288,20 +302,3 @@ def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) 
     n, p = setup.model.n, setup.model.p
     G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
     return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
-
-
-def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
-
-    A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
-    their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
-    would select noise of one sign.
-    """
-    return 1.0 * _sure(y, last, previous, gate) - 1.0 * _sure(-y, -last, -previous, gate)
-
-
-def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Whether a reading is surely on the right."""
-    both_beyond = ca.logic_and(last > gate, previous > gate)
-    line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
-    return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))

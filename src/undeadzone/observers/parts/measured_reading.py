@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,12 +34,14 @@ class Heard(NamedTuple):
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         trust: probability that the reading was not wrong (p).
         log: log of the density with which it was foretold.
+        silence: whether a silence was believed, by right edges and by left ones (2 of p).
     """
 
     belief: Gaussian
     wait: Any
     trust: Any
     log: Any
+    silence: tuple[Any, ...] = ()
 
 
 def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
@@ -48,7 +51,9 @@ def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
     return z - offset(side, X[n + i], X[n + p + i])
 
 
-def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any) -> Weighed:
+def correct(
+    setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any, surprise: Sequence[Any]
+) -> Weighed:
     """The belief after the readings on the sides that are sure, one output at a time.
 
     Args:
@@ -58,6 +63,7 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any
         y: reading, 0 where it is missing (p) [y].
         side: the sides that are sure (p), 0 where none is.
         R: variances of the readings (p) [z^2].
+        surprise: log of what the silence before speaks for each reading (p).
 
     Returns:
         Innovations, their standard deviations and trust (p each), and the sum of the logs.
@@ -69,13 +75,14 @@ def correct(setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any
         expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
-        one = update_unless_glitch(belief, h, e, R[i], active, odds, reach)
+        moved = moved_by(setup, q, belief, i, side[i]) if setup.apart else None
+        one = update_unless_glitch(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
         each.append(one)
     return together(each)
 
 
-def resting(model: System, sensor: Zone, lasting: float) -> float:
+def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
 
     A jump sensor's readings bound its edges too, each from another place.
@@ -88,6 +95,19 @@ def resting(model: System, sensor: Zone, lasting: float) -> float:
     if sensor.kind == "jump" or model.flow is None or model.Ts is None:
         return lasting
     return max(lasting, readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+
+
+def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
+    """The share by which a reading of output i moves each variable (N).
+
+    What silence says of z and an edge binds them, though it moved the edge by a share only. A
+    reading on the other edge, which tells of z, moves this one by no more.
+    """
+    n, p = setup.model.n, setup.model.p
+    moved = ca.SX(informed(q, setup.model, belief.cov))
+    for place, edge in ((n + i, RIGHT), (n + p + i, LEFT)):
+        moved[place] = ca.if_else(side == edge, 1.0, moved[place])
+    return moved
 
 
 def use_bounds(
@@ -108,6 +128,7 @@ def use_bounds(
         level: from which z is inside the edges (p) [y], y of a play; None: 0.
     """
     waits: list[Any] = []
+    believed: list[Any] = []
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
     for edge in (RIGHT, LEFT):
@@ -117,12 +138,16 @@ def use_bounds(
             bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
             above = 0.0 if level is None else edge * level[i]
             slack = q.gate[i] + above
-            one, used = heard_edge(setup, q, belief, i, edge, silent[i], outside, bounded, slack)
+            one, used, regular = heard_edge(
+                setup, q, belief, i, edge, silent[i], outside, bounded, slack
+            )
             belief = one.belief
+            believed.append(ca.logic_and(silent[i], regular > 0.5))
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
             waits.append(ca.if_else(used, q.rest, waiting - 1))
-    return Heard(belief, ca.vertcat(*waits), trust, log)
+    silences = tuple(ca.vertsplit(ca.vertcat(*believed), setup.model.p))
+    return Heard(belief, ca.vertcat(*waits), trust, log, silences)
 
 
 def heard_edge(
@@ -135,8 +160,8 @@ def heard_edge(
     outside: Any,
     bounded: Any,
     slack: Any,
-) -> tuple[Weighed, Any]:
-    """What one edge says, and whether it need not be heard again for a while.
+) -> tuple[Weighed, Any, Any]:
+    """What one edge says, whether it then is not heard for a while, and how likely it is true.
 
     Args:
         setup: the filter.
@@ -154,8 +179,27 @@ def heard_edge(
     over = sign * excess - ca.if_else(silent, slack / q.slope[i], 0.0)
     if not setup.doubts:
         after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
-        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
+        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used, 1.0
     moved = informed(q, setup.model, belief.cov) if setup.careful else None
     row, fake = sign * h, q.doubt.fake
-    one, used = truncate_unless_fake(belief, row, over, q.R[i], bounded, DOUBT, fake, moved)
-    return one, ca.logic_and(used, one.trust > 0.5)
+    one, used, regular = truncate_unless_fake(
+        belief, row, over, q.R[i], bounded, DOUBT, fake, moved
+    )
+    return one, ca.logic_and(used, one.trust > 0.5), regular
+
+
+def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
+
+    A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
+    their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
+    would select noise of one sign.
+    """
+    return 1.0 * _sure(y, last, previous, gate) - 1.0 * _sure(-y, -last, -previous, gate)
+
+
+def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """Whether a reading is surely on the right."""
+    both_beyond = ca.logic_and(last > gate, previous > gate)
+    line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
+    return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))

@@ -28,6 +28,7 @@ class Setup(NamedTuple):
         blind: whether it takes every reading for z itself.
         doubts: whether a reading may be wrong.
         careful: whether silence moves widths only as far as readings have told of them.
+        centred: whether a centre is claimed, which binds the edges together.
     """
 
     model: System
@@ -39,6 +40,22 @@ class Setup(NamedTuple):
     blind: bool
     doubts: bool
     careful: bool
+    centred: bool
+
+    @property
+    def apart(self) -> bool:
+        """Whether a reading on one edge moves other widths only as far as theirs told of them."""
+        return self.careful and self.doubts and self.bounds and self.plain and not self.centred
+
+    @property
+    def paced(self) -> bool:
+        """Whether readings that leave silence are asked how far z can move."""
+        return self.doubts and self.bounds and self.plain
+
+    @property
+    def plain(self) -> bool:
+        """Whether the sensor is a dead zone, neither of the jump kind nor a play."""
+        return not self.jump and not self.play
 
     @property
     def limited(self) -> bool:
