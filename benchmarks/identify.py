@@ -1,11 +1,10 @@
 """Coverage and errors of `uz.identify` over random plants, and its verdicts on other maps.
 
 Every answer is kept in build/identify.jsonl as soon as there is one, and not computed again: a
-study of hours can be done in parts, and by several processes at once, each with an IDENTIFY_FIRST of
-its own. IDENTIFY_SEEDS: logs a family
-(10), IDENTIFY_FIRST: the first of them (100). IDENTIFY_MINUTES: stop after so many and print what
-there is. IDENTIFY_ONLY: families, with commas between. Remove the file to begin anew, as after a
-change of the estimator.
+study of hours can be done in parts, and by several processes at once, each with an IDENTIFY_FIRST
+of its own. IDENTIFY_SEEDS: logs a family (10), IDENTIFY_FIRST: the first of them (100).
+IDENTIFY_MINUTES: stop after so many and print what there is. IDENTIFY_ONLY: families, with commas
+between. Remove the file to begin anew, as after a change of the estimator.
 """
 
 from __future__ import annotations
