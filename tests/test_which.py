@@ -332,15 +332,18 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     return uz.identify(t=STEP, u=u, y=y, order=2, **more), widths
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_widths_of_an_actuator_are_found(seed: int) -> None:
-    found, (right, left) = valve(30 + seed)
-    assert found.verdict == "input_zone"
-    assert not found.zone
-    assert found.right.low <= right <= found.right.high
-    assert found.left.low <= left <= found.left.high
-    assert found.width.half < 0.15
-    assert any("of the input" in remark for remark in found.answer.remarks)
+def test_the_widths_of_an_actuator_are_found() -> None:
+    held = []
+    for seed in (1, 2, 3, 4):
+        found, truth = valve(30 + seed)
+        assert found.verdict == "input_zone"
+        assert not found.zone
+        assert found.width.half < 0.15
+        assert any("of the input" in remark for remark in found.answer.remarks)
+        for interval, width in zip((found.right, found.left), truth, strict=True):
+            held.append(interval.low <= width <= interval.high)
+            assert abs(interval.value - width) < 2 * interval.half
+    assert sum(held) >= len(held) - 1  # of eight 95 % intervals
 
 
 def test_commands_take_the_scenario_of_an_actuator(
