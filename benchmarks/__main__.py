@@ -39,6 +39,7 @@ NAMES = (
     "arena_effort",
     "play",
     "both_ends",
+    "which",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -7,7 +7,8 @@ be seen; coasts on demand show it (docs/actuator.md).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from undeadzone.compensators import (
     ZoneInverse,
 )
 from undeadzone.controllers import ControllerOptions, RobustAdaptive, StateFeedback
-from undeadzone.observers import FullState, Kalman, Luenberger, ObserverOptions
+from undeadzone.observers import Censored, FullState, Kalman, Luenberger, ObserverOptions
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
@@ -32,9 +33,11 @@ from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
 from undeadzone.support.arrays import Floats
 
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 STEP, DURATION, NOISE, DISTURBANCE = 0.01, 60.0, 0.01, 0.5
 RATE = 6.0  # of the closed loop [1/s]
 SLIGHT = 1e-6  # half of the range of a width that is known
+OFF = 0.05  # rms by which B of a wrong model is off, relative
 OUTPUT = (0.0, 3.0)  # claimed range of the sensor's widths
 
 
@@ -65,7 +68,7 @@ def drawn(seed: int) -> World:
     amplitude, w = rng.uniform(2.5, 5.0), rng.uniform(1.0, 4.0)
     size = float(np.clip(max(amplitude * w**2 / b, 3.0), 0.0, 10.0))
     plant = Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]], x0=[0.5, 0.0])
-    widths, gain = rng.uniform(0.3, 2.0, 2), 1 + 0.05 * rng.standard_normal()
+    widths, gain = rng.uniform(0.3, 2.0, 2), 1 + OFF * rng.standard_normal()
     zone = rng.uniform(0.1, 0.6, 2) * size
     return World(plant, widths, zone, amplitude, w / (2 * np.pi), 7.2, gain)
 
@@ -79,6 +82,20 @@ def filter_of(world: World, known: bool) -> Kalman:
     """The filter, with the sensor's widths known or not."""
     right, left = (narrow(width) if known else list(OUTPUT) for width in world.d)
     return Kalman(right=right, left=left, disturbance=DISTURBANCE)
+
+
+def heedful(world: World) -> Censored:
+    """A filter for which the entry of B is one more unknown."""
+    return Censored(
+        right=list(OUTPUT),
+        disturbance=DISTURBANCE,
+        correlation_time=STEP,
+        bias=0.0,
+        calibrated=0.0,
+        tolerance={"B[1,0]": OFF},
+        drift=0.0,
+        levels=1,
+    )
 
 
 def actuator_of(world: World, known: bool) -> ActuatorModel:
@@ -129,6 +146,12 @@ METHODS = {
     "both unknown, smooth inverse, no coasts": Method(UNKNOWN, UNTOLD, SmoothZoneInverse(soft=0.3)),
     "both unknown, coasts of 0.4 s": Method(UNKNOWN, UNTOLD, ZoneInverse(coast=0.4, **COAST)),
     "both unknown, coasts of 0.8 s": Method(UNKNOWN, UNTOLD, ZoneInverse(coast=0.8, **COAST)),
+    "B 5 % off, untold, coasts of 0.4 s": Method(
+        UNKNOWN, UNTOLD, ZoneInverse(coast=0.4, **COAST), wrong=True
+    ),
+    "B 5 % off, unknown too, coasts of 0.4 s": Method(
+        heedful, UNTOLD, ZoneInverse(coast=0.4, **COAST), wrong=True
+    ),
     "`robust_adaptive`, given the true x": Method(
         lambda world: FullState(),
         ignored,
@@ -143,14 +166,29 @@ METHODS = {
 }
 
 
-def posed(method: Method, seed: int) -> Problem:
-    """One random loop under a method."""
+ALIKE = (
+    "both known",
+    "both unknown, no coasts",
+    "both unknown, coasts of 0.4 s",
+    "sensor's filter, actuator ignored",
+    "neither is known of",
+)
+SENSORS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {  # and the methods on each
+    "a dead zone": ({}, tuple(METHODS)),
+    "a play": ({"kind": "play"}, ALIKE),
+    "a dead zone whose reading ends at 2": ({"range": [-2.0, 2.0]}, ALIKE),
+}
+
+
+def posed(method: Method, seed: int, sensor: Mapping[str, Any] = NOTHING) -> Problem:
+    """One random loop under a method; sensor: what it is besides its widths."""
     world = drawn(seed)
+    gain = world.gain if method.wrong else 1.0
     scenario = Scenario(
         plant=world.plant,
-        sensor=Sensor(right=world.d[0], left=world.d[1], noise=NOISE),
+        sensor=Sensor(right=world.d[0], left=world.d[1], noise=NOISE, **sensor),
         actuator=Actuator(right=world.b[0], left=world.b[1]),
-        model=Model(actuator=method.actuator(world)),
+        model=Model(B=(gain * np.array(world.plant.B)).tolist(), actuator=method.actuator(world)),
         compensator=method.compensator,
         reference=Sine(amplitude=world.amplitude, frequency=world.frequency),
         observer=method.observer(world),
@@ -162,21 +200,25 @@ def posed(method: Method, seed: int) -> Problem:
 
 
 def table(loops: int = 100) -> str:
-    """The table, of that many loops a row."""
+    """The tables, of that many loops a row."""
     names = ("loops", "rms z - r", "ratio to both known", "90 %", "within 2", "d, b covered")
-    lines, best = ["## Dead zones at both ends\n", *head(*names)], None
-    for name, method in METHODS.items():
-        each = [posed(method, seed) for seed in range(loops)]
-        ran = run_loops(each, 0.8 * DURATION)
-        best = ran.rms if best is None else best
-        lines.append(_row(name, ran, best))
+    lines = ["## Dead zones at both ends\n"]
+    for kind, (sensor, methods) in SENSORS.items():
+        lines += [f"The sensor is {kind}:\n", *head(*names)]
+        best = None
+        for name in methods:
+            each = [posed(METHODS[name], seed, sensor) for seed in range(loops)]
+            ran = run_loops(each, 0.8 * DURATION)
+            best = ran.rms if best is None else best
+            lines.append(_row(name, ran, best))
+        lines.append("")
     about = (
         f"{loops} random loops of second order, {DURATION:g} s, judged in the last fifth; noise "
         f"{NOISE:g}, white disturbance of {DISTURBANCE:g} rms, {1 / STEP:g} Hz. The actuator's "
         "widths are 0.1 to 0.6 of its largest input. Ratio: of the rms of z - r, median with a "
         "95 % interval, and 90 % quantile. Coasts: on demand, in the first half.\n"
     )
-    return "\n".join([*lines, "", about])
+    return "\n".join([*lines, about])
 
 
 def _row(name: str, ran: Loops, best: Floats) -> str:
@@ -187,7 +229,8 @@ def _row(name: str, ran: Loops, best: Floats) -> str:
     cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
     cells.append(f"{np.quantile(ratio, 0.9):.1f}")
     cells.append(f"{100 * np.mean(ratio <= 2):.0f} %")
-    covered = [ran.covered(), ran.actuator_covered()] if "unknown" in name else []
+    estimates = "unknown" in name or "untold" in name
+    covered = [ran.covered(), ran.actuator_covered()] if estimates else []
     return row(name, *cells, ", ".join(part for part in covered if part))
 
 

@@ -27,9 +27,13 @@ from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.exports import parts as export_parts
+from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.unknown_actuator import Zones, entering
 from undeadzone.plants.system import sampled
+from undeadzone.report.figures import overview
+from undeadzone.report.run_page import run_page
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
@@ -364,6 +368,31 @@ def test_engines_agree_to_the_last_bit(
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     scenario = loop(simulation={"duration": 2.0})
     assert uz.export(scenario, out=tmp_path / "fw", precision="double", name="o").passed
+
+
+@pytest.mark.parametrize("method", ["none", "inverse", "smooth_inverse", "adaptive_inverse"])
+def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> None:
+    compensator = {"method": method, "coast": 0.4, "every": 1.0}
+    problem = resolve_scenario(loop(compensator=compensator, simulation={"duration": 3.0}))
+    expected = vectors.recorded(problem, export_parts.build(problem))[:, 1]
+    step = export_parts.build(problem, "observer+controller")
+    rows = vectors.recorded(problem, step)
+    found, _ = interpret.run(step.function, step.start, rows, step.defaults)
+    assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_figure_and_page_show_an_actuator_whose_widths_are_estimated() -> None:
+    run = simulate(loop(simulation={"duration": 3.0}))
+    figure = overview(run)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[-2:] == ["Command over the actuator's zone", "Widths of the actuator, truth pale"]
+    assert run.b_std is not None
+    widest = float((run.b_hat + 2 * run.b_std).max())
+    assert figure.axes[-1].get_ylim()[1] < widest  # the first band does not stretch the axis
+    page = run_page(run, [])
+    assert "u[0]" in page
+    known = simulate(loop(model=None, compensator=INVERSE, simulation={"duration": 1.0}))
+    assert len(overview(known).axes) == len(titles) - 2
 
 
 def test_an_ensemble_varies_the_actuator() -> None:

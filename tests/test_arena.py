@@ -28,10 +28,10 @@ from undeadzone.arena import tuned_file as tuned
 from undeadzone.arena.contest import run_contest
 from undeadzone.arena.entry import entered, numbers
 from undeadzone.arena.leaderboard import CAP, bounded, intervals, regrets
-from undeadzone.arena.methods import METHODS, catalogue, middle
+from undeadzone.arena.methods import METHODS, catalogue, fitting, middle
 from undeadzone.arena.metric import Result, Worth
 from undeadzone.arena.prior_knowledge import declaration, situation
-from undeadzone.arena.scenario_sets import from_files, scenarios
+from undeadzone.arena.scenario_sets import Kind, from_files, scenarios
 from undeadzone.arena.traces import traced
 from undeadzone.arena.trials import score, trial
 from undeadzone.cli import group
@@ -235,6 +235,46 @@ def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> Non
         assert scenario.simulation.duration == 20.0
 
 
+def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
+    held_out = scenarios("plays") | scenarios("both_ends")
+    tuning_on = scenarios("plays_tuning") | scenarios("both_ends_tuning")
+    assert {each.sensor.kind for each in scenarios("plays").values()} == {"play"}
+    assert all(each.actuator is not None for each in scenarios("both_ends").values())
+    assert any(each.sensor.range is not None for each in held_out.values())
+    assert any(each.sensor.quantum for each in held_out.values())
+    truths = [
+        {repr((each.plant, each.sensor, each.actuator)) for each in of.values()}
+        for of in (tuning_on, held_out)
+    ]
+    assert not truths[0] & truths[1]
+    for scenario in [*tuning_on.values(), *held_out.values()]:
+        assert scenario.declared is not None
+        low, high = scenario.declared.right
+        assert low < min(scenario.sensor.right, scenario.sensor.left)
+        assert high > max(scenario.sensor.right, scenario.sensor.left)
+        if scenario.actuator is not None:
+            told = scenario.model.actuator
+            assert told.right[0] < scenario.actuator.right < told.right[1]
+            assert told.left[0] < scenario.actuator.left < told.left[1]
+
+
+def test_methods_for_actuators_are_entered_where_there_is_one() -> None:
+    needing = {name for name, method in METHODS.items() if method.compensator}
+    assert needing == set(fitting(scenarios("both_ends").values())) - set(
+        fitting(scenarios("held_out").values())
+    )
+
+
+def test_who_estimates_both_ends_beats_who_ignores_one() -> None:
+    """On the valve and its tank; what knows the actuator is ahead of all."""
+    of = {"valve": scenarios("both_ends")["valve_both_ends"]}
+    names = ["kalman", "actuator_inverse_blind", "robust_adaptive_blind"]
+    found = {each.method: each.worth for each in score(names, of, (0,), processes=1)}
+    J = {name: worth.tracking for name, worth in found.items() if worth is not None}
+    assert J["informed"] < J["full_state"] < 1.5 * J["kalman"]
+    assert J["kalman"] < 0.5 * min(J[name] for name in names[1:])
+
+
 @pytest.mark.parametrize("name", sorted(set(METHODS) - TOLD_THE_TRUTH))
 def test_no_contestant_is_told_the_truth(name: str) -> None:
     """Other widths and another plant behind the same model leave its options as they are."""
@@ -244,21 +284,24 @@ def test_no_contestant_is_told_the_truth(name: str) -> None:
         return repr(
             [
                 msgspec.to_builtins(part, enc_hook=lambda number: number.tolist())
-                for part in (found.observer, found.controller)
+                for part in (found.observer, found.controller, found.compensator, found.model)
             ]
         )
 
-    model = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]]}
+    unsure = {"right": [0.0, 3.0], "left": [0.0, 3.0]}
+    model = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "actuator": unsure}
+    ends = {"model": model, "observer": {"method": "kalman", "right": [0.0, 2.0]}}
     other = {
         "A": [[0.0, 1.0], [-1.4, -1.7]],
         "B": [[0.0], [1.2]],
         "C": [[1.0, 0.0]],
         "x0": [0.9, 0.1],
     }
-    truth = small(model=model)
+    truth = small(**ends, actuator={"right": 1.0, "left": 2.0})
     assert options(truth) == options(
         small(
-            model=model,
+            **ends,
+            actuator={"right": 0.3, "left": 0.1},
             plant=other,
             sensor={"right": 0.5, "left": 1.6, "noise": 0.02, "drift": 0.1, "dropout": 0.1},
         )
@@ -292,7 +335,7 @@ def test_without_a_declaration_the_observer_of_the_scenario_says_what_is_known()
 
 @pytest.fixture(scope="module")
 def everyone() -> list[Result]:
-    return score(None, {"small": small()}, (0,), numbers={}, processes=1)
+    return score(list(catalogue()), {"small": small()}, (0,), numbers={}, processes=1)
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
@@ -522,10 +565,14 @@ def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone
     assert tuning.mean_regret(METHODS["kalman"], jump, frame, [7], {}) == CAP
 
 
-def test_the_stored_numbers_are_those_of_the_knobs() -> None:
-    stored = tuned.load(ROOT / "src" / "undeadzone" / "arena" / "tuned.toml")
-    assert set(stored.scenarios) == set(scenarios("tuning"))
+@pytest.mark.parametrize(
+    ("file", "kind"), [("tuned.toml", "tuning"), ("tuned_both_ends.toml", "both_ends_tuning")]
+)
+def test_the_stored_numbers_are_those_of_the_knobs(file: str, kind: Kind) -> None:
+    stored = tuned.load(ROOT / "src" / "undeadzone" / "arena" / file)
+    assert set(stored.scenarios) == set(scenarios(kind))
     assert set(numbers()) == {name for name, method in METHODS.items() if method.knobs}
+    assert stored.budget == 60
     for name, found in stored.methods.items():
         assert found.candidates == stored.budget
         assert found.regret <= found.before

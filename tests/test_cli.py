@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from undeadzone.cli import group
 from undeadzone.simulation.run import Run
 from undeadzone.support import progress
 
@@ -70,6 +71,8 @@ def test_version_and_help() -> None:
         assert shown.returncode == 0
         assert "undeadzone" in shown.stdout
         assert "Example" in shown.stdout or command == []
+    listed = undeadzone("--help").stdout
+    assert [name for name in group.commands if f"  undeadzone {name} " not in listed] == []
 
 
 @pytest.mark.parametrize(("option", "code"), [("--version", 0), ("--nonsense", 2)])

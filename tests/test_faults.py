@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import resource
 import subprocess
@@ -84,6 +85,34 @@ def test_kill_9_of_an_arena_leaves_no_process(tmp_path: Path) -> None:
         running.kill()
     while members(running.pid):
         time.sleep(0.02)
+
+
+JUMPS = """
+import itertools, time
+years = itertools.cycle([40, -20, 0, 3, -49])
+clock = time.time
+time.time = lambda: clock() + next(years) * 365 * 86400
+"""
+
+
+def test_an_ensemble_does_not_care_about_a_clock_that_jumps(tmp_path: Path) -> None:
+    """Every reading of the clock of the day is years from the last one, in workers too."""
+    (tmp_path / "jumps").mkdir()
+    (tmp_path / "jumps" / "sitecustomize.py").write_text(JUMPS)
+    mine = scenario(tmp_path, VARIED.replace("runs = 50", "runs = 1200"))
+    options = ["--workers", "2", "--no-figures", "--out"]
+    results = []
+    for name, folders in (("steady", []), ("jumping", [str(tmp_path / "jumps")])):
+        found = os.pathsep.join([*folders, os.environ.get("PYTHONPATH", "")])
+        own = {"PYTHONPATH": found, "UNDEADZONE_CACHE": str(tmp_path / f"{name} kernels")}
+        for time_of_it in ("first", "with kernels"):
+            out = tmp_path / f"{name} {time_of_it}"
+            command = [*COMMAND, "ensemble", str(mine), *options, str(out)]
+            subprocess.run(command, env=os.environ | own, check=True, capture_output=True)
+            results.append(Ensemble.load(out / "runs.npz"))
+    for other in results[1:]:
+        for column in (*results[0].varied, *results[0].metrics):
+            assert other.column(column).tobytes() == results[0].column(column).tobytes()
 
 
 def limited(size: int) -> Callable[[], None]:

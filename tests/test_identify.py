@@ -18,7 +18,8 @@ from undeadzone.identification.friction_step import simulate
 from undeadzone.identification.intervals import profile
 from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_likelihood import KalmanObjective
-from undeadzone.identification.kalman_smoother import innovations
+from undeadzone.identification.kalman_smoother import innovations, smooth
+from undeadzone.identification.kalman_step import matrices
 from undeadzone.identification.likelihood import Noise, Readings, behind, pairs, singles
 from undeadzone.identification.long_run import (
     Spread,
@@ -29,6 +30,7 @@ from undeadzone.identification.long_run import (
 from undeadzone.identification.normal_mass import log_difference, log_rectangle
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.plant_fit import Data, Layout, Simulator
+from undeadzone.support.arrays import Floats
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 
@@ -298,19 +300,74 @@ def test_filter_without_disturbance_is_singles() -> None:
     assert by_filter[settled] == pytest.approx(by_sample[settled], rel=2e-3, abs=2e-3)
 
 
+def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]:
+    """Predicted covariances and g (N), one sample after the other."""
+    data, numbers = objective.data, objective.numbers
+    lane = objective.lane(p)
+    F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
+    q2, r2, right, left, _, first, first_w = lane[numbers.lane_q :]
+    x = np.zeros(len(F))
+    P = np.diag([first] * numbers.n + [first_w] * (numbers.model > 0))
+    covariances, gs = [], []
+    for u, y, side in zip(data.u, data.y, data.side, strict=True):
+        covariances.append(P)
+        PH = P @ H[0]
+        s = math.sqrt(H[0] @ PH + r2)
+        mean = H[0] @ x
+        a, b = (right - mean) / s, (-left - mean) / s
+        g, k = (y + right * (side > 0) - left * (side < 0) - mean) / s, 1.0
+        if side == 0:
+            mass = ndtr(a) - ndtr(b) if b < 0 else ndtr(-b) - ndtr(-a)
+            at_a, at_b = (math.exp(-0.5 * c**2) / math.sqrt(2 * math.pi) / mass for c in (a, b))
+            g = at_b - at_a
+            k = g**2 + a * at_a - b * at_b
+        gs.append(g)
+        x = F @ (x + PH * g / s) + B @ u
+        P = F @ (P - np.outer(PH, PH) * k / s**2) @ F.T + q2 * G
+    return np.array(covariances), np.array(gs)
+
+
 @pytest.mark.parametrize("model", [0, 1, 2])
 def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
     _, u, y, _ = record(size=300, disturbance=0.3)
     data = data_of(u, y)
     objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
-    densities = objective.densities(p[None, :])[0]
-    g = innovations(KalmanFit(objective, p, 0.0))
-    both = np.flatnonzero((data.side[1:] != 0) & (data.side[:-1] != 0))
-    # of two densities the difference is that of squares and of the logarithm of s
-    assert np.isfinite(densities).all()
-    assert np.abs(g[both]).max() < 100
-    assert np.all(densities[data.side != 0] <= -0.5 * g[data.side != 0] ** 2 + 10)
+    covariances, g = plain_filter(objective, p)
+    fit = KalmanFit(objective, p, 0.0)
+    assert innovations(fit) == pytest.approx(g, rel=1e-7, abs=1e-7)
+    smoothed = smooth(fit)
+    before = np.einsum("i,tij,j->t", smoothed.H, covariances, smoothed.H)
+    assert np.all(smoothed.z_std**2 <= before + 1e-9)
+
+
+@pytest.mark.parametrize("model", [1, 2])
+def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
+    """Without a zone it is the mean of a Gaussian given all readings."""
+    _, u, y, _ = record(size=40, disturbance=0.3)
+    data = data_of(u, y)._replace(side=np.ones(40, int))
+    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
+    p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
+    lane = objective.lane(p)
+    F, B, G, H = matrices(2, 1, model, lane)
+    q2, r2, *_, first, first_w = lane[objective.numbers.lane_q :]
+    mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
+    power[0, :, 0] = np.diag([first, first, first_w])
+    for t in range(39):
+        mean[t + 1] = F @ mean[t] + B @ data.u[t]
+        power[t + 1] = np.einsum("ij,jsk->isk", F, power[t])
+        power[:, :, t + 1] = np.einsum("ij,skj->ski", F, power[:, :, t])
+        power[t + 1, :, t + 1] = F @ power[t, :, t] @ F.T + q2 * G
+    readings = np.kron(np.eye(40), H)
+    P = power.reshape(120, 120)
+    gain = P @ readings.T @ np.linalg.inv(readings @ P @ readings.T + r2 * np.eye(40))
+    exact = mean.ravel() + gain @ (data.y - readings @ mean.ravel())
+    smoothed = smooth(KalmanFit(objective, p, 0.0))
+    # what no noise moves makes covariances that can hardly be inverted
+    assert smoothed.x == pytest.approx(exact.reshape(40, 3), abs=1e-4)
+    left = P - gain @ readings @ P
+    z_std = np.sqrt(np.diag(readings @ left @ readings.T))
+    assert smoothed.z_std == pytest.approx(z_std, abs=1e-4)
 
 
 # --- places of a zone

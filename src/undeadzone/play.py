@@ -34,8 +34,8 @@ def contact(level: Any, before: Any) -> Any:
     return 1.0 * (level > before) - 1.0 * (level < before)
 
 
-def contacts(z: Floats, right: Floats, left: Floats, start: Floats | None = None) -> Floats:
-    """The contacts along a record of outputs (N x p), at the first sample those of the start.
+def levels(z: Floats, right: Floats, left: Floats, start: Floats | None = None) -> Floats:
+    """What is behind a play along a record of outputs (N x p) [z].
 
     Args:
         z: true outputs (N x p).
@@ -43,11 +43,22 @@ def contacts(z: Floats, right: Floats, left: Floats, start: Floats | None = None
         start: level before the first sample (p) [z]; None: the nearest possible to 0.
     """
     level = np.zeros(z.shape[1]) if start is None else start
-    sides = np.zeros_like(z)
+    along = np.empty_like(z)
     for k, now in enumerate(z):
-        before, level = level, held(np, now, level, right, left)
-        sides[k] = contact(level, before)
-    return sides
+        level = held(np, now, level, right, left)
+        along[k] = level
+    return along
+
+
+def contacts(z: Floats, right: Floats, left: Floats, start: Floats | None = None) -> Floats:
+    """The contacts along a record of outputs (N x p), at the first sample those of the start.
+
+    Args:
+        z, right, left, start: as of `levels`.
+    """
+    first = np.zeros(z.shape[1]) if start is None else start
+    along = levels(z, right, left, first)
+    return contact(along, np.vstack([first, along[:-1]]))
 
 
 def readings_of_motion(step: float, pace: float) -> int:

@@ -217,6 +217,10 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             possible to it.
         window: time over which a play's motion is judged where readings are noisy [s]; default a
             25th of the plant's period.
+        load_friction: input that Coulomb friction behind a play takes while it moves, of a plant of
+            one input and one output; a pair is a range, which observers estimate [u].
+        load_inertia: input that what is behind a play takes per acceleration; it tells whether the
+            load rests in its gap (p) [u s^2/z].
     """
 
     right: Array
@@ -233,6 +237,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     range: list[float | list[float]] | None = None
     start: Array = 0.0
     window: float | None = None
+    load_friction: Array = 0.0
+    load_inertia: Array = 0.0
 
 
 class Zone(msgspec.Struct, frozen=True):
@@ -252,6 +258,9 @@ class Zone(msgspec.Struct, frozen=True):
         low, high: least and largest reading (p) [y]; -inf, inf: no limit.
         start: level of a play before the first sample (p) [z].
         window: readings over which a play's motion is judged.
+        friction: of what is behind a play (p) [u].
+        inertia: of the same (p) [u s^2/z].
+        friction_std: standard deviation of the friction, to an observer that is not told (p) [u].
     """
 
     kind: str
@@ -268,6 +277,9 @@ class Zone(msgspec.Struct, frozen=True):
     high: Floats
     start: Floats
     window: int
+    friction: Floats
+    inertia: Floats
+    friction_std: Floats
 
     @property
     def limits(self) -> Limits | None:
@@ -337,7 +349,32 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     low, high = checked_range("sensor.range", sensor.range, p)
     require_readings(low, high, threshold)
     numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
-    return Zone(sensor.kind, right, left, *numbers, start, window)
+    return Zone(sensor.kind, right, left, *numbers, start, window, *_load(sensor, p))
+
+
+def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
+    """(friction, inertia, std of the friction) behind a play (p each). Raises InputError."""
+    why = f"one per output, the plant has {p}"
+    friction, std = sensor.load_friction, np.zeros(p)
+    if np.size(friction) == 2:
+        ends = nonnegative("sensor.load_friction", friction, 2, "[least, largest]")
+        if p != 1 or ends[0] > ends[1]:
+            raise InputError(
+                "sensor.load_friction: expected a number or [least, largest] of a single output, "
+                f"found {ends.tolist()} for {p}"
+            )
+        friction, std = ends.mean(), np.diff(ends) / np.sqrt(12)
+    known = nonnegative("sensor.load_friction", friction, p, why)
+    inertia = nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
+    for name, given in (("load_friction", known), ("load_inertia", inertia)):
+        if sensor.kind != "play" and given.any():
+            raise InputError(f"sensor.{name}: only a play has a load behind it; leave it out")
+    if ((inertia > 0) & (known == 0)).any():
+        raise InputError(
+            "sensor.load_friction: a load with inertia and without friction coasts through its "
+            "gap; give both, or neither"
+        )
+    return known, inertia, std
 
 
 def _window(sensor: Sensor, step: float, pace: float) -> int:

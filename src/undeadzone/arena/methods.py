@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, get_args
 
@@ -12,7 +12,14 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.arena.prior_knowledge import UNITS, PriorKnowledge
-from undeadzone.controllers import FuzzyFeedback, RBFFeedback, SlidingMode, TaylorFeedback
+from undeadzone.compensators import AdaptiveZoneInverse, NoInverse
+from undeadzone.controllers import (
+    FuzzyFeedback,
+    RBFFeedback,
+    RobustAdaptive,
+    SlidingMode,
+    TaylorFeedback,
+)
 from undeadzone.errors import InputError
 from undeadzone.observers import (
     EKF,
@@ -39,6 +46,7 @@ from undeadzone.observers import (
     TaylorResidual,
     WalcottZak,
 )
+from undeadzone.scenario.schema import Scenario
 
 Options = dict[str, Any]
 Knobs = Mapping[str, float]  # numbers of one method's knobs, by address
@@ -68,6 +76,7 @@ class Method(NamedTuple):
         fixed: options that are not what they are by default, by address.
         derived: derived(prior, knobs) is more options, from what is known of the scenario.
         controller: options of its own controller; None: the scenario's.
+        compensator: options of its own compensator, which needs an actuator; None: the scenario's.
         continuous: whether it exists in continuous time alone.
         reference: whether it is a line to compare with, no contestant.
         informed: whether it knows the disturbance and the true plant, too.
@@ -78,6 +87,7 @@ class Method(NamedTuple):
     fixed: Mapping[str, Any] = NOTHING
     derived: Callable[[PriorKnowledge, Knobs], Options] | None = None
     controller: Any = None
+    compensator: Any = None
     continuous: bool = False
     reference: bool = False
     informed: bool = False
@@ -142,6 +152,12 @@ FEEDBACK = {
     "controller.speed": Knob(5.0, 100.0, "1/s"),
     "controller.bandwidth": Knob(1.0, 30.0, "1/s"),
     "controller.gain": Knob(0.1, 1000.0, "1/s^2"),
+}
+
+ROBUST = {
+    "controller.rate": Knob(1.0, 30.0, "1/s"),
+    "controller.layer": Knob(0.01, 1.0, "s"),
+    "controller.learning": Knob(0.1, 1000.0, "1/s^2"),
 }
 
 METHODS: Final[Mapping[str, Method]] = MappingProxyType(
@@ -231,6 +247,23 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "taylor_feedback_blind": Method(
             Luenberger, FEEDBACK, derived=_naive, controller=TaylorFeedback
         ),
+        "both_adaptive_inverses": Method(
+            AdaptiveInverse,
+            LEARNING | {"compensator.gain": Knob(1.0, 1000.0, "1/s")},
+            compensator=AdaptiveZoneInverse,
+        ),
+        "actuator_inverse_blind": Method(
+            Luenberger,
+            {"compensator.gain": Knob(1.0, 1000.0, "1/s")},
+            derived=_naive,
+            compensator=AdaptiveZoneInverse,
+        ),
+        "robust_adaptive": Method(
+            Kalman, CLAIMS | ROBUST, controller=RobustAdaptive, compensator=NoInverse
+        ),
+        "robust_adaptive_blind": Method(
+            Luenberger, ROBUST, derived=_naive, controller=RobustAdaptive, compensator=NoInverse
+        ),
     }
 )
 
@@ -246,6 +279,13 @@ def catalogue() -> dict[str, Method]:
         if observer not in used:
             every[str(observer.__struct_config__.tag)] = Method(observer)
     return every
+
+
+def fitting(scenarios: Iterable[Scenario]) -> list[str]:
+    """Every contestant for scenarios: those that need an actuator only where one has one."""
+    actuated = any(scenario.actuator is not None for scenario in scenarios)
+    every = catalogue().items()
+    return [name for name, method in every if actuated or method.compensator is None]
 
 
 def require(name: str) -> str:

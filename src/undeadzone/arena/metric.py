@@ -7,11 +7,12 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import verdicts
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.scales import LIMIT, plant_scales, shares
+from undeadzone.simulation.verdicts import actuator_unknown, constant_inputs, told_at_both_ends
 from undeadzone.support.arrays import Floats
 
 TAIL: Final = 0.2  # share of the run, its last, over which errors are taken
@@ -130,10 +131,11 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
     schedule = recorded(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
-    bias = unknown_bias(
-        problem.scenario.disturbance, linear.B, problem.scenario.simulation.duration
-    )
-    judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
+    if actuator_unknown(problem):
+        judged = told_at_both_ends(problem, out, schedule)
+    else:
+        bias = constant_inputs(problem, linear.B)
+        judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
     off, size = estimated[-1] - truth, truth.sum(axis=0)
     width = np.abs(off.sum(axis=0)) / size
     centre = np.abs(off[0] - off[1]) / size

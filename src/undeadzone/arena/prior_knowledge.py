@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from undeadzone.actuator import Belief
 from undeadzone.errors import InputError
 from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.hold import sampled_noise
@@ -43,6 +44,7 @@ class PriorKnowledge(NamedTuple):
         reach: how far |z|, |z'|, ... may go, from the reference and the widths (relative degree)
             [z, z/s, ...].
         loop_rate: geometric mean of the closed loop's poles [1/s].
+        actuator: what is known of it; None: there is none.
     """
 
     kind: str
@@ -51,6 +53,7 @@ class PriorKnowledge(NamedTuple):
     widths: Floats
     reach: Floats
     loop_rate: float
+    actuator: Belief | None = None
 
     @property
     def width(self) -> float:
@@ -134,11 +137,6 @@ class Setting(NamedTuple):
 def situation(scenario: Scenario) -> Setting:
     """A scenario with what is known of it. Raises InputError or a subclass."""
     problem = resolve_scenario(scenario)
-    if problem.belief is not None and problem.belief.ranges is not None:
-        raise InputError(
-            "model.actuator: the arena's methods take an actuator that is known; give numbers for "
-            "right and left, or leave [model.actuator] out"
-        )
     claims = declaration(scenario)
     widths = ranges(claims.right, claims.left, problem.model.p)
     prior = PriorKnowledge(
@@ -148,6 +146,7 @@ def situation(scenario: Scenario) -> Setting:
         widths=widths,
         reach=_reach(problem, float(widths.max())),
         loop_rate=_loop_rate(problem),
+        actuator=problem.belief,
     )
     return Setting(scenario, prior)
 

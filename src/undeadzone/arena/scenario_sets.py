@@ -1,19 +1,32 @@
-"""The scenarios of the arena: TOML files in two folders, one to tune on, the other held out."""
+"""The scenarios of the arena: TOML files in folders, each set one to tune on and one held out.
+
+Besides dead zones of a sensor there are plays, and dead zones at both ends.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import Final, Literal
 
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 
+Kind = Literal["tuning", "held_out", "plays_tuning", "plays", "both_ends_tuning", "both_ends"]
+SETS: Final[Mapping[str, tuple[Kind, Kind]]] = MappingProxyType(
+    {
+        "dead_zones": ("tuning", "held_out"),
+        "plays": ("plays_tuning", "plays"),
+        "both_ends": ("both_ends_tuning", "both_ends"),
+    }
+)  # each: to tune on, held out
 
-def scenarios(kind: Literal["tuning", "held_out"]) -> dict[str, Scenario]:
+
+def scenarios(kind: Kind) -> dict[str, Scenario]:
     """The arena's own scenarios, by file name without its suffix.
 
     Each method takes the place of their observer.

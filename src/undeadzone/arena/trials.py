@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.arena.entry import entered
 from undeadzone.arena.entry import numbers as built_in
 from undeadzone.arena.leaderboard import FRAME
-from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, require
+from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, fitting, require
 from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of
@@ -147,7 +147,7 @@ def score(
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this
-            process; None: all of the catalogue.
+            process; None: all of the catalogue that fit.
         scenarios: by name; None: those held out.
         seeds: of the runs of each method on each scenario.
         numbers: of the knobs, by method; None: those that come with the package.
@@ -159,9 +159,9 @@ def score(
         InputError: or a subclass.
     """
     own = methods if isinstance(methods, Mapping) else {}
-    names = list(dict.fromkeys([*FRAME, *_names(methods)]))
-    values = built_in() if numbers is None else numbers
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
+    names = list(dict.fromkeys([*FRAME, *_names(methods, grounds)]))
+    values = built_in() if numbers is None else numbers
     jobs = []
     for title, scenario in grounds.items():
         for name in names:
@@ -198,10 +198,12 @@ def problem_of(
     }
 
 
-def _names(methods: Sequence[str] | Mapping[str, Method] | None) -> list[str]:
+def _names(
+    methods: Sequence[str] | Mapping[str, Method] | None, grounds: Mapping[str, Scenario]
+) -> list[str]:
     """The names of methods. Raises InputError for one that is not in the catalogue."""
     if methods is None:
-        return list(catalogue())
+        return fitting(grounds.values())
     if isinstance(methods, Mapping):
         return list(methods)
     return [require(name) for name in methods]

@@ -41,6 +41,9 @@ class Commands(click.Group):
             ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
         return super().resolve_command(ctx, args)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Nothing: they stand above, each with an example."""
+
 
 @click.group(
     cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -50,19 +53,19 @@ def group() -> None:
     """See through a sensor's dead zone.
 
     \b
-    undeadzone paper                  run the paper's example, check its claims, draw its figures
-    undeadzone init mine.toml         write a commented scenario to start from
-    undeadzone run mine.toml          simulate your plant, sensor, observer and controller
-    undeadzone check mine.toml        assess the observer's gains: proof, rate, what can be known
-    undeadzone design mine.toml       find gains with a proof, and the trade between rate and noise
-    undeadzone ensemble mine.toml     run it thousands of times with what may vary
-    undeadzone tune mine.toml         find the gains that do best over such runs
-    undeadzone arena mine.toml        compare all methods on it
-    undeadzone identify log.csv       find plant and dead zone from a log of a real plant
-    undeadzone estimate mine.toml log.csv  let its observer follow a recorded log
-    undeadzone watch mine.toml        estimate from samples as they come on stdin
-    undeadzone arm robot.urdf         show the arm in a URDF file, and write a scenario for it
-    undeadzone export mine.toml       write the observer as C for a microcontroller
+    undeadzone paper                        run the paper's example, check its claims, draw
+    undeadzone init mine.toml               write a commented scenario to start from
+    undeadzone run mine.toml                simulate your plant, sensor, observer and controller
+    undeadzone check mine.toml              assess the gains: proof, rate, what can be known
+    undeadzone design mine.toml             find gains with a proof: rate against noise
+    undeadzone ensemble mine.toml           run it thousands of times with what may vary
+    undeadzone tune mine.toml               find the gains that do best over such runs
+    undeadzone arena mine.toml              compare all methods on it
+    undeadzone identify log.csv             find plant and dead zone from a log of a real plant
+    undeadzone estimate mine.toml log.csv   let its observer follow a recorded log
+    undeadzone watch mine.toml              estimate from samples as they come on stdin
+    undeadzone arm robot.urdf               show the arm in a URDF file, and write a scenario for it
+    undeadzone export mine.toml             write the observer as C for a microcontroller
 
     Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
     2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.

@@ -47,6 +47,13 @@ FOLDER = Path("arena-results")
     metavar="N",
     help="Runs of each method on each scenario.",
 )
+@click.option(
+    "--set",
+    "chosen",
+    type=click.Choice(("dead_zones", "plays", "both_ends")),
+    default=None,
+    help="Which scenarios of the arena, without your own (default: dead_zones).",
+)
 @click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
 @click.option(
     "--out",
@@ -99,6 +106,7 @@ def arena(
     scenarios: tuple[Path, ...],
     methods: str | None,
     seeds: int,
+    chosen: str | None,
     html: bool,
     out: Path | None,
     as_json: bool,
@@ -117,18 +125,21 @@ def arena(
     and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
     crash --resume goes on. See docs/arena.md.
     """
-    from undeadzone.arena.scenario_sets import from_files
+    from undeadzone.arena.scenario_sets import SETS, from_files
     from undeadzone.arena.scenario_sets import scenarios as built_in
 
+    if chosen and scenarios:
+        raise click.UsageError("--set names scenarios of the arena; leave your own out, or --set")
+    tuned_on, held_out = SETS[chosen or "dead_zones"]
     names = None if methods is None else _names(methods)
     own = from_files(scenarios, confine)
     folder = out or FOLDER
     writes = tuning or html or out is not None
     if tuning:
         writable(folder)
-        return _tune(names, own or built_in("tuning"), budget, processes, folder, as_json, resume)
+        return _tune(names, own or built_in(tuned_on), budget, processes, folder, as_json, resume)
     keep = folder / "results.json.partial" if _keeps(folder, writes) else None
-    grounds = own or built_in("held_out")
+    grounds = own or built_in(held_out)
     try:
         contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
         written = _written(contest, folder, bool(own)) if writes else []
@@ -182,9 +193,9 @@ def _held(
     from undeadzone.arena.effort import in_words
     from undeadzone.arena.entry import numbers
     from undeadzone.arena.leaderboard import FRAME
-    from undeadzone.arena.methods import catalogue, require
+    from undeadzone.arena.methods import fitting, require
 
-    chosen = list(catalogue()) if names is None else [require(name) for name in names]
+    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
     every = list(dict.fromkeys([*FRAME, *chosen]))
     say(f"arena: {in_words(every, grounds, len(seeds), 'seed', processes)}", err=True)
     runs = len(grounds) * len(seeds) * len(every)
@@ -203,11 +214,11 @@ def _tune(
 ) -> int:
     """Tune methods, write and print their numbers."""
     from undeadzone.arena.effort import in_words
-    from undeadzone.arena.methods import catalogue, require
+    from undeadzone.arena.methods import catalogue, fitting, require
     from undeadzone.arena.tune import tune
     from undeadzone.arena.tuned_file import save
 
-    chosen = list(catalogue()) if names is None else [require(name) for name in names]
+    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
     adjustable = [name for name in chosen if catalogue()[name].knobs]
     say(f"arena: {in_words(adjustable, grounds, budget, 'candidate', processes)}", err=True)
     with progress("tuning", len(chosen), "methods") as advance:

@@ -138,8 +138,18 @@ def design(
         del known["nearest"]  # those found are certified
         print_json(_numbers(result) | known, written)
     else:
-        print_blocks(_words(result, judged), named_files(written))
+        print_blocks(_words(result, judged), named_files(written) | _next(folder))
     return 0
+
+
+def _next(folder: Path | None) -> dict[str, str]:
+    """How a scenario uses the gains that were written; nothing where none were."""
+    if folder is None:
+        return {}
+    return {
+        "next": f'[observer] method = "certified" and design = "{folder / "design.toml"}" in the '
+        "scenario, then undeadzone run"
+    }
 
 
 def _print_impossible(scenario: Scenario, path: Path, reason: str, as_json: bool) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from undeadzone.actuator import Actuator as Plain
 from undeadzone.actuator import Belief, Drive, resolve_actuator
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
+from undeadzone.compensators.parts.inverse import inverted
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
@@ -131,8 +132,7 @@ def adaptive_step(
     change = q.gain * zeta.T @ error / (1 + q.gain * ca.sumsqr(zeta))
     widths = ca.fmax(ca.fmin(s.widths + change, q.most), 0.0)
     drive = q.drive
-    u = ca.if_else(v > 0, v / drive.slope_right + widths[:m], 0.0)
-    u += ca.if_else(v < 0, v / drive.slope_left - widths[m:], 0.0)
+    u = inverted(drive, v, widths[:m], widths[m:])
     coasts, u = coasted(q.coasts, s.coasts, u, estimate, reading)
     slope = ca.if_else(u > 0, drive.slope_right, drive.slope_left)
     right, left = slope * (u > 0), slope * (u < 0)

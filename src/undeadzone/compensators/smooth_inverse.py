@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.actuator import Belief, Drive
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import beyond, known_drive
+from undeadzone.compensators.parts.inverse import beyond, inverted, known_drive
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive
@@ -53,8 +53,7 @@ class SmoothZoneInverse(
         def step(q: Params, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
             right, left = beyond(q.drive, estimate)
             part = ca.fmin(ca.fabs(v) / q.soft, 1.0)
-            u = ca.if_else(v > 0, v / q.drive.slope_right + part * right, 0.0)
-            u += ca.if_else(v < 0, v / q.drive.slope_left - part * left, 0.0)
+            u = inverted(q.drive, v, part * right, part * left)
             return coasted(q.coasts, s, u, estimate, reading)
 
         return Compensator(Params(drive, soft, numbers), lambda q: first, step)

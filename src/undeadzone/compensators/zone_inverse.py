@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import casadi as ca
-
 from undeadzone.actuator import Belief, Drive
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import beyond, known_drive
+from undeadzone.compensators.parts.inverse import beyond, inverted, known_drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
@@ -41,9 +39,7 @@ class ZoneInverse(
         numbers, first = coasting(self, model)
 
         def step(q: Params, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
-            right, left = beyond(q.drive, estimate)
-            u = ca.if_else(v > 0, v / q.drive.slope_right + right, 0.0)
-            u += ca.if_else(v < 0, v / q.drive.slope_left - left, 0.0)
+            u = inverted(q.drive, v, *beyond(q.drive, estimate))
             return coasted(q.coasts, s, u, estimate, reading)
 
         return Compensator(Params(known_drive(belief), numbers), lambda q: first, step)

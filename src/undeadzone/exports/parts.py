@@ -11,7 +11,7 @@ from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
 from undeadzone.exports.tunable import folded, require_used
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Estimate, Observer, graph_of, received
+from undeadzone.interfaces import Compensator, Estimate, Observer, graph_of, received
 from undeadzone.limits import Limits
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
@@ -53,6 +53,7 @@ class _Numbers(NamedTuple):
     observer: Any
     sensor: Any
     controller: Any
+    compensator: Any
 
 
 class _Sensor(NamedTuple):
@@ -70,10 +71,11 @@ class _ObserverMemory(NamedTuple):
 
 
 class _LoopMemory(NamedTuple):
-    """The states of observer and controller."""
+    """The states of observer, controller and compensator."""
 
     observer: Any
     controller: Any
+    compensator: Any
 
 
 def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
@@ -98,16 +100,16 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
     if part not in PARTS:
         raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")
     observer = graph_of(problem.observer)
-    controller = problem.controller if part != "observer" else None
+    closed = part != "observer"
     numbers = _Numbers(
         observer.params,
         _Sensor(problem.sensor.threshold, problem.sensor.limits),
-        None if controller is None else controller.params,
+        problem.controller.params if closed else None,
+        _params(problem.compensator) if closed else None,
     )
     column, params, defaults = folded(numbers, tunable)
-    step = _observer(problem, observer, numbers, column)
-    if controller is not None:
-        step = _loop(problem, observer, controller, numbers, column)
+    traced = _loop if closed else _observer
+    step = traced(problem, observer, numbers, column)
     function = ca.Function(
         "step",
         [step.state, step.inputs, params.symbols],
@@ -145,6 +147,11 @@ class _Traced(NamedTuple):
     acting: list[int]
 
 
+def _params(compensator: Compensator | None) -> Any:
+    """The numbers of a compensator; None where there is none."""
+    return None if compensator is None else compensator.params
+
+
 def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
     """The observer alone; an input that is not finite is the last one."""
     model, units = problem.model, problem.scenario.units
@@ -169,17 +176,16 @@ def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: c
     )
 
 
-def _loop(
-    problem: Problem,
-    observer: Observer,
-    controller: Controller,
-    numbers: _Numbers,
-    column: ca.SX,
-) -> _Traced:
-    """Observer and controller; u is limited as the plant's drives are."""
+def _loop(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
+    """Observer, controller and compensator; u is limited as the plant's drives are."""
     model, units = problem.model, problem.scenario.units
+    controller, compensator = problem.controller, problem.compensator
     params: _Numbers = tree.unpack(numbers, column)
-    memory = _LoopMemory(observer.init(observer.params), controller.init(controller.params))
+    memory = _LoopMemory(
+        observer.init(observer.params),
+        controller.init(controller.params),
+        None if compensator is None else compensator.init(compensator.params),
+    )
     s_column, s = tree.symbols(memory, "s")
     y = ca.SX.sym("y", model.p)
     like = Target(
@@ -193,6 +199,10 @@ def _loop(
     unused = ca.SX.sym("unused", model.m)
     _, estimate = observer.step(params.observer, s.observer, unused, reading)
     moved, u = controller.step(params.controller, s.controller, estimate, target)
+    undone = s.compensator
+    if compensator is not None:
+        parts = params.compensator, s.compensator, u, estimate, reading
+        undone, u = compensator.step(*parts)
     u = _limited(u, problem.plant.limit)
     after, _ = observer.step(params.observer, s.observer, u, reading)
     fields = [
@@ -203,7 +213,7 @@ def _loop(
     return _Traced(
         s_column,
         ca.vertcat(y, t_column),
-        tree.stack(_LoopMemory(after, moved)),
+        tree.stack(_LoopMemory(after, moved, undone)),
         tree.stack((u, estimate, reading.side)),
         tree.pack(memory),
         state_fields(memory),

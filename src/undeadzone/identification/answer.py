@@ -9,6 +9,7 @@ from undeadzone.identification.excitation import Excitation
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.grid import Grid
 from undeadzone.identification.intervals import Interval, Widths
+from undeadzone.identification.jump_edges import JumpEdge
 from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_likelihood import NAMES
 from undeadzone.identification.no_zone import NoZone
@@ -50,7 +51,7 @@ class Evidence(NamedTuple):
     excitation: Excitation
     widths: Widths
     unreached: tuple[str, ...]
-    jumps: tuple[Interval, Interval] | None
+    jumps: tuple[JumpEdge, JumpEdge] | None
     delay: int
 
 

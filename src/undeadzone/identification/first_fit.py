@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.identification.delay import better_delay, delayed, likely_delay, refined_delay
 from undeadzone.identification.options import Options
-from undeadzone.identification.orders import OrderFit, best_order, fit_orders
+from undeadzone.identification.orders import OrderFit, at_limit, best_order, fit_orders
 from undeadzone.identification.prepare import FAR_EDGE, Prepared
+from undeadzone.identification.records import part_of
 
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
 RARE = 0.01  # share of the readings that may be dropped as glitches
@@ -52,6 +53,8 @@ def fitted_with_delay(
 ) -> tuple[Prepared, list[OrderFit], int]:
     """Every order, fitted; once more where the input turns out to act later.
 
+    Delay and starts of a long log are found in a part of it.
+
     Args:
         prepared: the log.
         options: what the user said.
@@ -63,6 +66,20 @@ def fitted_with_delay(
     Raises:
         InputError: no stable plant fits.
     """
+    part = part_of(prepared.data)
+    if part is prepared.data:
+        return _searched(prepared, options, advance)
+    _, begun, delay = _searched(prepared._replace(data=part), options, advance)
+    if at_limit(best_order(begun)):  # perhaps since the part is short
+        return _searched(prepared, options, advance)
+    late = prepared._replace(data=delayed(prepared.data, delay))
+    return *_fitted(late, options, advance, begun), delay
+
+
+def _searched(
+    prepared: Prepared, options: Options, advance: Callable[[int], None]
+) -> tuple[Prepared, list[OrderFit], int]:
+    """`fitted_with_delay` with all samples. Raises InputError."""
     if options.delay != "auto":
         samples = int(options.delay)
         data = delayed(prepared.data, samples)
@@ -84,7 +101,10 @@ def fitted_with_delay(
 
 
 def _fitted(
-    prepared: Prepared, options: Options, advance: Callable[[int], None]
+    prepared: Prepared,
+    options: Options,
+    advance: Callable[[int], None],
+    begun: Sequence[OrderFit] = (),
 ) -> tuple[Prepared, list[OrderFit]]:
     """Every order, fitted; once more where a few readings turn out to be glitches."""
     for _ in range(3):
@@ -95,6 +115,7 @@ def _fitted(
             options.held_out,
             advance,
             options.integrators,
+            begun,
         )
         if not fits:
             raise InputError(

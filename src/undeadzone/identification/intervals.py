@@ -42,6 +42,7 @@ class Widths(NamedTuple):
         right, left, width, centre: values with intervals.
         stages: (right, left) by each stage that was run.
         halves: half intervals by stage and name, before anything is added.
+        degrees: degrees of freedom of the widest of these, by name.
         fits: whether the stages agree; false: the model does not fit.
         remarks: what was found out, for the user.
     """
@@ -52,6 +53,7 @@ class Widths(NamedTuple):
     centre: Interval
     stages: dict[str, tuple[float, float]]
     halves: dict[str, dict[str, float]]
+    degrees: dict[str, float]
     fits: bool
     remarks: list[str]
 
@@ -75,12 +77,13 @@ def find_widths(
     Returns:
         Values of the last stage, with the widest of the stages' intervals.
     """
-    stages, halves = _stages(chosen, kalman)
+    stages, halves, known = _stages(chosen, kalman)
     last = list(stages)[-1]
     remarks: list[str] = []
-    widest = {}
+    widest, degrees = {}, {}
     for name in DIRECTIONS:
-        widest[name] = max(own[name] for own in halves.values())
+        stage = max(halves, key=lambda one: halves[one][name])
+        widest[name], degrees[name] = halves[stage][name], known[stage][name]
     fits = True
     if "L3" in stages and "L2" in stages:
         for place, name in enumerate(("right", "left")):
@@ -112,7 +115,9 @@ def find_widths(
             "fits of single samples and of pairs disagree: the plant model does not fit; the"
             " intervals are widened by the difference"
         )
-    return Widths(**intervals, stages=stages, halves=halves, fits=fits, remarks=remarks)
+    return Widths(
+        **intervals, stages=stages, halves=halves, degrees=degrees, fits=fits, remarks=remarks
+    )
 
 
 def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str) -> float:
@@ -122,30 +127,37 @@ def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage
     return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
 
 
+Named = dict[str, dict[str, float]]  # numbers by stage and name
+
+
 def _stages(
     chosen: OrderFit, kalman: KalmanFit | None
-) -> tuple[dict[str, tuple[float, float]], dict[str, dict[str, float]]]:
-    """(right, left) by stage, and half intervals by stage and name."""
+) -> tuple[dict[str, tuple[float, float]], Named, Named]:
+    """(right, left) by stage; half intervals, and their degrees of freedom."""
     stages: dict[str, tuple[float, float]] = {}
-    halves: dict[str, dict[str, float]] = {}
+    halves: Named = {}
+    degrees: Named = {}
     fits = [("L1", chosen.singles)]
     drifts = chosen.pairs.objective.limits.tied and kalman is not None
     if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
         fits.append(("L2", chosen.pairs))
     for name, fit in fits:
-        spread = fit.objective.spread(fit.theta)
         stages[name] = (fit.right, fit.left)
-        halves[name] = {}
+        halves[name], degrees[name] = {}, {}
+        spread = fit.objective.spread(fit.theta)
         for key, (right, left) in DIRECTIONS.items():
             direction = fit.objective.direction(right=right, left=left)
             halves[name][key] = spread.half_width(direction)
+            degrees[name][key] = spread.accuracy(direction)[1]
     if kalman is not None:
-        spread = kalman.objective.spread(kalman.p)
         stages["L3"] = (kalman.right, kalman.left)
-        halves["L3"] = {}
+        halves["L3"], degrees["L3"] = {}, {}
+        spread = kalman.objective.spread(kalman.p)
         for key, (right, left) in DIRECTIONS.items():
-            halves["L3"][key] = spread.half_width(kalman.direction(right, left))
-    return stages, halves
+            direction = kalman.direction(right, left)
+            halves["L3"][key] = spread.half_width(direction)
+            degrees["L3"][key] = spread.accuracy(direction)[1]
+    return stages, halves, degrees
 
 
 def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:

@@ -8,11 +8,11 @@ known widths, so the plant is found as behind any other zone.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.identification.intervals import Interval
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.options import Options
 from undeadzone.identification.plant_fit import Data
@@ -21,9 +21,24 @@ from undeadzone.support.arrays import Floats
 NEAREST = 20  # passages of an edge whose least readings tell the density there
 FEWEST = 4
 SURE = 0.05  # probability that the edge lies below its interval
+SUREST = 0.001  # and below the range that an observer is told
 
 
-def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Interval, Interval]]:
+class JumpEdge(NamedTuple):
+    """An edge of a jump sensor.
+
+    Attributes:
+        value, low, high: the edge with its 95 % interval.
+        lowest: the low end of its 99.9 % interval, whose high end is the same.
+    """
+
+    value: float
+    low: float
+    high: float
+    lowest: float
+
+
+def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[JumpEdge, JumpEdge]]:
     """The readings of a jump sensor less its edges, as a dead zone of known widths gives them.
 
     Args:
@@ -51,8 +66,8 @@ def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Inte
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
 
-def _edge(data: Data, sign: int, name: str, options: Options) -> Interval:
-    """An edge with its interval, scaled. Raises InputError."""
+def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
+    """An edge with its intervals, scaled. Raises InputError."""
     least = _least_by_passage(data, sign)
     low, high = options.bounds("right" if sign > 0 else "left")
     if low == high and math.isfinite(low):
@@ -62,7 +77,7 @@ def _edge(data: Data, sign: int, name: str, options: Options) -> Interval:
                 f"{name}: {low:g} is given, but a reading of {least[0] * data.y_scale:.6g} lies"
                 " below it"
             )
-        return Interval(known, known, known)
+        return JumpEdge(known, known, known, known)
     if least.size < FEWEST:
         raise InputError(
             f"log: the {name} edge of the jump sensor is passed {least.size} times, and"
@@ -71,7 +86,7 @@ def _edge(data: Data, sign: int, name: str, options: Options) -> Interval:
     return edge_of(least)
 
 
-def edge_of(least: Floats) -> Interval:
+def edge_of(least: Floats) -> JumpEdge:
     """The edge below the least readings of several passages.
 
     With k of them evenly spread above the edge d, (k - 1) / (x_k - x_1) is the density, and x_1 - d
@@ -82,15 +97,16 @@ def edge_of(least: Floats) -> Interval:
         least: least reading of each passage, sorted (at least 2).
 
     Returns:
-        The edge without bias, and its 95 % interval, which ends at the least reading.
+        The edge without bias, and its intervals, which end at the least reading.
     """
     from scipy.stats import f
 
     used = least[: min(NEAREST, max(FEWEST, least.size // 4))]
     k = used.size
     gap = float(used[-1] - used[0]) / (k - 1)  # mean spacing: x_1 - d is one more
-    factor = float(f.ppf(1 - SURE, 2, 2 * (k - 1)))
-    return Interval(float(used[0]) - gap, float(used[0]) - factor * gap, float(used[0]))
+    first = float(used[0])
+    low, lowest = first - gap * f.ppf(1 - np.array([SURE, SUREST]), 2, 2 * (k - 1))
+    return JumpEdge(first - gap, float(low), first, float(lowest))
 
 
 def _least_by_passage(data: Data, sign: int) -> Floats:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.climb import climb
+from undeadzone.identification.climb import Top, climb
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.kalman_likelihood import (
     AT_INPUT,
@@ -16,6 +16,7 @@ from undeadzone.identification.kalman_likelihood import (
     WHITE,
     KalmanObjective,
 )
+from undeadzone.identification.records import part_of
 from undeadzone.support.arrays import Floats
 
 SHARES = (0.2, 0.8)  # of the disturbance in what (L2) left, at the starts
@@ -85,46 +86,40 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
     """(L3) for the three models of the disturbance, best first by BIC.
 
     Args:
-        fit: that of (L2), where the climbs start.
+        fit: that of (L2), where the climbs start; of a long log in a part of it.
 
     Returns:
         One fit a model; empty where none could be run.
     """
     data, layout = fit.objective.data, fit.objective.layout
+    part = part_of(data)
     fits = []
     for model in (WHITE, AT_INPUT, AT_OUTPUT):
-        objective = KalmanObjective(data, layout, model, fit.objective.limits)
-        longest = np.full(objective.numbers.size, np.inf)
-        longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0
-        longest = longest[objective.free]
-        tops = []
-        for share in SHARES:
-            begun = objective.start(fit, share)
-            if objective.admissible(begun):
-                tops.append(
-                    climb(
-                        objective.value,
-                        objective.quadratic,
-                        begun,
-                        objective.free,
-                        12,
-                        2e-3,
-                        longest=longest,
-                        kept=data.climbs,
-                    )
-                )
+        objective = KalmanObjective(part, layout, model, fit.objective.limits)
+        begun = [objective.start(fit, share) for share in SHARES]
+        tops = [_climbed(objective, p, 12) for p in begun if objective.admissible(p)]
         if not tops:
             continue
         best = max(tops, key=lambda top: top.value)
-        top = climb(
-            objective.value,
-            objective.quadratic,
-            best.theta,
-            objective.free,
-            50,
-            2e-3,
-            longest=longest,
-            kept=data.climbs,
-        )
+        top = _climbed(objective, best.theta, 50)
+        if part is not data:
+            objective = KalmanObjective(data, layout, model, fit.objective.limits)
+            top = _climbed(objective, top.theta, 50)
         fits.append(KalmanFit(objective, top.theta, top.value))
     return sorted(fits, key=lambda one: one.bic)
+
+
+def _climbed(objective: KalmanObjective, p: Floats, steps: int) -> Top:
+    """The top that a climb from p reaches."""
+    longest = np.full(objective.numbers.size, np.inf)
+    longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0
+    return climb(
+        objective.value,
+        objective.quadratic,
+        p,
+        objective.free,
+        steps,
+        2e-3,
+        longest=longest[objective.free],
+        kept=objective.data.climbs,
+    )

@@ -81,6 +81,7 @@ class KalmanObjective:
         free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
         self.free = np.flatnonzero(free)
         self._last: tuple[Floats, Floats, Floats] | None = None
+        self._known: tuple[Floats, Spread] | None = None
 
     def admissible(self, p: Floats) -> bool:
         """Whether the filter can be run with these numbers."""
@@ -110,9 +111,14 @@ class KalmanObjective:
 
     def densities(self, points: Floats) -> Floats:
         """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
+        logs = self.outputs(points)[:, :, 0]
+        return np.nan_to_num(logs, nan=-1e3, posinf=-1e3, neginf=-1e3)
+
+    def outputs(self, points: Floats, moments: bool = False) -> Floats:
+        """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
         numbers = self.numbers
         rows = np.array([self.lane(p) for p in points])
-        compiled = kernel(numbers.n, numbers.m, numbers.model)
+        compiled = kernel(numbers.n, numbers.m, numbers.model, moments)
         size = numbers.n + (numbers.model > 0)
         state = np.zeros(size + size * (size + 1) // 2)
         outputs, _ = lanes.run(
@@ -123,7 +129,7 @@ class KalmanObjective:
             lane_params=rows,
             threads=1,
         )
-        return np.nan_to_num(outputs[:, :, 0], nan=-1e3, posinf=-1e3, neginf=-1e3)
+        return outputs
 
     def scores(self, p: Floats) -> tuple[Floats, Floats]:
         """Log densities (N) and their derivatives by the free numbers (N x free)."""
@@ -186,7 +192,13 @@ class KalmanObjective:
         return input_gain(p[:moving], p[moving : self.numbers.log_q], self.numbers.n, phi)
 
     def spread(self, p: Floats) -> Spread:
-        """(I1) of the free numbers, with a numerical Hessian."""
+        """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
+        if self._known is None or not np.array_equal(self._known[0], p):
+            self._known = (p.copy(), self._spread(p))
+        return self._known[1]
+
+    def _spread(self, p: Floats) -> Spread:
+        """`spread`, computed."""
         _, scores = self.scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)

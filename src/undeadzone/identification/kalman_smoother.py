@@ -9,9 +9,7 @@ import numpy as np
 
 from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.kalman_step import matrices
-from undeadzone.identification.log import Flags
-from undeadzone.identification.normal_mass import hazards, log_difference
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.support.arrays import Floats
 
 
 class Smoothed(NamedTuple):
@@ -40,7 +38,7 @@ class Smoothed(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """Predicted and corrected moments along a record, and g of each correction."""
+    """Predicted and corrected moments along the records (N x ...), and g of each correction."""
 
     x_ahead: Floats
     P_ahead: Floats
@@ -59,111 +57,66 @@ def smooth(fit: KalmanFit, p: Floats | None = None) -> Smoothed:
     Returns:
         Means and covariances along the record.
     """
-    model = _Model(fit, fit.p if p is None else p)
-    data = fit.objective.data
-    count = model.F.shape[0]
-    x_out, P_out = np.empty((data.y.size, count)), np.empty((data.y.size, count, count))
-    for part in data.records():
-        x_out[part], P_out[part] = _back(model.F, model.forth(part))
-    return Smoothed(x_out, P_out, model.H)
+    p = fit.p if p is None else p
+    F, H = _motion(fit, p)
+    forth = _forth(fit, p)
+    gains = _gains(F, forth)
+    x, P = forth.x.copy(), forth.P.copy()
+    for part in fit.objective.data.records():
+        for t in range(part.stop - 2, part.start - 1, -1):
+            gain = gains[t]
+            x[t] += gain @ (x[t + 1] - forth.x_ahead[t + 1])
+            P[t] += gain @ (P[t + 1] - forth.P_ahead[t + 1]) @ gain.T
+    return Smoothed(x, P, H)
+
+
+def _smoothed_z(fit: KalmanFit, p: Floats) -> Floats:
+    """The mean of `smooth` alone, as z (N)."""
+    F, H = _motion(fit, p)
+    forth = _forth(fit, p)
+    gains = _gains(F, forth)
+    x = forth.x
+    for part in fit.objective.data.records():
+        for t in range(part.stop - 2, part.start - 1, -1):
+            x[t] += gains[t] @ (x[t + 1] - forth.x_ahead[t + 1])
+    return x @ H
 
 
 def innovations(fit: KalmanFit) -> Floats:
     """One-step prediction errors over their standard deviations (N); 0 where missing."""
-    model = _Model(fit, fit.p)
-    return np.concatenate([model.forth(part).g for part in fit.objective.data.records()])
+    return _forth(fit, fit.p).g
 
 
-class _Model:
-    """Matrices of plant and disturbance for some numbers p of (L3)."""
-
-    def __init__(self, fit: KalmanFit, p: Floats) -> None:
-        numbers = fit.objective.numbers
-        self.data = fit.objective.data
-        lane = fit.objective.lane(p)
-        self.F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
-        self.H = H[0]
-        self.Q = lane[numbers.lane_q] * G
-        self.sensor = lane[numbers.lane_q + 1 : numbers.lane_q + 4]
-        self.first = np.full(self.F.shape[0], lane[numbers.lane_q + 5])
-        if numbers.model:
-            self.first[-1] = lane[numbers.lane_q + 6]
-        self.drive = self.data.u @ B.T
-
-    def forth(self, part: slice) -> _Pass:
-        """The filter along one record."""
-        data = self.data
-        corrections = _Corrections(data.y[part], data.side[part], data.ok[part], *self.sensor)
-        P = np.diag(self.first)
-        return _forth(self.F, self.Q, self.H, self.drive[part], corrections, P)
+def _motion(fit: KalmanFit, p: Floats) -> tuple[Floats, Floats]:
+    """F, and the row H that makes z of x."""
+    numbers = fit.objective.numbers
+    F, _, _, H = matrices(numbers.n, numbers.m, numbers.model, fit.objective.lane(p))
+    return F, H[0]
 
 
-class _Corrections(NamedTuple):
-    """Readings of a record and the sensor's numbers."""
-
-    y: Floats
-    side: Integers
-    ok: Flags
-    r2: float
-    right: float
-    left: float
-
-    def at(self, t: int, mean: float, S: float) -> tuple[float, float]:
-        """g and k of one reading: x += P H' g / s, P -= P H' H P k / S."""
-        s = math.sqrt(S)
-        if self.side[t] > 0:
-            return (self.y[t] + self.right - mean) / s, 1.0
-        if self.side[t] < 0:
-            return (self.y[t] - self.left - mean) / s, 1.0
-        a, b = (self.right - mean) / s, (-self.left - mean) / s
-        upper, lower = np.array([a]), np.array([b])
-        mass = log_difference(upper, lower)
-        if mass[0] < -700 or a - b < 1e-6:
-            return min(max(0.0, b), a), 1 - min(1.0, (a - b) ** 2 / 12)
-        at_a, at_b = (float(one[0]) for one in hazards(upper, lower, mass))
-        g = min(max(at_b - at_a, b), a)
-        k = (at_b - at_a) ** 2 + a * at_a - b * at_b
-        return g, min(max(k, 0.0), 1.0)
+def _forth(fit: KalmanFit, p: Floats) -> _Pass:
+    """The filter along the records."""
+    rows = fit.objective.outputs(p[None, :], moments=True)[0]
+    size = fit.objective.numbers.n + (fit.objective.numbers.model > 0)
+    entries = size * (size + 1) // 2
+    ends = np.cumsum([size, entries, size, entries])
+    x_ahead, ahead, x, after, g = np.split(rows, ends, axis=1)
+    return _Pass(x_ahead, _square(ahead, size), x.copy(), _square(after, size), g[:, 0])
 
 
-def _forth(
-    F: Floats, Q: Floats, H: Floats, drive: Floats, readings: _Corrections, P: Floats
-) -> _Pass:
-    """The filter along a record."""
-    size, n = drive.shape[0], F.shape[0]
-    run = _Pass(
-        np.empty((size, n)),
-        np.empty((size, n, n)),
-        np.empty((size, n)),
-        np.empty((size, n, n)),
-        np.zeros(size),
-    )
-    x = np.zeros(n)
-    pad = np.zeros(n - drive.shape[1])
-    for t in range(size):
-        run.x_ahead[t], run.P_ahead[t] = x, P
-        if readings.ok[t]:
-            PH = P @ H
-            S = float(H @ PH) + readings.r2
-            g, k = readings.at(t, float(H @ x), S)
-            run.g[t] = g
-            x = x + PH * (g / math.sqrt(S))
-            P = P - np.outer(PH, PH) * (k / S)
-        run.x[t], run.P[t] = x, P
-        x = F @ x + np.concatenate([drive[t], pad])
-        P = F @ P @ F.T + Q
-    return run
+def _square(triangles: Floats, size: int) -> Floats:
+    """Symmetric matrices (N x size x size) of their upper parts, column by column."""
+    out = np.empty((len(triangles), size, size))
+    columns, rows = np.tril_indices(size)
+    out[:, rows, columns] = triangles
+    out[:, columns, rows] = triangles
+    return out
 
 
-def _back(F: Floats, run: _Pass) -> tuple[Floats, Floats]:
-    """The smoother back along a record."""
-    x, P = run.x.copy(), run.P.copy()
+def _gains(F: Floats, forth: _Pass) -> Floats:
+    """The smoother's gain from each sample to the one before (N - 1 x size x size)."""
     ridge = 1e-12 * np.eye(F.shape[0])
-    for t in range(x.shape[0] - 2, -1, -1):
-        gain = np.linalg.solve(run.P_ahead[t + 1] + ridge, F @ run.P[t]).T
-        x[t] = run.x[t] + gain @ (x[t + 1] - run.x_ahead[t + 1])
-        P[t] = run.P[t] + gain @ (P[t + 1] - run.P_ahead[t + 1]) @ gain.T
-    return x, P
+    return np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
 
 
 def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
@@ -186,5 +139,5 @@ def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
         moved = fit.p.copy()
         moved[fit.objective.free] += scale * vector
         if fit.objective.admissible(moved):
-            variance = variance + ((smooth(fit, moved).z - middle.z) / 0.1) ** 2
+            variance = variance + ((_smoothed_z(fit, moved) - middle.z) / 0.1) ** 2
     return middle, np.sqrt(variance)

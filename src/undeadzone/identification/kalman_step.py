@@ -66,13 +66,14 @@ class Correction:
 
 
 @cache
-def kernel(n: int, m: int, model: int) -> Kernel:
+def kernel(n: int, m: int, model: int, moments: bool = False) -> Kernel:
     """The compiled step.
 
     Args:
         n: order of the plant.
         m: inputs.
         model: disturbance: 0 white at the inputs, 1 first order at the inputs, 2 at the output.
+        moments: whether its outputs are x, P before the reading, x, P after it, and g.
 
     Returns:
         A kernel whose state is (x, P column by column, upper part), whose inputs are (u, y, side,
@@ -104,13 +105,16 @@ def kernel(n: int, m: int, model: int) -> Kernel:
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
     by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
     g, k = ok * by_reading.g, ok * by_reading.k
+    before = [x, *[P[i, j] for i, j in triangle]]
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
+    seen = ca.vertcat(*before, x, *[P[i, j] for i, j in triangle], g)
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
     following = [x] + [P[i, j] for i, j in triangle]
     log = ok * ca.if_else(lost, WORST, by_reading.log)
-    step = ca.Function("kalman", [state, exogenous, numbers], [ca.vertcat(*following), log])
+    out = seen if moments else log
+    step = ca.Function("kalman", [state, exogenous, numbers], [ca.vertcat(*following), out])
     own = range(numbers.shape[0])
     return build(step, params=list(own), width=WIDTH, fused=True)
 

@@ -7,12 +7,14 @@ import math
 import numpy as np
 from scipy.special import log_ndtr
 
+from undeadzone.identification.log import Flags
 from undeadzone.support.arrays import Floats
 
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NARROW = 1e-5  # intervals below this width are taken by the midpoint, where a difference cancels
 REACH = 7.0  # standard deviations beyond which a Gaussian factor is left out: 2e-11 of its mass
 STEEP = 0.7  # correlation from which the integral over innovations is the smoother one
+ALL, NEAR = 8.0, 3.0  # limits beyond ALL hold all of x, given that the other is within NEAR: 7e-14
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -69,10 +71,22 @@ def log_rectangle(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> F
     """
     if rho < 0:
         a, b, rho = -b, -a, -rho
+    value = np.empty(a.size)
+    first = _bounds_nothing(a0, b0, a, b)
+    second = ~first & _bounds_nothing(a, b, a0, b0)
+    value[first] = log_difference(a[first], b[first])
+    value[second] = log_difference(a0[second], b0[second])
+    rest = ~(first | second)
+    a0, b0, a, b = a0[rest], b0[rest], a[rest], b[rest]
     top = np.clip(rho * np.clip(0.0, b, a), b0, a0)  # of the density within the rectangle, nearly
-    if rho < STEEP:
-        return _over_first(a0, b0, a, b, rho, top)
-    return _over_innovation(a0, b0, a, b, rho, top)
+    over = _over_first if rho < STEEP else _over_innovation
+    value[rest] = over(a0, b0, a, b, rho, top)
+    return value
+
+
+def _bounds_nothing(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
+    """Where all of x0 lies between b0 and a0, given that x lies between b and a (N)."""
+    return (a0 > ALL) & (b0 < -ALL) & (a > -NEAR) & (b < NEAR)
 
 
 def _over_first(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats) -> Floats:

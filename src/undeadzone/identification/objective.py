@@ -79,6 +79,8 @@ class Objective:
         rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         self.free = np.flatnonzero(~self._fixed())
+        self._seen: tuple[Floats, Floats, Terms] | None = None
+        self._known: tuple[Floats, Spread] | None = None
 
     def _fixed(self) -> Flags:
         """Which numbers of theta stay where they are (P)."""
@@ -114,14 +116,20 @@ class Objective:
             return singles(self.readings, z, noise)
         return pairs(self.readings, z, noise)
 
+    def at(self, theta: Floats) -> tuple[Floats, Terms]:
+        """z (N) and the terms of theta; those that were asked for last are kept."""
+        if self._seen is None or not np.array_equal(self._seen[0], theta):
+            z = self.simulator.z(theta)
+            self._seen = (theta.copy(), z, self.terms(theta, z))
+        return self._seen[1], self._seen[2]
+
     def value(self, theta: Floats) -> float:
         """The log likelihood, with the prior of x(0); -inf where theta makes no sense."""
         if not self.admissible(theta):
             return -math.inf
-        z = self.simulator.z(theta)
-        if not np.abs(z).max() < FAR:
+        if not np.abs(self.simulator.z(theta)).max() < FAR:
             return -math.inf
-        total = float(self.terms(theta, z).value.sum()) - self._prior(theta)
+        total = float(self.at(theta)[1].value.sum()) - self._prior(theta)
         return total if math.isfinite(total) else -math.inf
 
     def _prior(self, theta: Floats) -> float:
@@ -130,13 +138,12 @@ class Objective:
 
     def per_sample(self, theta: Floats) -> Floats:
         """The log density of each sample (N)."""
-        return self.terms(theta, self.simulator.z(theta)).value
+        return self.at(theta)[1].value
 
     def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
         """(log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
-        z = self.simulator.z(theta)
+        z, terms = self.at(theta)
         slope = self.simulator.gradient(theta, z)
-        terms = self.terms(theta, z)
         scores = terms.slopes[:, Z : Z + 1] * slope
         scores[1:] += terms.slopes[1:, Z_BEFORE : Z_BEFORE + 1] * slope[:-1]
         right = self.layout.right
@@ -160,7 +167,7 @@ class Objective:
         Gauss-Newton where a sample speaks, outer products of scores where it is silent.
         """
         values, scores, slope = self.scores(theta)
-        z = self.simulator.z(theta)
+        z, _ = self.at(theta)
         noise = self.noise(theta)
         if self.kind == "behind":
             hessian, quiet = self._behind_part(z, slope, noise)
@@ -218,9 +225,11 @@ class Objective:
         return rows.T @ rows, np.zeros(z.size, bool)
 
     def spread(self, theta: Floats) -> Spread:
-        """(I1): robust covariance of the free numbers of theta."""
-        _, scores, _ = self.scores(theta)
-        return sandwich(scores[:, self.free], self.hessian(theta))
+        """(I1): robust covariance of the free numbers of theta; the last one is kept."""
+        if self._known is None or not np.array_equal(self._known[0], theta):
+            _, scores, _ = self.scores(theta)
+            self._known = (theta.copy(), sandwich(scores[:, self.free], self.hessian(theta)))
+        return self._known[1]
 
     def hessian(self, theta: Floats) -> Floats:
         """Minus the second derivative by the free numbers; Gauss-Newton for noise behind."""

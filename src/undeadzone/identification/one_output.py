@@ -29,7 +29,7 @@ from undeadzone.identification.orders import (
 from undeadzone.identification.place import find_place
 from undeadzone.identification.plant_fit import Simulator
 from undeadzone.identification.prepare import Prepared, prepare
-from undeadzone.identification.records import longest_record
+from undeadzone.identification.records import longest_record, reduced
 from undeadzone.identification.residual_map import residual_map
 from undeadzone.identification.result import Identified
 from undeadzone.identification.static_rivals import Density, better_rivals, static_rivals
@@ -101,7 +101,9 @@ def identify_output(
             advance(1)
     elif asks_place:
         elsewhere = find_place(longest_record(chosen.pairs))
-        there = rescued(verdict, elsewhere, rivals)
+        one = longest_record(chosen.singles)
+        beside = rivals if one is chosen.singles else static_rivals(one)
+        there = rescued(verdict, elsewhere, beside)
         place = None if there is verdict else elsewhere
         verdict = there
     if verdict.word in ("dead_zone", "other", "unclear"):
@@ -147,9 +149,10 @@ def _polished(chosen: OrderFit) -> OrderFit:
 
 def _rivals(prepared: Prepared, chosen: OrderFit, fits: list[OrderFit]) -> dict[str, Density]:
     """Static rivals, on the readings as they are."""
-    rivals = static_rivals(_of_readings(prepared, chosen.singles))
+    rivals = static_rivals(_of_readings(prepared, reduced(chosen.singles)))
     if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given
-        rivals = better_rivals(rivals, static_rivals(_of_readings(prepared, fits[-1].singles)))
+        larger = static_rivals(_of_readings(prepared, reduced(fits[-1].singles)))
+        rivals = better_rivals(rivals, larger)
     return rivals
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from undeadzone.identification.fit import Fit, fit_zone, refit
 from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.plant_fit import Data, Simulator
+from undeadzone.identification.records import moved
 from undeadzone.identification.residual_map import expected_reading, explained
 from undeadzone.support.arrays import Floats
 
@@ -56,6 +57,7 @@ def fit_orders(
     held_out: float,
     advance: Callable[[int], None],
     integrators: int = 0,
+    begun: Sequence[OrderFit] = (),
 ) -> list[OrderFit]:
     """Every order, fitted to all data and checked on the last part.
 
@@ -66,23 +68,33 @@ def fit_orders(
         held_out: share of the samples, at the end, that checks.
         advance: called with 1 after each order.
         integrators: of the plant.
+        begun: fits of a part of the log, from where those of all of it start; none: from scratch.
 
     Returns:
         One entry an order; those without a stable fit are left out.
     """
     train = trained_part(data, held_out)
+    known = {one.n: one for one in begun}
     fits = []
     for n in orders:
-        simulator = Simulator(data, n, integrators)
-        kind = "singles" if data.silent_zeros else "behind"
-        singles = fit_zone(simulator, "singles" if kind == "singles" else "behind", limits)
-        advance(1)
-        if not math.isfinite(singles.value):
+        if known and n not in known:
             continue
-        pairs = refit(singles, "pairs") if data.silent_zeros else singles
-        check = validate(pairs, train)
-        fits.append(OrderFit(n, singles, pairs, *check))
+        singles, pairs = _stages(Simulator(data, n, integrators), limits, known.get(n))
+        advance(1)
+        if math.isfinite(singles.value):
+            fits.append(OrderFit(n, singles, pairs, *validate(pairs, train)))
     return fits
+
+
+def _stages(simulator: Simulator, limits: Limits, begun: OrderFit | None) -> tuple[Fit, Fit]:
+    """The fits of singles and of pairs; one and the same with noise behind the zone."""
+    data = simulator.data
+    if begun is not None:
+        singles = moved(begun.singles, data)
+        return singles, moved(begun.pairs, data) if data.silent_zeros else singles
+    singles = fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
+    paired = data.silent_zeros and math.isfinite(singles.value)
+    return singles, refit(singles, "pairs") if paired else singles
 
 
 def trained_part(data: Data, held_out: float) -> Flags:

@@ -8,8 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.identification.grid import Grid
-from undeadzone.identification.intervals import Interval
-from undeadzone.identification.jump_edges import as_dead_zone
+from undeadzone.identification.jump_edges import JumpEdge, as_dead_zone
 from undeadzone.identification.log import Flags
 from undeadzone.identification.objective import Limits
 from undeadzone.identification.options import Options
@@ -43,7 +42,7 @@ class Prepared(NamedTuple):
     orders: list[int]
     threshold: float
     remarks: list[str]
-    jumps: tuple[Interval, Interval] | None = None
+    jumps: tuple[JumpEdge, JumpEdge] | None = None
     ends: str = ""
 
 

@@ -103,15 +103,15 @@ def identity(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def play(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Play of half width p_0: the output is dragged along; dg/dz is 1 where it moves."""
-    half = abs(float(p[0]))
+    """Play of gaps p_0, p_1: the output is dragged along; dg/dz is the side where it moves."""
+    right, left = float(p[0]), max(float(p[1]), -float(p[0]))
     value, moves = np.empty(z.size), np.zeros(z.size)
-    now = float(np.clip(0.0, z[0] - half, z[0] + half))
+    now = float(np.clip(0.0, z[0] - right, z[0] + left))
     for k, position in enumerate(z.tolist()):
-        if now > position + half:
-            now, moves[k] = position + half, -1.0
-        elif now < position - half:
-            now, moves[k] = position - half, 1.0
+        if now > position + left:
+            now, moves[k] = position + left, -1.0
+        elif now < position - right:
+            now, moves[k] = position - right, 1.0
         value[k] = now
     return value, moves, np.zeros((z.size, 2))
 
@@ -174,13 +174,14 @@ class MapFit:
         return self.value(theta), rows.T @ e / variance, hessian
 
     def _dragged(self, slope: Floats, moves: Floats) -> Floats:
-        """d(play)/dtheta: that of z -+ p_0 where it last moved."""
+        """d(play)/dtheta: that of z - p_0 or z + p_1, by where it last moved."""
         last = np.maximum.accumulate(np.where(moves != 0, np.arange(moves.size), -1))
         known = last >= 0
         at = np.maximum(last, 0)
         rows = np.zeros((moves.size, self.size + 2))
         rows[:, : self.size] = slope[at] * known[:, None]
-        rows[:, self.size] = -moves[at] * known
+        rows[:, self.size] = -1.0 * (moves[at] > 0) * known
+        rows[:, self.size + 1] = 1.0 * (moves[at] < 0) * known
         return rows
 
 
@@ -238,7 +239,7 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
             2,
             [(linear, 3.0, np.array([0.0, 0.0])), (fit, 1.0, np.array([-spread / 5, 0.0]))],
         ),
-        "play": (play, 1, [(linear, 1.1, np.array([w, 0.0])) for w in (0.15, 0.5, 1.0)]),
+        "play": (play, 2, [(linear, 1.1, np.array([w, w])) for w in (0.15, 0.5, 1.0)]),
     }
     ok = simulator.data.ok
     rivals = {}

@@ -10,6 +10,7 @@ from undeadzone.identification.answer import Answer, Evidence
 from undeadzone.identification.edge_profile import widened
 from undeadzone.identification.excitation import FEW_VISITS
 from undeadzone.identification.intervals import Interval, Widths, lower_bound
+from undeadzone.identification.jump_edges import JumpEdge
 from undeadzone.identification.options import Options
 from undeadzone.identification.orders import hears_input
 from undeadzone.identification.prepare import Prepared
@@ -132,7 +133,7 @@ def _grown(interval: Interval | None, below: float, above: float) -> Interval | 
 
 
 def _jumps(
-    jumps: tuple[Interval, Interval], scale: float, quantum: float
+    jumps: tuple[JumpEdge, JumpEdge], scale: float, quantum: float
 ) -> dict[str, Interval | None]:
     """The edges of a jump sensor in the units of the log; the others are on the safe side."""
     sides = []

@@ -14,13 +14,12 @@ from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_likelihood import AT_INPUT, WHITE, input_gain
-from undeadzone.identification.long_run import degrees_of, quantile
 from undeadzone.identification.to_continuous import entry_spread
+from undeadzone.identification.told_range import told_range
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
 
-SURE = 0.999  # level of the intervals that the observer is given
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
@@ -63,8 +62,8 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
         'method = "censored"',
-        f"right = {_pairs(right)}  # 99.9 % interval",
-        f"left = {_pairs(left)}  # 99.9 % interval",
+        f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
+        f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
         *_disturbance(answers),
         f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
         "",
@@ -127,9 +126,9 @@ def _intervals(edges: Sequence[Interval]) -> str:
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
-def _pairs(edges: Sequence[Interval]) -> str:
-    """The 99.9 % intervals of all outputs."""
-    return _listed([_pair(edge) for edge in edges])
+def _pairs(ranges: Sequence[tuple[float, float]]) -> str:
+    """The ranges of all outputs."""
+    return _listed([f"[{_number(low)}, {_number(high)}]" for low, high in ranges])
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -266,18 +265,6 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
             value = float(np.clip(spread[i, j], LEAST, MOST))
             entries.append(f'"{name}[{i},{j}]" = {value:.3g}')
     return "{ " + ", ".join(entries) + " }"
-
-
-def _pair(edge: Interval) -> str:
-    """The interval at a higher level, within widths that make sense."""
-    degrees = degrees_of(1000)
-    wider = quantile(degrees, SURE) / quantile(degrees, 0.95)
-    half = wider * edge.half
-    low = max(edge.value - half, 0.0)
-    high = edge.value + half
-    if high - low < 1e-9 * max(high, 1e-12):
-        low, high = low * (1 - 1e-6), high * (1 + 1e-6) + 1e-9
-    return f"[{_number(low)}, {_number(high)}]"
 
 
 def _rows(matrix: Any) -> str:

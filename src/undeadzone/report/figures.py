@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from undeadzone.report.style import (
@@ -19,7 +20,9 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
+from undeadzone.report.width_lines import width_lines
 from undeadzone.simulation.run import Run
+from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,19 +34,26 @@ STACKED = 2  # outputs, whose errors and widths stand below them; those of more 
 def overview(run: Run) -> Figure:
     """Per output: z, reading, reference and estimate over the dead zone; errors; widths; then V.
 
-    Many outputs have a row each. A run that diverged is drawn up to where it did.
+    Below them stand the actuators whose widths are estimated. Many outputs have a row each. A run
+    that diverged is drawn up to where it did.
     """
     outputs = run.z.shape[1]
+    actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
     if outputs > STACKED:
-        rows = rows_beside(outputs, run.V is not None)
+        rows = rows_beside(outputs, run.V is not None) + rows_of_actuators(actuators, 12)
         figure, panels = sheet(rows, run.info.title, width=15.0, height=2.2)
     else:
-        figure, panels = sheet(rows_below(outputs, run.V is not None), run.info.title)
+        rows = rows_below(outputs, run.V is not None) + rows_of_actuators(actuators, 6)
+        figure, panels = sheet(rows, run.info.title)
     for i in range(outputs):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         output(panels[f"output {i}"], run, i, of)
         _errors(panels[f"error {i}"], run, i, of)
         _widths(panels[f"widths {i}"], run, i, of)
+    for j in range(actuators):
+        of = f" {j}" if actuators > 1 else ""
+        _command(panels[f"command {j}"], run, j, of)
+        _actuator(panels[f"actuator {j}"], run, j, of)
     if run.V is not None:
         plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
@@ -69,6 +79,12 @@ def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
     """The panels of many outputs: a row each, what belongs to it beside; V below all."""
     rows = [[f"output {i}"] * 6 + [f"error {i}"] * 3 + [f"widths {i}"] * 3 for i in range(outputs)]
     return [*rows, ["V"] * 12] if with_V else rows
+
+
+def rows_of_actuators(actuators: int, columns: int) -> list[list[str]]:
+    """The panels of actuators whose widths are estimated: a row each, command and widths."""
+    half = columns // 2
+    return [[f"command {j}"] * half + [f"actuator {j}"] * half for j in range(actuators)]
 
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
@@ -106,8 +122,34 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
 
 def _widths(axes: Axes, run: Run, i: int, of: str) -> None:
     """The estimated widths of output i over the true ones."""
-    shown = run.shown
-    for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
-        axes.axhline(run.info.widths[column], color=colour, linewidth=3.0, alpha=0.3)
-        axes.plot(run.t[shown], run.d_hat[shown, column], color=colour, label=rf"$\hat d_{name}$")
+    columns = slice(2 * i, 2 * i + 2)
+    true = run.info.widths[columns]
+    std = None if run.d_std is None else run.d_std[run.shown, columns]
+    _over_truth(axes, run, run.d_hat[run.shown, columns], std, "d", true)
     finish(axes, f"Widths{of}, truth pale", axis_label("d", run.unit("d_hat")))
+
+
+def _command(axes: Axes, run: Run, j: int, of: str) -> None:
+    """Input j over the dead zone of its actuator."""
+    shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
+    axes.plot(run.t[run.shown], run.u[run.shown, j], color=TRUTH)
+    finish(axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0)
+
+
+def _actuator(axes: Axes, run: Run, j: int, of: str) -> None:
+    """The estimated widths of actuator j over the true ones."""
+    assert run.b_hat is not None
+    columns = slice(2 * j, 2 * j + 2)
+    true = run.info.actuator[columns]
+    std = None if run.b_std is None else run.b_std[run.shown, columns]
+    _over_truth(axes, run, run.b_hat[run.shown, columns], std, "b", true)
+    finish(axes, f"Widths of the actuator{of}, truth pale", axis_label("b", run.unit("b_hat")))
+
+
+def _over_truth(
+    axes: Axes, run: Run, widths: Floats, std: Floats | None, letter: str, true: Sequence[float]
+) -> None:
+    """A right and a left width over the true ones."""
+    for value, colour in zip(true, (PRINTED, OTHER), strict=True):
+        axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
+    width_lines(axes, run.t[run.shown], widths, std, letter)

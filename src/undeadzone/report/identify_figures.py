@@ -10,6 +10,7 @@ import numpy as np
 from undeadzone.identification.intervals import profile
 from undeadzone.identification.kalman_smoother import innovations as filtered
 from undeadzone.identification.orders import correlation, innovations, trained_part
+from undeadzone.identification.records import MANY
 from undeadzone.identification.residual_map import expected_reading
 from undeadzone.identification.result import Identified
 from undeadzone.report.style import (
@@ -43,8 +44,8 @@ def figures(found_log: Identified) -> dict[str, Figure]:
         found_log: the answer.
 
     Returns:
-        Figures by name: overview, residual_map, residual, and where there is a zone profiles and
-        hidden.
+        Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
+        a log that is not long, profiles.
     """
     drawn = {
         "overview": overview(found_log),
@@ -53,7 +54,8 @@ def figures(found_log: Identified) -> dict[str, Figure]:
     }
     if found_log.right is not None:
         drawn["hidden"] = _hidden(found_log)
-        if found_log.verdict == "dead_zone":
+        short = found_log.answer.fit.objective.data.y.size <= MANY
+        if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
             drawn["profiles"] = _profiles(found_log)
     return drawn
 

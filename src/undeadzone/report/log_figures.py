@@ -22,6 +22,7 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
+from undeadzone.report.width_lines import width_lines
 from undeadzone.simulation.estimation import Estimation
 from undeadzone.support.arrays import Floats
 
@@ -88,21 +89,18 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
 def _widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
     """The estimated widths of output i, with two standard deviations."""
     t = result.t[shown]
-    low, high = [], []
-    for column, name, colour in ((2 * i, "r", PRINTED), (2 * i + 1, "l", OTHER)):
-        values = result.d_hat[shown, column]
-        axes.plot(t, values, color=colour, label=rf"$\hat d_{name}$")
-        if result.d_std is not None:
-            margin = 2 * result.d_std[shown, column]
-            axes.fill_between(t, values - margin, values + margin, color=colour, alpha=0.18)
-        if result.d_smooth is not None:
+    columns = slice(2 * i, 2 * i + 2)
+    widths = result.d_hat[shown, columns]
+    std = None if result.d_std is None else result.d_std[shown, columns]
+    width_lines(axes, t, widths, std, "d")
+    if result.d_smooth is not None:
+        for column, colour in ((2 * i, PRINTED), (2 * i + 1, OTHER)):
             axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
-        settled = values[len(values) // 10 :]  # the start would stretch the axis
-        low.append(float(np.nanmin(settled)))
-        high.append(float(np.nanmax(settled)))
-    room = 0.3 * (max(high) - min(low)) + 1e-12
+    settled = widths[len(widths) // 10 :]  # the start would stretch the axis
+    low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
+    room = 0.3 * (high - low) + 1e-12
     if np.isfinite(room):
-        axes.set_ylim(min(low) - room, max(high) + room)
+        axes.set_ylim(low - room, high + room)
     band = " and two standard deviations" if result.d_std is not None else ""
     finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
 

@@ -12,7 +12,8 @@ from undeadzone.simulation.run import Run
 from undeadzone.support.text import label, with_deviation, with_unit
 
 _OVERVIEW: Final = (
-    "Output, reading and estimate; errors; widths against the truth; "
+    "Output, reading and estimate; errors; widths, in bands of two standard deviations, against "
+    "the truth; command and widths of actuators that are estimated; "
     "the Lyapunov function where there is one."
 )
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
@@ -43,7 +44,7 @@ def run_page(
         _verdict(run),
         section("What happens", *first, *(picture(figure, _OVERVIEW) for figure in figures)),
         section("Numbers", _numbers_table(run, rival)),
-        section("Widths", _widths_table(run), *map(paragraph, reasons)),
+        section("Widths", _widths_table(run), *_actuators(run), *map(paragraph, reasons)),
         section("Gains", *_gains(run)),
         origin=origin or Origin(scenario=run.info.scenario, seed=run.info.seed),
     )
@@ -119,6 +120,19 @@ def _widths_table(run: Run) -> Html:
     estimates = (label("d_r^", unit), "true", label("d_l^", unit), "true")
     knowledge = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
     return table(("output", *estimates, *knowledge), rows)
+
+
+def _actuators(run: Run) -> list[Html]:
+    """The estimated and the true widths of each actuator; nothing where none are estimated."""
+    if run.b_hat is None or run.b_std is None:
+        return []
+    rows = []
+    for j, (true_right, true_left) in enumerate(zip(*[iter(run.info.actuator)] * 2, strict=True)):
+        last = zip(run.b_hat[-1, 2 * j : 2 * j + 2], run.b_std[-1, 2 * j : 2 * j + 2], strict=True)
+        right, left = (with_deviation(float(value), float(std)) for value, std in last)
+        rows.append((f"u[{j}]", right, true_right, left, true_left))
+    unit = run.info.units.input
+    return [table(("actuator", label("b_r^", unit), "true", label("b_l^", unit), "true"), rows)]
 
 
 def _yes(known: bool) -> Html:

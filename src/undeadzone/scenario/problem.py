@@ -10,6 +10,7 @@ import numpy as np
 from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers import Controller
+from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator
@@ -24,6 +25,7 @@ from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario import reference_path as paths
 from undeadzone.scenario.arm_units import with_units
+from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.time_step import (
     checked_time,
@@ -32,7 +34,7 @@ from undeadzone.scenario.time_step import (
     require_resolved,
     sampled_within_limits,
 )
-from undeadzone.sensor import Zone, resolve
+from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats, nonnegative, scalar
@@ -91,6 +93,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
+    if sensor.friction_std.any():
+        raise InputError(
+            "sensor.load_friction: expected a number, a simulation needs one; give the range as "
+            "model.load_friction"
+        )
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
     disturbance = _disturbance(scenario, true.m)
@@ -113,10 +120,13 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             'simulation.time = "sampled"'
         )
     require_hearer(scenario.observer, sensor.kind)
+    require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
-    observer = built(scenario.observer, model, sensor, belief)
+    told = resolve(known_sensor(scenario), true.p, step, pace(flow.linear))
+    observer = built(scenario.observer, model, told, belief)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
+    controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
@@ -151,6 +161,14 @@ def known_actuator(scenario: Scenario) -> ActuatorModel | None:
     if told is not None:
         own |= {key: value for key in own if (value := getattr(told, key)) is not None}
     return ActuatorModel(**own)
+
+
+def known_sensor(scenario: Scenario) -> Sensor:
+    """The sensor as observers know it, in a user's words: with the friction of [model]."""
+    told = None if scenario.model is None else scenario.model.load_friction
+    if told is None:
+        return scenario.sensor
+    return msgspec.structs.replace(scenario.sensor, load_friction=told)
 
 
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:

@@ -40,6 +40,8 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         C: as in [plant] (p x n); of a linear plant only.
         parameters: numbers of a nonlinear plant, by name.
         actuator: as in [actuator]; widths that are ranges are estimated.
+        load_friction: as in [sensor]; a pair is a range, and `kalman`, `censored` and `auto` then
+            estimate it [u].
     """
 
     A: Array | None = None
@@ -47,6 +49,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     C: Array | None = None
     parameters: dict[str, float] = {}
     actuator: ActuatorModel | None = None
+    load_friction: Array | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -103,6 +106,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         disturbance: a signal added to the input; default: none.
         tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
+        behind_play: rate w at which z is led across the gap of a play where the reference turns, so
+            that what is behind the play (y / m) follows it in place of z [1/s]; default: z follows.
         units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
@@ -125,6 +130,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     model: Model | None = None
     disturbance: Disturbance | None = None
     tracked: list[int] | None = None
+    behind_play: float | None = None
     units: Units = Units()
     ensemble: Vary | None = None
     tune: Tune | None = None

@@ -109,7 +109,8 @@ def numbers(
     scale = Scale(np.float64(1.0), np.ones(plant.m), sensor.noise_before, sensor.noise)
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
     widths = sensor.right, sensor.left
-    zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits)
+    friction = sensor.friction if sensor.friction.any() else np.empty(0)
+    zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits, friction)
     h = np.float64(step)
     undoing = None if compensator is None else compensator.params
     own = (observer.params, controller.params)

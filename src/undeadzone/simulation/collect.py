@@ -9,7 +9,6 @@ import numpy as np
 
 import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.errors import InputError
@@ -17,6 +16,7 @@ from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
+from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures
@@ -26,10 +26,12 @@ from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.verdicts import (
+    actuator_unknown,
     as_far_as_known,
     by_claims,
     constant_inputs,
     linear_verdicts,
+    told_at_both_ends,
 )
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -55,24 +57,12 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     return with_false_claims(problem, found)
 
 
-def actuator_unknown(problem: Problem) -> bool:
-    """Whether the actuator's widths are to be estimated, of a linear plant."""
-    belief = problem.belief
-    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
-
-
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
     """What a run's readings tell of the sensor's widths where the actuator's are not known.
 
     The deviations are those that the filter claims in the end.
     """
-    linear, belief = problem.model.linear, problem.belief
-    assert belief is not None
-    drive = belief.drive if problem.actuator is None else problem.actuator
-    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
-    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
-    bias = constant_inputs(problem, linear.B)
-    outputs = both_ends(linear, schedule, modes, drive, bias).outputs
+    outputs = told_at_both_ends(problem, signal, schedule)
     e = signal.estimate
     claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
     judged = []
@@ -138,6 +128,14 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     }
 
 
+def behind_play(problem: Problem, z: Floats) -> Floats:
+    """What is behind a play along a run (N x p) [z]; empty without one, or where its gaps drift."""
+    sensor = problem.sensor
+    if sensor.kind != "play" or sensor.drift.any():
+        return np.empty(0)
+    return levels(z, sensor.right, sensor.left, sensor.start)
+
+
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
     """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
     body = problem.plant.arm
@@ -179,6 +177,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "consistent": estimate.consistent,
         "refused": estimate.refused,
         "restarts": estimate.restarts,
+        "level": behind_play(problem, signal.z),
         **_actuator(estimate),
     }
     return Run(

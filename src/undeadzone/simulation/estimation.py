@@ -19,7 +19,7 @@ from undeadzone.simulation.run_columns import (
 )
 from undeadzone.simulation.run_file import read, table_size, write
 from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
@@ -94,8 +94,7 @@ class Estimation:
         """The numbers of the log, ready for JSON; lists where there are several outputs."""
         numbers = self.info.summary()
         if self.width_std is not None:
-            last = self.width_std[-1].tolist()
-            numbers["width_std"] = last[0] if len(last) == 1 else last
+            numbers["width_std"] = one_or_list(self.width_std[-1])
         if self.theta_hat is not None and self.theta_std is not None:
             ends = zip(self.info.uncertain, self.theta_hat[-1], self.theta_std[-1], strict=True)
             numbers["parameters"] = {

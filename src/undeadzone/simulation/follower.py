@@ -14,7 +14,7 @@ from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.scenario.arm_units import with_units
-from undeadzone.scenario.problem import known_actuator, modelled_plant
+from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.log_info import LogInfo
@@ -46,7 +46,7 @@ class Follower:
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
         simulation = scenario.simulation
         plant, step = modelled_plant(scenario), simulation.step
-        parts = (scenario.observer, plant, scenario.sensor, step, simulation.substeps)
+        parts = (scenario.observer, plant, known_sensor(scenario), step, simulation.substeps)
         actuator = known_actuator(scenario)
         self.model, self.zone, built = built_for(*parts, actuator)
         if live:

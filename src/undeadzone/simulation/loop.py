@@ -48,6 +48,7 @@ class SensorParams(NamedTuple):
         threshold: |y| that counts as silent (p) [y].
         quantum: step of the reading (p) [y]; empty where nothing is quantised.
         limits: least and largest readings (p) [y]; None: there are none.
+        friction: of what is behind a play (p) [u]; empty where there is none.
     """
 
     right: Any
@@ -56,6 +57,7 @@ class SensorParams(NamedTuple):
     threshold: Any
     quantum: Any
     limits: Limits | None
+    friction: Any
 
 
 class Scale(NamedTuple):

@@ -23,7 +23,7 @@ from undeadzone.simulation.run_file import read, table_size, write
 from undeadzone.simulation.run_info import Info as Info
 from undeadzone.simulation.run_words import Errors, in_words
 from undeadzone.simulation.scales import LIMIT, Scales, shares
-from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block, in_notebook, in_text, plot
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Run:
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
         b_std: standard deviation of b_hat (N x 2m) [u].
+        level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
@@ -99,6 +100,7 @@ class Run:
     restarts: Floats | None = None
     b_hat: Floats | None = None
     b_std: Floats | None = None
+    level: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
     tip_r: Floats | None = None
@@ -163,6 +165,13 @@ class Run:
         return _rms((self.z - self.z_hat)[self.last])
 
     @property
+    def rms_behind_play(self) -> float | None:
+        """Root mean square of y / m - r over the last 2 s, y without noise; None without a play."""
+        if self.level is None:
+            return None
+        return _rms((self.level[:, self.info.tracked] - self.r)[self.last])
+
+    @property
     def rms_tip(self) -> float | None:
         """Root mean square distance of an arm's tip from where it should be over the last 2 s [m].
 
@@ -225,7 +234,7 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
-        right, left = (_one_or_list(column) for column in self.widths.T)
+        right, left = (one_or_list(column) for column in self.widths.T)
         d_std, width_std = self.d_std, self.width_std
         verdicts, listens = self.info.identifiable, self.info.listens
         numbers: dict[str, Any] = {
@@ -235,22 +244,23 @@ class Run:
             "step": self.info.step,
             "rms_tracking": self.rms_tracking,
             "rms_estimation": self.rms_estimation,
+            **({} if self.level is None else {"rms_behind_play": self.rms_behind_play}),
             **({} if self.tip is None else {"rms_tip": self.rms_tip}),
             "d_right": right,
             "d_left": left,
-            "d_right_std": None if d_std is None else _one_or_list(d_std[-1, 0::2]),
-            "d_left_std": None if d_std is None else _one_or_list(d_std[-1, 1::2]),
+            "d_right_std": None if d_std is None else one_or_list(d_std[-1, 0::2]),
+            "d_left_std": None if d_std is None else one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             **actuator_widths(self.b_hat, self.b_std),
-            "width_std": None if width_std is None else _one_or_list(width_std[-1]),
+            "width_std": None if width_std is None else one_or_list(width_std[-1]),
             **judgement(self.consistent, self.refused, self.restarts),
-            "listens": _one_or_list(np.array(listens, float)) if listens else None,
+            "listens": one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
             "integration_error": self.info.integration_error,
             "inexact": self.inexact,
-            "identifiable": verdicts[0] if len(verdicts) == 1 else verdicts,
+            "identifiable": one_or_list(verdicts),
             "diverged_at": self.diverged_at,
             "seconds": self.info.seconds,
         }
@@ -330,11 +340,6 @@ class Run:
 def last_samples(t: Floats) -> slice:
     """The samples at times t [s] over which errors are measured: of the last 2 s, or all."""
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
-
-
-def _one_or_list(column: Floats) -> Any:
-    """A number of each output: itself where there is one output, else a list."""
-    return column.tolist() if column.size > 1 else float(column[0])
 
 
 def _rms(values: Floats) -> float:

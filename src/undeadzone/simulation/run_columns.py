@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.scenario.schema import Units
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, one_or_list
 
 # Signals whose columns are right and left in turn, and what these are called.
 EDGES: Final = {
@@ -149,6 +149,4 @@ def actuator_widths(b_hat: Floats | None, b_std: Floats | None) -> dict[str, Any
         return {}
     numbers = {"b_right": b_hat[-1, 0::2], "b_left": b_hat[-1, 1::2]}
     numbers |= {"b_right_std": b_std[-1, 0::2], "b_left_std": b_std[-1, 1::2]}
-    if b_hat.shape[1] == 2:
-        return {name: float(value[0]) for name, value in numbers.items()}
-    return {name: value.tolist() for name, value in numbers.items()}
+    return {name: one_or_list(value) for name, value in numbers.items()}

@@ -59,13 +59,15 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -
     }
     for name, key in (("rms z - r", "rms_tracking"), ("rms z - z^", "rms_estimation")):
         shown[name] = f"{with_unit(_number(summary[key]), info.units.output)} {when}"
+    if "rms_behind_play" in summary:
+        behind = with_unit(_number(summary["rms_behind_play"]), info.units.output)
+        shown["rms y/m - r"] = f"{behind} {when}"
     if summary.get("rms_tip") is not None:
         shown["rms tip"] = f"{summary['rms_tip']:.4g} m from its path {when}"
     if single:
-        for key, true in (("d_right", info.widths[0]), ("d_left", info.widths[1])):
-            width = _width(summary[key], summary[f"{key}_std"])
-            shown[key] = f"{with_unit(width, info.units.output)} (true {true:.6g})"
-    shown |= _actuator(info, summary)
+        shown |= _widths(summary, ("d_right", "d_left"), info.widths, info.units.output)
+    if len(info.actuator) == 2 and "b_right" in summary:
+        shown |= _widths(summary, ("b_right", "b_left"), info.actuator, info.units.input)
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
         shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"
@@ -76,14 +78,14 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -
     return shown
 
 
-def _actuator(info: Info, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """The widths of one actuator that are estimated; nothing of several, or of none."""
-    if len(info.actuator) != 2 or "b_right" not in summary:
-        return {}
+def _widths(
+    summary: Mapping[str, Any], keys: tuple[str, str], true: Sequence[float], unit: str
+) -> dict[str, str]:
+    """The final widths of one dead zone beside the true ones."""
     shown = {}
-    for key, true in zip(("b_right", "b_left"), info.actuator, strict=True):
-        width = _width(summary[key], summary[f"{key}_std"])
-        shown[key] = f"{with_unit(width, info.units.input)} (true {true:.6g})"
+    for key, width in zip(keys, true, strict=True):
+        found = _width(summary[key], summary[f"{key}_std"])
+        shown[key] = f"{with_unit(found, unit)} (true {width:.6g})"
     return shown
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from undeadzone.analysis.identifiability.beforehand import beforehand
+from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.edges import largest_deviations, vague
 from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
 from undeadzone.analysis.identifiability.linear import (
@@ -18,6 +19,7 @@ from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random
+from undeadzone.simulation.loop import Outputs
 from undeadzone.support.arrays import Floats
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
@@ -88,7 +90,35 @@ def as_far_as_known(
     """
     sensor = problem.sensor
     swing = float(schedule.high[i] - schedule.low[i])
-    return _limited(verdict, std, sensor.right[i], sensor.left[i], swing)
+    right, left = sensor.right[i], sensor.left[i]
+    negligible = NEGLIGIBLE * swing
+    largest = largest_deviations(right, left, swing)
+    most = {name: max(value, negligible) for name, value in largest.items()}
+    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
+    reasons = (*verdict.reasons, *vague(std, most, right, left))
+    return Verdict(**known, reasons=reasons, std=std)
+
+
+def actuator_unknown(problem: Problem) -> bool:
+    """Whether the actuator's widths are to be estimated, of a linear plant."""
+    belief = problem.belief
+    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
+
+
+def told_at_both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+    """Which of the sensor's widths a run's readings determine where the actuator's are not known.
+
+    Args:
+        problem: what was simulated.
+        signal: the outputs of the loop (a row per sample).
+        schedule: of the sensor's sides along it.
+    """
+    linear, belief = problem.model.linear, problem.belief
+    assert belief is not None
+    drive = belief.drive if problem.actuator is None else problem.actuator
+    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
+    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
+    return both_ends(linear, schedule, modes, drive, constant_inputs(problem, linear.B)).outputs
 
 
 def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
@@ -117,18 +147,6 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     """
     scenario = problem.scenario
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
-
-
-def _limited(
-    verdict: Verdict, std: dict[str, float], right: float, left: float, swing: float
-) -> Verdict:
-    """A verdict with its deviations; what they exceed is not known."""
-    negligible = NEGLIGIBLE * swing
-    largest = largest_deviations(right, left, swing)
-    most = {name: max(value, negligible) for name, value in largest.items()}
-    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
-    reasons = (*verdict.reasons, *vague(std, most, right, left))
-    return Verdict(**known, reasons=reasons, std=std)
 
 
 def _colour(model: System, disturbance: object) -> Colour | None:

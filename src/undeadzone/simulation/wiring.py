@@ -115,6 +115,8 @@ class Wiring(NamedTuple):
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
         actuator, entering = self._actuated(s, u)
+        if self.p.sensor.friction.numel():  # of the load, while it is pushed
+            entering = entering - self.p.sensor.friction * contact(level, s.sensor)
         observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
         plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
         outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)

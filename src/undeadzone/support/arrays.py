@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -239,6 +239,16 @@ def _number_text(number: complex) -> str:
     if number.imag:
         return f"{number.real:.4g}{number.imag:+.4g}j"
     return f"{number.real:.4g}"
+
+
+def one_or_list(values: Sequence[Any] | Floats) -> Any:
+    """A plain value for each output, input or joint: itself where there is one, else a list.
+
+    Args:
+        values: one each.
+    """
+    plain = values.tolist() if isinstance(values, np.ndarray) else list(values)
+    return plain[0] if len(plain) == 1 else plain
 
 
 def _count_text(count: int) -> str:

@@ -16,9 +16,14 @@ from undeadzone.support.arrays import Floats
 
 
 def joined(tree: Any, name: str, value: Any) -> Any:
-    """The named tuple with one more field, the last one."""
+    """The named tuple, or an empty one, with one more field, the last one."""
     make: Any = namedtuple  # of names that are known at run time
-    return make("Joined", [*tree._fields, name])(*tree, value)
+    return make("Joined", [*getattr(tree, "_fields", ()), name])(*tree, value)
+
+
+def parted(tree: Any, kind: Any) -> Any:
+    """What `joined` was given: the named tuple of that kind without the last field."""
+    return kind(*tree[:-1])
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -14,12 +14,13 @@ from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.plants.region import Box, box
+from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.run_columns import output_names
 from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
 from undeadzone.synthesis.assessment import Assessment, Gains, assess
 from undeadzone.synthesis.knowledge import determined
@@ -80,6 +81,8 @@ class Check:
             standard deviations [z], why not, and what would help (p).
         listens: the share of a z 5 % larger than the model says that each z^ follows (p); below a
             half the model is taken on trust. None: it cannot be told.
+        overrun: of each output behind a play, J a / f of its load: above 1 it coasts; None: it
+            cannot be told (p). Empty where no inertia is given.
         reasons: for every 'no'.
         cures: what would help.
         nearest: certified gains near to those that are not; None where there are none.
@@ -98,6 +101,7 @@ class Check:
     states: tuple[bool, ...] = ()
     known: tuple[Knowledge, ...]
     listens: tuple[float | None, ...]
+    overrun: tuple[float | None, ...] = ()
     reasons: tuple[str, ...]
     cures: tuple[str, ...]
     nearest: Nearest | None
@@ -132,9 +136,10 @@ class Check:
             "l2_gain": None if self.l2_gain is None else self.l2_gain._asdict(),
             "never": list(self.never),
             "states": list(self.states),
-            "identifiable": _one_or_list(verdicts),
-            "std": _one_or_list([one.std for one in self.known]),
-            "listens": _one_or_list(self.listens) if self.listens else None,
+            "identifiable": one_or_list(verdicts),
+            "std": one_or_list([one.std for one in self.known]),
+            "listens": one_or_list(self.listens) if self.listens else None,
+            **({"overrun": one_or_list(self.overrun)} if self.overrun else {}),
             "reasons": list(self.reasons),
             "cures": list(self.cures),
             "nearest": None if self.nearest is None else _plain(self.nearest),
@@ -189,11 +194,19 @@ def checked(assessment: Assessment) -> Check:
         states=tuple(determined(problem, assessment.schedule)),
         known=tuple(known),
         listens=assessment.listens,
+        overrun=_overrun(problem),
         reasons=(*reasons, *_reasons_of_outputs(known)),
         cures=tuple(cures),
         nearest=None if near is None else _nearest(near),
         assessment=assessment,
     )
+
+
+def _overrun(problem: Problem) -> tuple[float | None, ...]:
+    """The overrun number of each output; nothing where no inertia is given."""
+    step = problem.scenario.simulation.step
+    parts = problem.reference, problem.tracked, problem.steps * step, step
+    return tuple(overrun_numbers(problem.sensor, *parts) or ())
 
 
 def _known(value: Any) -> Any:
@@ -209,11 +222,6 @@ def _nearest(gains: Gains) -> Nearest:
 def _plain(near: Nearest) -> dict[str, Any]:
     """Gains for JSON."""
     return near._asdict() | {"L": near.L.tolist(), "gamma": near.gamma.tolist()}
-
-
-def _one_or_list(values: Sequence[Any]) -> Any:
-    """A value of each output: itself where there is one output, else a list."""
-    return list(values) if len(values) > 1 else values[0]
 
 
 def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:

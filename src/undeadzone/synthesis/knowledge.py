@@ -16,9 +16,8 @@ from undeadzone.analysis.identifiability.linear import (
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers import StateFeedback
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.collect import actuator_unknown
 from undeadzone.simulation.run import Run
-from undeadzone.simulation.verdicts import constant_inputs, linear_verdicts
+from undeadzone.simulation.verdicts import actuator_unknown, constant_inputs, linear_verdicts
 from undeadzone.support.progress import silent
 
 

@@ -47,6 +47,7 @@ def pairs(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
         **_nearest(summary),
         **_speed(summary),
         **_listens(summary),
+        **_overrun(summary),
         **_knowledge(summary, scenario),
     }
     if reasons:
@@ -142,6 +143,18 @@ def _listens(summary: Mapping[str, Any]) -> dict[str, str]:
         return {}
     listens = summary["listens"]
     return {"listens": share_in_words(listens if isinstance(listens, list) else [listens])}
+
+
+def _overrun(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Whether what is behind a play rests in its gap."""
+    if "overrun" not in summary:
+        return {}
+    found = summary["overrun"]
+    numbers = found if isinstance(found, list) else [found]
+    told = ", ".join(f"{number:.3g}" for number in numbers if number is not None)
+    if not told:
+        return {"overrun": "cannot be told: the reference has corners"}
+    return {"overrun": f"J a / f = {told}: below 1 the load rests against its contact"}
 
 
 def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:

@@ -15,7 +15,7 @@ from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support import tree
 
-ESTIMATORS = ("auto", "censored", "kalman")  # that estimate widths of an actuator
+ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a load's friction
 
 
 class State(NamedTuple):
@@ -40,9 +40,10 @@ def built(
         InputError: or a subclass, those of the observer; for a method that cannot estimate what is
             not known.
     """
+    method = str(options.__struct_config__.tag)
+    _require_friction(method, model, sensor)
     if belief is None:
         return options.build(model, sensor)
-    method = str(options.__struct_config__.tag)
     if belief.ranges is not None and (method not in ESTIMATORS or model.Ts is None):
         raise InputError(
             f"model.actuator.right: {method!r} cannot estimate the widths of an actuator; give "
@@ -54,6 +55,20 @@ def built(
             f"actuator: {method!r} computes in Python and knows no actuator; use another observer"
         )
     return through_actuator(observer, model, belief)
+
+
+def _require_friction(method: str, model: System, sensor: Zone) -> None:
+    """Raise InputError where the friction of a load cannot be taken into account."""
+    if sensor.friction.any() and (model.m, model.p) != (1, 1):
+        raise InputError(
+            "sensor.load_friction: needs a plant of one input and one output, found "
+            f"{model.m} and {model.p}; leave it out"
+        )
+    if sensor.friction_std.any() and method not in ESTIMATORS:
+        raise InputError(
+            f"model.load_friction: {method!r} cannot estimate it; give a number, or use one of "
+            f"{', '.join(ESTIMATORS)}"
+        )
 
 
 def through_actuator(observer: Observer, model: System, belief: Belief) -> Observer:
@@ -69,10 +84,10 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
     last = np.zeros(model.m if rated else 0)
 
     def init(q: Any) -> State:
-        return State(observer.init(kind(*q[:-1])), last)
+        return State(observer.init(tree.parted(q, kind)), last)
 
     def project(q: Any, s: State) -> State:
-        return s._replace(observer=observer.project(kind(*q[:-1]), s.observer))
+        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
 
     step = partial(step_through, observer, model, belief.ranges is None)
     params = tree.joined(observer.params, "actuator", belief.drive)
@@ -83,7 +98,7 @@ def step_through(
     observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """One sample; q: numbers of the observer, then the actuator's `Drive`."""
-    drive, inner = q.actuator, type(observer.params)(*q[:-1])
+    drive, inner = q.actuator, tree.parted(q, type(observer.params))
     passed = within_limits(ca, u, drive)
     command = s.command
     if command.shape[0]:

@@ -55,6 +55,7 @@ from undeadzone.observers.parts.unknown_actuator import (
     with_actuator,
     with_widths,
 )
+from undeadzone.observers.parts.unknown_load import against_friction, with_friction
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
 
@@ -97,7 +98,7 @@ def measured_filter(
     zones: Zones | None = None,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
-    augmentation = with_widths(augmentation, zones)
+    augmentation = with_widths(with_friction(augmentation, sensor), zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     centred = prior.centre is not None
@@ -155,7 +156,7 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
     taken = taken_in(setup, q, s, reading)
     corrected, heard = taken.corrected, taken.heard
     rows, edges = rows_at(setup, q, taken.before.mean, taken.side)
-    restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))[2]
+    restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u, reading.side))[2]
     log = heard.log
     if not setup.doubts:
         log = log_density(corrected.e, corrected.std)
@@ -174,7 +175,9 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
     estimated = with_actuator(q.zones, estimated, shown)
-    mean, cov, restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u))
+    mean, cov, restarted = sound(
+        q, setup.entries, predicted(setup, q, heard.belief, u, reading.side)
+    )
     pace = moved_on(setup, q, s.pace, heard, u, side, reading)
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
     if setup.doubts:
@@ -268,10 +271,11 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
     return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
 
-def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Gaussian:
-    """The belief at the next sample."""
+def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:
+    """The belief at the next sample, under an input u (m); side: that was measured (p)."""
     augmentation = setup.augmentation
     drive, doubt = entering(q.zones, belief, u)
+    drive = against_friction(setup.sensor, augmentation.zones, drive, side)
     if doubt is not None:
         doubt = SAME * doubt
     change, Q = motion(setup.model, q, augmentation, belief, drive, doubt)

@@ -97,7 +97,8 @@ def use_bounds(
 ) -> Heard:
     """What is known given that z is inside the edges of a silent sensor.
 
-    The z of a jump sensor is beyond the edge that it is on, besides.
+    The z of a jump sensor is beyond the edge that it is on, besides. What a play holds is heard
+    once in the window over which its motion is judged: it is one level, however often it is read.
 
     Args:
         setup: the filter.
@@ -111,6 +112,7 @@ def use_bounds(
     believed: list[Any] = []
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
+    rest = q.lasting if level is None else ca.fmax(q.lasting, setup.sensor.window)
     for edge in (RIGHT, LEFT):
         for i in range(setup.model.p):
             outside = (side[i] == edge) if setup.jump else 0.0
@@ -125,7 +127,7 @@ def use_bounds(
             believed.append(ca.logic_and(silent[i], regular > 0.5))
             log += one.log
             trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, q.lasting, waiting - 1))
+            waits.append(ca.if_else(used, rest, waiting - 1))
     silences = tuple(ca.vertsplit(ca.vertcat(*believed), setup.model.p))
     return Heard(belief, ca.vertcat(*waits), trust, log, silences)
 

@@ -18,9 +18,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, exact
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, present
+from undeadzone.sensor import Zone, present, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -48,6 +48,7 @@ class Motion(NamedTuple):
         threshold: change over the window that counts as motion (p) [y].
         window: number of readings that the fading line stands for (1).
         gains: of the fading line, on level and slope (2).
+        friction: of what is behind the play (p) [u]; empty where there is none.
     """
 
     slope: Floats
@@ -55,6 +56,7 @@ class Motion(NamedTuple):
     threshold: Floats
     window: Any
     gains: Floats
+    friction: Floats
 
 
 class State(NamedTuple):
@@ -102,14 +104,15 @@ def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer
         threshold=sensor.threshold,
         window=np.float64(sensor.window),
         gains=np.array([1 - fade**2, (1 - fade) ** 2]),
+        friction=sensor.friction if sensor.friction.any() else np.empty(0),
     )
     none, kind = np.zeros(model.p), type(observer.params)
 
     def init(q: Any) -> State:
-        return State(observer.init(kind(*q[:-1])), none, none, none, none, none)
+        return State(observer.init(tree.parted(q, kind)), none, none, none, none, none)
 
     def project(q: Any, s: State) -> State:
-        return s._replace(observer=observer.project(kind(*q[:-1]), s.observer))
+        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
 
     step = partial(step_by_motion, observer, model, sensor)
     params = tree.joined(observer.params, "motion", numbers)
@@ -130,12 +133,13 @@ def step_by_motion(
     observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
-    inner, motion = type(observer.params)(*q[:-1]), q.motion
-    at_limit = ca.fabs(reading.side) > 1
-    y = ca.if_else(at_limit, np.nan, reading.y)
+    inner, motion = tree.parted(q, type(observer.params)), q.motion
+    y = exact(reading, sensor.limits).y
     seen = present(y)
-    side, heard, rms = sided(sensor, motion, s, y)
-    taken = Reading(heard, ca.if_else(seen, side, 0.0), reading.x, heard, rms)
+    moving, heard, rms = sided(sensor, motion, s, y)
+    taken = Reading(heard, ca.if_else(seen, moving, 0.0), reading.x, heard, rms)
+    if motion.friction.numel():
+        u = u - motion.friction * taken.side
     moved, estimate = observer.step(inner, s.observer, u, taken)
     ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
     refused, regular = s.refused, seen
@@ -156,15 +160,15 @@ def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
         if not sensor.noise[i]:
             rule = by_tick if sensor.quantum[i] else by_change
         parts.append(rule(q, s, y, i))
-    side, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
-    return ca.if_else(s.known, side, 0.0), heard, rms
+    moving, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
+    return ca.if_else(s.known, moving, 0.0), heard, rms
 
 
 def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     """Output i by the sign of its change."""
     change = y[i] - s.level[i]
     least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
-    return signs(change, least), y[i], 0.0
+    return side(change, least), y[i], 0.0
 
 
 def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
@@ -173,7 +177,7 @@ def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     By how much, at most, is how far z^ moves in a step.
     """
     quantum = q.quantum[i]
-    tick = signs(y[i] - s.level[i], quantum / 2)
+    tick = side(y[i] - s.level[i], quantum / 2)
     passed = ca.fmin(ca.fabs(s.ahead[i]) * q.slope[i], quantum)
     at_boundary = y[i] - tick * (quantum - passed) / 2
     spread = ca.sqrt(passed**2 / 12 + (CERTAIN * quantum) ** 2)
@@ -183,8 +187,8 @@ def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
 
 def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     """Output i by the slope of the readings before, if z^ moves the same way."""
-    side = signs(s.slope[i] * q.window, q.threshold[i])
-    return ca.if_else(side * s.ahead[i] > 0, side, 0.0), y[i], 0.0
+    moving = side(s.slope[i] * q.window, q.threshold[i])
+    return ca.if_else(moving * s.ahead[i] > 0, moving, 0.0), y[i], 0.0
 
 
 def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any]:
@@ -197,11 +201,6 @@ def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[A
     level = ca.if_else(s.known, level, y)
     slope = ca.if_else(s.known, slope, 0.0)
     return ca.if_else(regular, level, 0.0), ca.if_else(regular, slope, 0.0)
-
-
-def signs(value: Any, least: Any) -> Any:
-    """+1 above `least`, -1 below -least, else 0."""
-    return 1.0 * (value > least) - 1.0 * (value < -least)
 
 
 def require_hearer(options: Any, sensor_kind: str) -> None:

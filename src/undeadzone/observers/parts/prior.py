@@ -14,6 +14,8 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+SILENT = 4.0  # noise, in its rms, that is surely not beyond it
+HELD = 6.0  # the same of what a play holds, which is met by many readings, hold after hold
 REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, unless it is claimed
 
 
@@ -128,8 +130,8 @@ def silence_gate(sensor: Zone, rms: Floats) -> Floats:
         sensor: the dead zone.
         rms: of a reading (p) [z].
     """
-    noise = 4 * rms * sensor.slope
-    return noise if sensor.kind == "play" else np.maximum(sensor.threshold, noise)
+    noise = rms * sensor.slope
+    return HELD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
 
 
 def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:

@@ -21,6 +21,7 @@ import numpy as np
 from undeadzone.actuator import Belief
 from undeadzone.interfaces import Estimate
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.further_constants import with_constants
 from undeadzone.observers.parts.gaussian_filter import Augmentation
 from undeadzone.support.arrays import Floats
 
@@ -57,36 +58,8 @@ def with_widths(inner: Augmentation, zones: Zones | None) -> Augmentation:
     """
     if zones is None:
         return inner
-    count = len(zones.middle)
-    known = len(inner.cov)
     spread = np.diff(zones.ranges, axis=1).ravel() / np.sqrt(12)
-    cov = np.zeros((known + count, known + count))
-    cov[:known, :known] = inner.cov
-    cov[known:, known:] = np.diag(spread**2)
-
-    def change(q: Any, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-        moved, changed = inner.change(q, x, extra[:known], u)
-        return moved, ca.vertcat(changed, ca.SX(count, 1))
-
-    def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
-        of_x, of_extra = inner.noise(q, x, u)
-        return of_x, ca.diagcat(of_extra, ca.SX(count, count))
-
-    changes: dict[str, Any] = {}
-    if inner.bilinear is not None:
-        bend = inner.bilinear
-        changes["bilinear"] = lambda q, x, extra, u: bend(q, x, extra[:known], u)
-    if inner.disturbance is not None:
-        pushed = inner.disturbance
-        changes["disturbance"] = lambda q, extra: pushed(q, extra[:known])
-    return inner._replace(
-        cov=cov,
-        change=change,
-        noise=noise,
-        constants=inner.constants + count,
-        zones=count,
-        **changes,
-    )
+    return with_constants(inner, spread**2)._replace(zones=spread.size)
 
 
 def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:
@@ -127,7 +100,7 @@ def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> 
     """The estimate with the widths of the actuators, if they are estimated."""
     if zones is None:
         return estimated
-    count = len(zones.middle) if isinstance(zones.middle, np.ndarray) else zones.middle.shape[0]
+    count = zones.middle.shape[0]
     widths = zones.middle + shown.mean[-count:]
     inside = ca.fmax(ca.fmin(widths, zones.ranges[:, 1]), zones.ranges[:, 0])
     std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))

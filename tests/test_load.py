@@ -1,0 +1,140 @@
+"""What is behind a play has inertia and friction: is it a play at all, and what does it take?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.two_masses import GAIN, TAU, TS, TURN, Log, two_masses
+
+import undeadzone as uz
+from scenes import scene
+from undeadzone.errors import InputError
+from undeadzone.scenario.overrun import decelerations
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import exosystem
+from undeadzone.simulation.simulate import simulate
+
+SINE = {"kind": "sine", "amplitude": 1.0, "frequency": 0.5}
+MOTOR = {"A": [[0.0, 1.0], [0.0, -1 / TAU]], "B": [[0.0], [GAIN]], "C": [[1.0, 0.0]]}
+
+
+def motor(sensor: dict[str, Any], **changes: Any) -> Scenario:
+    """A motor that drives a load through gears."""
+    tables: dict[str, Any] = {
+        "plant": MOTOR,
+        "sensor": {"kind": "play", "right": 0.06, "left": 0.04, "noise": 1e-3} | sensor,
+        "reference": SINE,
+        "observer": {"method": "kalman", "right": [0.0, 0.2], "disturbance": 0.05},
+        "controller": {"method": "state_feedback", "poles": [-20.0, -21.0]},
+        "simulation": {"time": "sampled", "step": TS, "duration": 12.0},
+    }
+    return scene(**tables | changes)
+
+
+# The overrun number
+
+
+def test_check_prints_the_overrun_number() -> None:
+    checked = uz.check(motor({"load_inertia": 1e-3, "load_friction": 0.02}))
+    assert checked.overrun == (pytest.approx(1e-3 * TURN / 0.02, rel=1e-3),)
+    assert checked.summary()["overrun"] == checked.overrun[0]
+    assert "J a / f = 0.493" in repr(checked)
+    assert "overrun" not in uz.check(motor({"load_friction": 0.02})).summary()
+
+
+def test_a_load_that_coasts_is_refused_before_the_run() -> None:
+    with pytest.raises(InputError, match="out of reach for a play at the sensor"):
+        simulate(motor({"load_inertia": 2.1e-3, "load_friction": 0.02}))
+    simulate(motor({"load_inertia": 2.0e-3, "load_friction": 0.02}))
+
+
+def test_a_reference_with_corners_tells_no_deceleration() -> None:
+    corners = {"kind": "trapezoid", "amplitude": 1.0, "rise": 0.5, "hold": 1.0}
+    checked = uz.check(motor({"load_inertia": 1.0, "load_friction": 0.02}, reference=corners))
+    assert checked.overrun == (None,)
+    assert "corners" in repr(checked)
+
+
+@pytest.mark.parametrize("step", [1e-3, 5e-3])
+def test_the_deceleration_of_a_sum_is_the_largest_against_its_motion(step: float) -> None:
+    tones = [{"amplitude": 1.0, "frequency": 0.5}, {"amplitude": 0.3, "frequency": 1.5}]
+    reference = exosystem(
+        "reference", motor({}, reference={"kind": "sines", "components": tones}).reference, 1
+    )
+    t = np.linspace(0, 2, 200_001)
+    w = 2 * np.pi * np.array([0.5, 1.5])
+    rate = np.cos(np.outer(t, w)) @ (w * [1.0, 0.3])
+    bend = -np.sin(np.outer(t, w)) @ (w**2 * [1.0, 0.3])
+    assert decelerations(reference, 8.0, step)[0] == pytest.approx(
+        (-bend * np.sign(rate)).max(), rel=0.03
+    )
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        ({"kind": "deadzone", "load_friction": 0.1}, "only a play has a load"),
+        ({"load_inertia": 0.1}, "without friction"),
+        ({"load_friction": -0.1}, "sensor.load_friction"),
+        ({"load_friction": [0.0, 0.1]}, "a simulation needs one"),
+    ],
+)
+def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        resolve_scenario(motor(sensor))
+
+
+@pytest.mark.parametrize(
+    ("told", "observer", "words"),
+    [
+        ([0.2, 0.1], "kalman", "load_friction: expected a number or"),
+        ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
+    ],
+)
+def test_a_friction_that_cannot_be_told_is_refused(told: Any, observer: str, words: str) -> None:
+    options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
+    with pytest.raises(InputError, match=words):
+        resolve_scenario(motor({}, observer=options, model={"load_friction": told}))
+
+
+# Friction
+
+
+def test_friction_acts_on_the_motor_while_y_moves() -> None:
+    """The same input with and without: what z loses is what friction took."""
+    exact = {"noise": 0.0}
+    plain = simulate(motor(exact, controller={"method": "state_feedback", "K": [[0.0, 0.0]]}))
+    rubbed = simulate(
+        motor(
+            exact | {"load_friction": 0.02},
+            controller={"method": "state_feedback", "K": [[0.0, 0.0]]},
+        )
+    )
+    A, B = resolve_scenario(motor(exact)).plant.linear[:2]
+    x = plain.x[0]
+    for k in range(len(plain.t) - 1):
+        x = A @ x + B @ (plain.u[k] - 0.02 * rubbed.side[k])
+    np.testing.assert_allclose(rubbed.x[-1], x, atol=1e-9)
+    assert np.abs(rubbed.z - plain.z).max() > 0.01
+
+
+def gap_error(log: Log, load_friction: Any) -> float:
+    """The relative error of the gap that `kalman` finds in a log."""
+    model = {"load_friction": load_friction}
+    found = uz.estimate(motor({}, model=model), t=log.t, y=log.y, u=log.u)
+    return float(found.d_hat[-1].sum() / log.gap - 1)
+
+
+def test_friction_that_is_not_told_makes_the_gap_small_and_estimated_friction_does_not() -> None:
+    """Two masses at an overrun number of 0.1, four gaps (docs/play.md has the table)."""
+    friction = 0.02
+    logs = [two_masses(0.1 * friction / TURN, friction, seed) for seed in range(4)]
+    untold = np.median([gap_error(log, 0.0) for log in logs])
+    told = np.median([gap_error(log, friction) for log in logs])
+    estimated = np.median([gap_error(log, [0.0, 0.1]) for log in logs])
+    assert untold < -0.05
+    assert abs(told) < 0.04
+    assert abs(estimated) < 0.04

@@ -1,0 +1,88 @@
+"""The ranges of the widths that identification tells an observer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+import undeadzone as uz
+from undeadzone.errors import InputError
+from undeadzone.identification.answer import Answer
+from undeadzone.identification.intervals import Interval
+from undeadzone.identification.jump_edges import edge_of
+from undeadzone.identification.told_range import told_range
+
+RIGHT, LEFT = 0.4, 0.9
+
+
+def log(left_swings: int) -> tuple[np.ndarray, np.ndarray]:
+    """u and y (800) of a first-order plant that swings to the left a few times only."""
+    rng = np.random.default_rng(4)
+    u = np.abs(np.repeat(rng.standard_normal(40), 20))
+    u[20 * np.linspace(3, 37, left_swings).astype(int)[:, None] + np.arange(20)] = -1.6
+    z = lfilter([0.0, 0.2], [1.0, -0.8], u)
+    e = z + 0.03 * rng.standard_normal(z.size)
+    return u, np.maximum(e - RIGHT, 0.0) + np.minimum(e + LEFT, 0.0)
+
+
+@pytest.fixture(scope="module")
+def answer() -> Answer:
+    u, y = log(left_swings=4)
+    found = uz.identify(t=0.05, u=u, y=y, order=1, place="sensor", delay=0)
+    assert isinstance(found, uz.Identified)
+    assert found.verdict == "dead_zone"
+    return found.answer
+
+
+def growth(degrees: float) -> float:
+    return float(student.ppf(0.9995, degrees) / student.ppf(0.975, degrees))
+
+
+def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> None:
+    degrees = answer.evidence.widths.degrees
+    assert degrees["left"] < degrees["right"]  # passed 4 times, and 20 times or more
+    for side, edge in (("right", answer.right), ("left", answer.left)):
+        assert edge is not None
+        low, high = told_range(answer, side)
+        assert (high - low) / (edge.high - edge.low) == pytest.approx(growth(degrees[side]))
+        assert low < edge.low
+        assert edge.high < high
+    assert growth(degrees["left"]) > 1.08 * growth(40.0)  # about as for 1000 samples
+
+
+def test_each_half_of_an_interval_grows_by_itself(answer: Answer) -> None:
+    edge = Interval(0.5, 0.4, 0.8)
+    factor = growth(answer.evidence.widths.degrees["left"])
+    told = told_range(answer._replace(left=edge), "left")
+    assert told == pytest.approx((max(0.5 - 0.1 * factor, 0.0), 0.5 + 0.3 * factor))
+
+
+def test_bounds_of_the_user_hold(answer: Answer) -> None:
+    edge = Interval(0.5, 0.4, math.inf)
+    open_ended = answer._replace(left=edge)
+    with pytest.raises(InputError, match="no upper bound of d_left"):
+        told_range(open_ended, "left")
+    u, y = log(left_swings=4)
+    found = uz.identify(
+        t=0.05, u=u, y=y, order=1, place="sensor", delay=0, left="0.88,0.92", right=RIGHT
+    )
+    assert isinstance(found, uz.Identified)
+    low, high = told_range(found.answer, "left")
+    assert 0.88 <= low < high <= 0.92
+    assert told_range(found.answer, "right") == pytest.approx((RIGHT, RIGHT), rel=1e-5)
+
+
+def test_the_range_of_a_jump_edge_holds() -> None:
+    """Of 4000 edges about 4 lie below the 99.9 % interval; 200 below that of 95 %."""
+    rng = np.random.default_rng(1)
+    below = {"low": 0, "lowest": 0}
+    for _ in range(4000):
+        edge = edge_of(np.sort(rng.exponential(1.0, 24)))  # the edge is 0
+        below["low"] += edge.low > 0
+        below["lowest"] += edge.lowest > 0
+    assert 140 <= below["low"] <= 260
+    assert 0 < below["lowest"] <= 14
