@@ -66,7 +66,7 @@ def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, told: str) -
 
 
 def test_an_unknown_table_gets_no_wild_guess() -> None:
-    with pytest.raises(InputError, match="noise: unknown key; known keys: actuator, compare"):
+    with pytest.raises(InputError, match="noise: unknown key; known keys: actuator, behind_play"):
         parse(f"{TEMPLATE}\n[noise]\nrms = 1.0\n")
 
 
