@@ -26,7 +26,6 @@ RUNS = 24
 ROUNDS = 3
 STEPS = 8
 MOST = 2.0  # factor of the disturbance in a round
-TRUSTED = 0.5  # of a correction, that enters the interval
 STRONGEST = 0.2  # rms of a disturbance ahead, in rms of y, above which no gap is given
 FINEST = 2e-4  # rms of y: no interval is narrower
 
@@ -95,7 +94,7 @@ def find_gap(fit: PlayFit, quantum: float, advance: Callable[[int], None]) -> Ga
         weights[model.base :] = row
         std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
         own = max(halves[name], quantile(RUNS - 1) * std)
-        halves[name] = math.hypot(own, TRUSTED * float(weights @ (moved - theta)))
+        halves[name] = math.hypot(own, float(weights @ (moved - theta)))
     intervals = _intervals(moved, model, halves)
     return Gap(fit, moved, intervals, scatter[:count, :count], ahead, noise, ahead.rms < STRONGEST)
 
