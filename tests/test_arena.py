@@ -63,6 +63,12 @@ DECLARED = {
 TOLD_THE_TRUTH = {"full_state", "informed", "oracle"}
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an arena keeps meanwhile lies in a folder of the test's own."""
+    monkeypatch.chdir(tmp_path)
+
+
 def small(**changes: Any) -> Scenario:
     """Three seconds of the paper's loop at 100 Hz, noisy, with a model that is off."""
     base = {
