@@ -14,6 +14,7 @@ from undeadzone.support.arrays import Floats
 
 SHARE = 0.16  # of a quarter period of the plant: over which motion is judged by default
 FEWEST = 4  # readings over which motion is judged at least
+CERTAIN = 0.02  # share of a quantum by which a tick is uncertain at least
 FALSE_ALARMS = 1e-6  # rate at which noise may pass for motion by default, in poles of the plant
 
 
@@ -59,6 +60,23 @@ def contacts(z: Floats, right: Floats, left: Floats, start: Floats | None = None
     first = np.zeros(z.shape[1]) if start is None else start
     along = levels(z, right, left, first)
     return contact(along, np.vstack([first, along[:-1]]))
+
+
+def ticked(ops: Any, y: Any, side: Any, moved: Any, quantum: Any) -> tuple[Any, Any]:
+    """Where z was, in units of y, when an encoder's tick came, and its variance.
+
+    z has just passed the boundary between two multiples of the quantum, by at most how far it moves
+    in a sample.
+
+    Args:
+        ops: the module of fmin and fabs, NumPy or CasADi.
+        y: the reading.
+        side: direction of the tick, -1 or +1.
+        moved: how far z moves in a sample [y].
+        quantum: of the encoder [y].
+    """
+    passed = ops.fmin(ops.fabs(moved), quantum)
+    return y - side * (quantum - passed) / 2, passed**2 / 12 + (CERTAIN * quantum) ** 2
 
 
 def readings_of_motion(step: float, pace: float) -> int:

@@ -14,13 +14,13 @@ The last one tests that nothing else is there. Of the centres only their sum sho
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.identification.log import Flags
 from undeadzone.identification.motion import Sensing, sides
+from undeadzone.play import ticked
 from undeadzone.support.arrays import Floats, Integers
 
 NAMES = ("neither", "dead_zone", "play", "both")
@@ -28,7 +28,6 @@ WIDTHS = 0.5 * np.array([[-1.0, 1, -1, 1], [-1.0, -1, 1, 1], [2.0, -2, -2, 2]]) 
 SURE = 5.0  # standard deviations from which a width is there
 LEAST = 0.02  # of the readings' rms, below which a width is no matter
 BEYOND = 8.0  # standard deviations of the noise from which the sign of a reading is sure
-CERTAIN = 0.02  # share of a quantum by which a tick is uncertain at least
 VAGUE = 3.0  # rms of the readings: standard deviation of an offset, and of z, at first
 
 
@@ -166,6 +165,5 @@ def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> t
     """A reading and its variance; of a tick, where between two boundaries z was when it came."""
     if not how.quantum:
         return float(y), noise**2
-    passed = min(abs(moved), how.quantum)
-    spread = math.hypot(passed / math.sqrt(12), CERTAIN * how.quantum)
-    return float(y - side * (how.quantum - passed) / 2), spread**2 + noise**2
+    when, variance = ticked(np, y, side, moved, how.quantum)
+    return float(when), float(variance) + noise**2

@@ -14,7 +14,6 @@ import numpy as np
 from undeadzone.identification.ahead import Ahead, disturbance_ahead
 from undeadzone.identification.intervals import DIRECTIONS, Interval
 from undeadzone.identification.log import Flags
-from undeadzone.identification.long_run import Spread, sandwich
 from undeadzone.identification.motion import white_noise
 from undeadzone.identification.orders import OrderFit
 from undeadzone.identification.place_models import PlaceFit, PlaceModel, Shape, fit_place
@@ -62,14 +61,14 @@ def find_input_zone(fits: list[OrderFit]) -> InputZone | None:
         return None
     best = min(tops, key=lambda one: one.density.bic)
     model, theta = best.model, best.theta
-    spread = spread_of(best)
+    spread = best.spread()
     intervals, degrees = {}, math.inf
     for name, weights in DIRECTIONS.items():
         row = np.zeros(model.size)
         row[model.base + 5 : model.base + 7] = weights
         value = float(row @ theta)
-        degrees = min(degrees, spread.accuracy(row[model.free])[1])
-        half = math.hypot(spread.half_width(row[model.free]), FINEST)
+        half, freedom = spread.half_and_degrees(row[model.free])
+        half, degrees = math.hypot(half, FINEST), min(degrees, freedom)
         intervals[name] = Interval(value, value - half, value + half)
     data, layout = model.data, model.simulator.layout
     ok: Flags = data.ok
@@ -77,11 +76,3 @@ def find_input_zone(fits: list[OrderFit]) -> InputZone | None:
     noise = min(white_noise(data.y, ok, data.start), best.density.rms)
     count = layout.b.stop
     return InputZone(best, intervals, spread.V[:count, :count], ahead, noise, degrees)
-
-
-def spread_of(fitted: PlaceFit) -> Spread:
-    """(I1) of the free numbers of a model of the zone's place."""
-    e, rows = fitted.model._rows(fitted.theta)
-    variance = float(np.mean(e[fitted.model.data.ok] ** 2)) + 1e-30
-    hessian = rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
-    return sandwich(rows * e[:, None] / variance, hessian)

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from undeadzone.identification.fit import Fit, climbed
 from undeadzone.identification.kalman_fit import KalmanFit
 from undeadzone.identification.likelihood import Noise, singles
+from undeadzone.identification.long_run import Spread
 from undeadzone.identification.objective import Limits, Objective
 from undeadzone.identification.orders import OrderFit
 from undeadzone.support.arrays import Floats
@@ -147,21 +148,24 @@ def _stages(
         fits.append(("L2", chosen.pairs))
     for name, fit in fits:
         stages[name] = (fit.right, fit.left)
-        halves[name], degrees[name] = {}, {}
         spread = fit.objective.spread(fit.theta)
+        rows = {}
         for key, (right, left) in DIRECTIONS.items():
-            direction = fit.objective.direction(right=right, left=left)
-            halves[name][key] = spread.half_width(direction)
-            degrees[name][key] = spread.accuracy(direction)[1]
+            rows[key] = fit.objective.direction(right=right, left=left)
+        halves[name], degrees[name] = _told(spread, rows)
     if kalman is not None:
         stages["L3"] = (kalman.right, kalman.left)
-        halves["L3"], degrees["L3"] = {}, {}
         spread = kalman.objective.spread(kalman.p)
-        for key, (right, left) in DIRECTIONS.items():
-            direction = kalman.direction(right, left)
-            halves["L3"][key] = spread.half_width(direction)
-            degrees["L3"][key] = spread.accuracy(direction)[1]
+        rows = {key: kalman.direction(*weights) for key, weights in DIRECTIONS.items()}
+        halves["L3"], degrees["L3"] = _told(spread, rows)
     return stages, halves, degrees
+
+
+def _told(spread: Spread, rows: dict[str, Floats]) -> tuple[dict[str, float], dict[str, float]]:
+    """Half intervals of weighted sums and their degrees of freedom, by name."""
+    told = {name: spread.half_and_degrees(row) for name, row in rows.items()}
+    halves = {name: half for name, (half, _) in told.items()}
+    return halves, {name: degrees for name, (_, degrees) in told.items()}
 
 
 def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:

@@ -39,10 +39,14 @@ class Spread(NamedTuple):
         kept, degrees = few_samples(self.scores, self.naive @ direction, self.degrees)
         return variance / kept, degrees
 
+    def half_and_degrees(self, direction: Floats, level: float = 0.95) -> tuple[float, float]:
+        """Half the interval of direction' theta at a level, and its degrees of freedom."""
+        variance, degrees = self.accuracy(direction)
+        return quantile(degrees, level) * variance**0.5, degrees
+
     def half_width(self, direction: Floats, level: float = 0.95) -> float:
         """Half the interval of direction' theta at a level."""
-        variance, degrees = self.accuracy(direction)
-        return quantile(degrees, level) * variance**0.5
+        return self.half_and_degrees(direction, level)[0]
 
 
 def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
@@ -125,6 +129,27 @@ def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Sprea
     J, number = long_run_covariance(scores, count)
     inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
     return Spread(inverse @ J @ inverse, inverse, number, scores)
+
+
+def gauss_newton(e: Floats, rows: Floats, count: int) -> tuple[float, Floats]:
+    """Variance of residuals, and the Hessian of half their squares over it.
+
+    Args:
+        e: residuals, 0 where there is no reading (N).
+        rows: derivatives of the expected reading by the free numbers, 0 there too (N x P).
+        count: readings that there are.
+
+    Returns:
+        The variance, and the Hessian with a ridge that keeps it positive (P x P).
+    """
+    variance = float(e @ e) / count + 1e-30
+    return variance, rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
+
+
+def least_squares_spread(e: Floats, rows: Floats, count: int) -> Spread:
+    """(I1) of a least-squares fit; arguments as of `gauss_newton`."""
+    variance, hessian = gauss_newton(e, rows, count)
+    return sandwich(rows * e[:, None] / variance, hessian)
 
 
 def positive(hessian: Floats) -> Floats:

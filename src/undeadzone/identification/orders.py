@@ -15,7 +15,7 @@ from undeadzone.identification.objective import Limits
 from undeadzone.identification.plant_fit import Data, Simulator
 from undeadzone.identification.records import moved
 from undeadzone.identification.residual_map import expected_reading, explained
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
 CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
 LAGS = 20
@@ -136,13 +136,23 @@ def validate(fit: Fit, train: Flags) -> HeldOut:
     trained = refit(fit, fit.objective.kind, train, 25)
     if not math.isfinite(trained.value):
         trained = fit
-    test = fit.objective.data.ok & ~train
-    expected = expected_reading(trained)
-    error = (fit.objective.data.y - expected)[test]
-    rms = float(np.sqrt(np.mean(error**2)))
-    usual = float(np.sqrt(np.mean(fit.objective.data.y[test] ** 2)))
-    innovation, use = innovations(trained, test)
-    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(innovation, use))
+    data = fit.objective.data
+    test = data.ok & ~train
+    return judged(data.y - expected_reading(trained), data, test, innovations(trained, test))
+
+
+def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
+    """What errors of held-out readings say of a fit.
+
+    Args:
+        error: y less what is expected (N).
+        data: the records.
+        test: the held-out readings (N).
+        one_step: one-step residuals, and where they are known (N, N).
+    """
+    rms = float(np.sqrt(np.mean(error[test] ** 2)))
+    usual = float(np.sqrt(np.mean(data.y[test] ** 2)))
+    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(*one_step))
 
 
 def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
@@ -151,11 +161,30 @@ def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
     e = fit.objective.residuals(fit.theta)
     ok = fit.objective.data.ok
     speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
-    use = speaks & among
+    rho = fit.rho if fit.objective.kind == "pairs" else None
+    return one_step(e, speaks & among, speaks, fit.objective.data.start, rho)
+
+
+def one_step(
+    e: Floats, among: Flags, speaks: Flags, start: Integers, rho: float | None = None
+) -> tuple[Floats, Flags]:
+    """Residuals less what those of the sample before say of them, and where both are known (N, N).
+
+    Args:
+        e: residuals (N).
+        among: those that are asked for (N).
+        speaks: those that are known (N).
+        start: first sample of each record (R).
+        rho: correlation over one sample; None: of the residuals themselves.
+    """
+    use = among.copy()
     use[1:] &= speaks[:-1]
-    use[fit.objective.data.start] = False
+    use[start] = False
+    if rho is None:
+        at = np.flatnonzero(use)
+        rho = float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
     value = e.copy()
-    value[1:] -= _step_correlation(fit, e, use) * e[:-1]
+    value[1:] -= rho * e[:-1]
     return value, use
 
 
@@ -182,14 +211,6 @@ def hears_input(fit: Fit) -> bool:
         return False
     _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
     return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
-
-
-def _step_correlation(fit: Fit, e: Floats, use: Flags) -> float:
-    """The correlation over one sample: fitted by pairs, else of the residuals themselves."""
-    if fit.objective.kind == "pairs":
-        return fit.rho
-    at = np.flatnonzero(use)
-    return float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
 
 
 def correlation(value: Floats, use: Flags, lags: int) -> Floats:

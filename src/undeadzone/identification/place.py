@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.fit import Fit
-from undeadzone.identification.long_run import sandwich
 from undeadzone.identification.place_models import PlaceFit, PlaceModel, Shape, fit_place
 from undeadzone.identification.place_starts import PlaceStarts
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
@@ -134,14 +133,9 @@ def _winner(fits: dict[str, PlaceFit]) -> str:
 
 def _needs_sensor(fitted: PlaceFit) -> bool:
     """Whether the sensor's width beside another zone is above 0 for certain."""
-    residual, rows = fitted.model._rows(fitted.theta)
-    variance = float(np.mean(residual**2))
-    scores = rows * residual[:, None] / variance
-    hessian = rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
-    spread = sandwich(scores, hessian)
     base = fitted.model.base
     direction = np.isin(fitted.model.free, [base, base + 1]).astype(float)
-    return float(fitted.sensor.sum()) > spread.half_width(direction)
+    return float(fitted.sensor.sum()) > fitted.spread().half_width(direction)
 
 
 def _lambda(fits: dict[str, PlaceFit], fit: Fit) -> tuple[float, float]:
@@ -162,10 +156,6 @@ def _lambda(fits: dict[str, PlaceFit], fit: Fit) -> tuple[float, float]:
     if fitted is None:
         return math.nan, math.inf
     theta = fitted.theta
-    residual, rows = model._rows(theta)
-    variance = float(np.mean(residual[model.data.ok] ** 2))
-    hessian = rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
-    spread = sandwich(rows * residual[:, None] / variance, hessian)
     last, c_last = theta[n - 1], theta[model.base + 7 + n - 1]
     if abs(last) < 1e-9:
         return math.nan, math.inf
@@ -173,7 +163,7 @@ def _lambda(fits: dict[str, PlaceFit], fit: Fit) -> tuple[float, float]:
     direction = np.zeros(model.size)
     direction[model.base + 7 + n - 1] = 1 / last
     direction[n - 1] = -lam / last
-    return float(lam), float(spread.half_width(direction[model.free]))
+    return float(lam), fitted.spread().half_width(direction[model.free])
 
 
 def _by_lambda(lam: float, half: float) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.identification.climb import Top, climb
 from undeadzone.identification.friction_step import FAR, simulate
+from undeadzone.identification.long_run import Spread, gauss_newton, least_squares_spread
 from undeadzone.identification.plant_fit import Simulator
 from undeadzone.identification.residual_map import curve_over, is_strange
 from undeadzone.identification.static_rivals import Density, first_order_density
@@ -134,7 +135,7 @@ class PlaceModel:
         z = self.outputs(theta[None, :])[0]
         return (self.data.y - self.readings(z, theta)) * self.data.ok
 
-    def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
+    def rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Residual (N) and derivatives of the reading by the free numbers (N x free)."""
         if self._last is not None and np.array_equal(self._last[0], theta):
             saved = self._last[1]
@@ -147,7 +148,7 @@ class PlaceModel:
             points[1 + count + place, index] -= step
         z = self.outputs(points)
         values = np.array([self.readings(row, p) for row, p in zip(z, points, strict=True)])
-        rows = (values[1 : 1 + count] - values[1 + count :]) / (2 * steps[:, None])
+        rows = (values[1 : 1 + count] - values[1 + count :]) / (2 * steps[:, None]) * self.data.ok
         residual = (self.data.y - values[0]) * self.data.ok
         self._last = (theta.copy(), np.column_stack([residual, rows.T]))
         return residual, rows.T
@@ -157,7 +158,7 @@ class PlaceModel:
         plant = np.append(theta[: self.base], np.zeros(4))
         if not self.simulator.admissible(plant):
             return -math.inf
-        residual, _ = self._rows(theta)
+        residual, _ = self.rows(theta)
         e = residual[self.data.ok]
         square = float(e @ e)
         if not square < FAR:
@@ -166,10 +167,8 @@ class PlaceModel:
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
         """(value, score, Gauss-Newton Hessian) of the free numbers."""
-        residual, rows = self._rows(theta)
-        e, rows = residual[self.data.ok], rows[self.data.ok]
-        variance = float(e @ e) / e.size + 1e-30
-        hessian = rows.T @ rows / variance + 1e-9 * np.eye(self.free.size)
+        e, rows = self.rows(theta)
+        variance, hessian = gauss_newton(e, rows, int(self.data.ok.sum()))
         return self.value(theta), rows.T @ e / variance, hessian
 
 
@@ -185,6 +184,11 @@ class PlaceFit(NamedTuple):
     model: PlaceModel
     theta: Floats
     density: Density
+
+    def spread(self) -> Spread:
+        """(I1) of the free numbers."""
+        e, rows = self.model.rows(self.theta)
+        return least_squares_spread(e, rows, int(self.model.data.ok.sum()))
 
     @property
     def sensor(self) -> Floats:

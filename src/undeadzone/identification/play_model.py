@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.identification.climb import Top, climb
 from undeadzone.identification.fit import Fit, fit_linear
 from undeadzone.identification.log import Flags
-from undeadzone.identification.long_run import Spread, sandwich
+from undeadzone.identification.long_run import Spread, gauss_newton, least_squares_spread
 from undeadzone.identification.objective import FAR
 from undeadzone.identification.plant_fit import Data, Simulator
 from undeadzone.identification.residual_map import curve_over, is_strange
@@ -110,7 +110,10 @@ class PlayModel:
         """Minus N / 2 ln of the mean square of the residual."""
         if not self.simulator.admissible(self._plant(theta)):
             return -math.inf
-        e = self.residual(theta)
+        return self._value_of(self.residual(theta))
+
+    def _value_of(self, e: Floats) -> float:
+        """The value of an admissible plant with these residuals (N)."""
         square = float(e @ e)
         if not square < FAR:
             return -math.inf
@@ -144,18 +147,14 @@ class PlayModel:
         return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """(value, score, Gauss-Newton Hessian) of the free numbers."""
+        """(value, score, Gauss-Newton Hessian) of the free numbers of an admissible plant."""
         e, rows = self.rows(theta)
-        variance = float(e @ e) / int(self.data.ok.sum()) + 1e-30
-        hessian = rows.T @ rows / variance + 1e-9 * np.eye(self.free.size)
-        return self.value(theta), rows.T @ e / variance, hessian
+        variance, hessian = gauss_newton(e, rows, int(self.data.ok.sum()))
+        return self._value_of(e), rows.T @ e / variance, hessian
 
     def spread(self, theta: Floats) -> Spread:
         """(I1) of the free numbers."""
-        e, rows = self.rows(theta)
-        variance = float(e @ e) / int(self.data.ok.sum()) + 1e-30
-        hessian = rows.T @ rows / variance + 1e-9 * np.eye(self.free.size)
-        return sandwich(rows * e[:, None] / variance, hessian)
+        return least_squares_spread(*self.rows(theta), int(self.data.ok.sum()))
 
     def direction(self, *weights: float) -> Floats:
         """The row that weighs c_r, c_l, d_r, d_l over the free numbers."""

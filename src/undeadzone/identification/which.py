@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.element import Element, is_there, of_input_zone, of_play
+from undeadzone.identification.first_fit import GLITCH, RARE
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.four_offsets import Moving, Offsets, four_offsets
 from undeadzone.identification.input_zone import find_input_zone
@@ -26,7 +27,6 @@ from undeadzone.identification.verdict import LEAST, Verdict
 from undeadzone.support.arrays import Floats
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
-GLITCH, RARE = 8.0, 0.01  # standard deviations of a reading that is none; how many there may be
 QUIETEST = 1e-3  # least noise and disturbance that the filter is told, in rms of y
 AT_FIRST = 5.0  # standard deviation of a state at first, in rms of y
 

@@ -20,12 +20,12 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, exact
 from undeadzone.plants.system import System
+from undeadzone.play import ticked
 from undeadzone.sensor import Zone, present, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 ROUNDING = 1e-12  # share of a reading by which it may change without motion
-CERTAIN = 0.02  # share of a quantum by which a tick is uncertain at least
 # Methods that form their innovation on a side and take silence for a bound, or do not ask.
 HEARERS = (
     "adaptive_inverse",
@@ -172,17 +172,12 @@ def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
 
 
 def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Output i by its ticks: z has just passed the boundary between two multiples of the quantum.
-
-    By how much, at most, is how far z^ moves in a step.
-    """
+    """Output i by its ticks, at most as far beyond a boundary as z^ moves in a step."""
     quantum = q.quantum[i]
     tick = side(y[i] - s.level[i], quantum / 2)
-    passed = ca.fmin(ca.fabs(s.ahead[i]) * q.slope[i], quantum)
-    at_boundary = y[i] - tick * (quantum - passed) / 2
-    spread = ca.sqrt(passed**2 / 12 + (CERTAIN * quantum) ** 2)
+    at_boundary, variance = ticked(ca, y[i], tick, s.ahead[i] * q.slope[i], quantum)
     held = quantum / np.sqrt(12)
-    return tick, at_boundary, ca.if_else(tick != 0, spread, held)
+    return tick, at_boundary, ca.if_else(tick != 0, ca.sqrt(variance), held)
 
 
 def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
