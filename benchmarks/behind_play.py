@@ -22,7 +22,7 @@ from undeadzone.support.arrays import Array
 MOTOR, READING = WORLDS["motor"], "encoder 0.3 %"
 RATES = (15.0, 30.0, 60.0, 120.0)
 FASTER = (2.0, 4.0, 8.0)  # poles of an observer that takes y for z, in those of the loop
-OVERRUNS = (0.1, 0.5, 0.9)
+OVERRUNS = (0.1, 0.5, 0.9, 1.2, 2.0)  # of logs; a run above 1 is refused
 FRICTION = 0.02  # of the load [u]
 LOGS = 16
 

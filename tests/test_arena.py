@@ -248,6 +248,8 @@ def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
     assert all(each.actuator is not None for each in scenarios("both_ends").values())
     assert any(each.sensor.range is not None for each in held_out.values())
     assert any(each.sensor.quantum for each in held_out.values())
+    assert any(each.sensor.load_friction for each in held_out.values())
+    assert any(each.actuator and each.sensor.kind == "play" for each in held_out.values())
     truths = [
         {repr((each.plant, each.sensor, each.actuator)) for each in of.values()}
         for of in (tuning_on, held_out)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import re
 import shlex
 import subprocess
@@ -14,6 +13,7 @@ from typing import get_args
 
 import pytest
 
+from tools import script_of_docs
 from undeadzone.controllers import ControllerOptions
 from undeadzone.observers import ObserverOptions
 
@@ -105,11 +105,7 @@ def numbers(lines: list[str]) -> list[float]:
 
 
 def test_scenario_page_is_up_to_date() -> None:
-    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs" / "reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script_of_docs("reference")
     assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run: python docs/reference.py"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 from pathlib import Path
@@ -14,6 +13,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 import undeadzone as uz
+from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.identification.ahead import disturbance_ahead
@@ -34,7 +34,6 @@ from undeadzone.support.arrays import Floats
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05
 START = np.zeros(1, int)
-ROOT = Path(__file__).parents[1]
 NUMBER = r"-?\d+\.?\d*"
 
 
@@ -362,11 +361,7 @@ def test_commands_take_the_scenario_of_an_actuator(
 
 
 def test_pictures_are_up_to_date() -> None:
-    spec = importlib.util.spec_from_file_location("signatures", ROOT / "docs" / "signatures.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script_of_docs("signatures")
     for name, text in module.pictures().items():
         shown = (module.FOLDER / name).read_text(encoding="utf-8")
         words, numbers = (re.sub(NUMBER, "#", one) for one in (shown, text)), []

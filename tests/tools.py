@@ -1,11 +1,26 @@
-"""Programs that some tests need: they skip by name, or fail where these are required."""
+"""Programs that some tests need, which skip by name or fail where required; scripts of docs/."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
 
 import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def script_of_docs(name: str) -> Any:
+    """The module of a script in docs/, which is no package."""
+    spec = spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def require(group: str, missing: list[str]) -> None:

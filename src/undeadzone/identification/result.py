@@ -16,8 +16,9 @@ from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_smoother import smoothed_with_spread
 from undeadzone.identification.plant_fit import Simulator
-from undeadzone.identification.summary import in_words, numbers
+from undeadzone.identification.summary import numbers
 from undeadzone.identification.to_scenario import scenario_text
+from undeadzone.identification.words import in_words
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
