@@ -25,6 +25,7 @@ from undeadzone.sensor import Zone, present, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
+FEWEST = 1e-6  # of known^3 - known, which is 0 for one reading: its line has no slope
 ROUNDING = 1e-12  # share of a reading by which it may change without motion
 # Methods that form their innovation on a side and take silence for a bound, or do not ask.
 HEARERS = (
@@ -66,7 +67,7 @@ class State(NamedTuple):
         observer: the observer's.
         level, slope: of the fading line through the readings, and by how much it rises in a step
             (p) [y]; of exact readings the last one, and 0.
-        known: 1 where there is a level (p).
+        known: how many readings the level rests on, at most `window` (p).
         ahead: by how much z^ moves until the next reading (p) [z].
         refused: readings that the observer had refused so far (p).
     """
@@ -146,9 +147,8 @@ def step_by_motion(
     if estimate.refused.shape[0]:
         refused = estimate.refused
         regular = ca.logic_and(seen, refused == s.refused)
-    level, slope = followed(sensor, motion, s, y, regular)
-    # what is missing, or was refused, tells nothing of the motion after it
-    after = State(moved, level, slope, ca.if_else(regular, 1.0, 0.0), ahead, refused)
+    line = followed(sensor, motion, s, y, regular)
+    after = State(moved, *line, ahead, refused)
     return after, estimate._replace(contact=taken.side)
 
 
@@ -181,21 +181,39 @@ def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
 
 
 def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Output i by the slope of the readings before, if z^ moves the same way."""
-    moving = side(s.slope[i] * q.window, q.threshold[i])
+    """Output i by the slope of the readings before, if z^ moves the same way.
+
+    The variance of a slope through few readings is larger, by window^3 / (known^3 - known).
+    """
+    few = ca.fmax(s.known[i] ** 3 - s.known[i], FEWEST)
+    uncertain = ca.fmax(q.window**3 / few, 1.0)
+    moving = side(s.slope[i] * q.window, q.threshold[i] * ca.sqrt(uncertain))
     return ca.if_else(moving * s.ahead[i] > 0, moving, 0.0), y[i], 0.0
 
 
-def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any]:
-    """(level, slope) of the readings so far (p each); a new beginning where none was known."""
+def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
+    """(level, slope, known) of the readings so far (p each); a new beginning where none was known.
+
+    The line through the first readings is the straight one, until the fading one forgets faster. It
+    goes on where a noisy reading is missing or was refused, and rests on one less; what is missing
+    of others tells nothing of the motion after it.
+    """
     expected = s.level + s.slope
     residual = y - expected
     noisy = sensor.noise > 0
-    level = ca.if_else(noisy, expected + q.gains[0] * residual, y)
-    slope = ca.if_else(noisy, s.slope + q.gains[1] * residual, 0.0)
+    one, two = s.known + 1, s.known + 2
+    at_level = ca.fmax(q.gains[0], 2 * (2 * s.known + 1) / (one * two))
+    at_slope = ca.fmax(q.gains[1], 6 / (one * two))
+    level = ca.if_else(noisy, expected + at_level * residual, y)
+    slope = ca.if_else(noisy, s.slope + at_slope * residual, 0.0)
     level = ca.if_else(s.known, level, y)
     slope = ca.if_else(s.known, slope, 0.0)
-    return ca.if_else(regular, level, 0.0), ca.if_else(regular, slope, 0.0)
+    lasting = noisy * ca.fmax(s.known - 1, 0.0)
+    return (
+        ca.if_else(regular, level, noisy * expected),
+        ca.if_else(regular, slope, noisy * s.slope),
+        ca.if_else(regular, ca.fmin(s.known + 1, q.window), lasting),
+    )
 
 
 def require_hearer(options: Any, sensor_kind: str) -> None:
