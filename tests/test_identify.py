@@ -305,16 +305,16 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     data, numbers = objective.data, objective.numbers
     lane = objective.lane(p)
     F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
-    q2, r2, right, left, _, first, first_w = lane[numbers.lane_q :]
+    q2, r2, right, left, _, first, first_w, slack = lane[numbers.lane_q :]
     x = np.zeros(len(F))
     P = np.diag([first] * numbers.n + [first_w] * (numbers.model > 0))
     covariances, gs = [], []
-    for u, y, side in zip(data.u, data.y, data.side, strict=True):
+    for u, y, side in zip(data.u, objective.data.y, data.side, strict=True):
         covariances.append(P)
         PH = P @ H[0]
         s = math.sqrt(H[0] @ PH + r2)
         mean = H[0] @ x
-        a, b = (right - mean) / s, (-left - mean) / s
+        a, b = (y + right + slack - mean) / s, (y - left - slack - mean) / s
         g, k = (y + right * (side > 0) - left * (side < 0) - mean) / s, 1.0
         if side == 0:
             mass = ndtr(a) - ndtr(b) if b < 0 else ndtr(-b) - ndtr(-a)
@@ -327,11 +327,16 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     return np.array(covariances), np.array(gs)
 
 
+@pytest.mark.parametrize("slack", [0.0, 0.1])
 @pytest.mark.parametrize("model", [0, 1, 2])
-def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
+def test_compiled_filter_agrees_with_the_plain_one(model: int, slack: float) -> None:
+    """Of a dead zone, and of a play that holds at a level, which has a slack."""
     _, u, y, _ = record(size=300, disturbance=0.3)
     data = data_of(u, y)
-    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
+    if slack:
+        held = 0.3 * np.sin(np.arange(300) / 20)
+        data = data._replace(y=np.where(data.side == 0, held, data.y))
+    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits(), slack)
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
     covariances, g = plain_filter(objective, p)
     fit = KalmanFit(objective, p, 0.0)
@@ -350,7 +355,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
     lane = objective.lane(p)
     F, B, G, H = matrices(2, 1, model, lane)
-    q2, r2, *_, first, first_w = lane[objective.numbers.lane_q :]
+    q2, r2, *_, first, first_w, _ = lane[objective.numbers.lane_q :]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])
     for t in range(39):

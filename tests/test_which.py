@@ -25,9 +25,13 @@ from undeadzone.identification.four_offsets import (
     four_offsets,
     named,
 )
+from undeadzone.identification.kalman_fit import climbed
+from undeadzone.identification.kalman_likelihood import KalmanObjective
 from undeadzone.identification.motion import Sensing, moved_before, sensing, sides, white_noise
+from undeadzone.identification.objective import Limits
 from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.play_model import PlayModel
+from undeadzone.identification.play_likelihood import fit_ticks, ticks_of
+from undeadzone.identification.play_model import PlayModel, fit_play
 from undeadzone.scenario.reader import read
 from undeadzone.support.arrays import Floats
 
@@ -58,6 +62,12 @@ def disturbed(rng: np.random.Generator, rms: float, size: int = 1000) -> Floats:
     w = lfilter([1.0], [1.0, -0.8], rng.standard_normal(size + 200))
     w = lfilter(np.append(0.0, B), np.append(1.0, A), w)[200:]
     return np.asarray(rms * w / w.std())
+
+
+def logged(u: Floats, y: Floats) -> Data:
+    """A record as it is, without scales."""
+    side = np.sign(y).astype(int)
+    return Data(u[:, None], y, np.ones(y.size, bool), START, side, False, np.ones(1), 1.0)
 
 
 def loop(kind: str, a0: float, seed: int) -> tuple[Moving, Floats, Floats, Floats]:
@@ -200,6 +210,39 @@ def test_the_gap_of_a_play_is_found(seed: int) -> None:
     states = found.states()
     error = (states.z - z - w)[100:]
     assert np.mean(np.abs(error) < 1.96 * states.z_std[100:]) > 0.85
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.05])
+def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) -> None:
+    """(L4) over eight logs; without what holds gaps are too small, and least squares err more."""
+    errors = []
+    for seed in range(8):
+        rng, u, z = driven(50 + seed)
+        level = through(z + disturbed(rng, 0.08), (0.3, 0.25), (0.0, 0.0))
+        data = logged(u, quantum * np.round(level / quantum) if quantum else level)
+        fit = fit_play(data, [2], 0)[0]
+        how = ticks_of(data, quantum)
+        ticks = fit_ticks([fit], how)
+        heard = ticks.kalman.objective.data
+        moving = heard._replace(ok=heard.ok & (heard.side != 0))
+        kind, layout = ticks.kalman.model, fit.model.simulator.layout
+        deaf = KalmanObjective(moving, layout, kind, Limits())
+        widths = slice(deaf.numbers.log_q + 2, deaf.numbers.log_q + 4)
+        found = [
+            fit.theta[fit.model.base : fit.model.base + 2],
+            ticks.kalman.p[widths],
+            climbed(deaf, ticks.kalman.p, 50).theta[widths],
+        ]
+        errors.append([float(np.sum(one)) - 0.55 for one in found])
+    least_squares, by_ticks, _ = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert by_ticks < (0.6 if quantum else 0.1) * least_squares
+    hearing, deafness = np.mean(errors, axis=0)[1:]
+    assert hearing - deafness > 0.4 * by_ticks
+
+
+def test_noisy_readings_have_no_ticks() -> None:
+    noisy = np.random.default_rng(0).standard_normal(400)
+    assert ticks_of(logged(noisy, noisy), 0.0) is None
 
 
 def test_what_has_no_play_is_given_none() -> None:

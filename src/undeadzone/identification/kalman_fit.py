@@ -97,19 +97,19 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
     for model in (WHITE, AT_INPUT, AT_OUTPUT):
         objective = KalmanObjective(part, layout, model, fit.objective.limits)
         begun = [objective.start(fit, share) for share in SHARES]
-        tops = [_climbed(objective, p, 12) for p in begun if objective.admissible(p)]
+        tops = [climbed(objective, p, 12) for p in begun if objective.admissible(p)]
         if not tops:
             continue
         best = max(tops, key=lambda top: top.value)
-        top = _climbed(objective, best.theta, 50)
+        top = climbed(objective, best.theta, 50)
         if part is not data:
             objective = KalmanObjective(data, layout, model, fit.objective.limits)
-            top = _climbed(objective, top.theta, 50)
+            top = climbed(objective, top.theta, 50)
         fits.append(KalmanFit(objective, top.theta, top.value))
     return sorted(fits, key=lambda one: one.bic)
 
 
-def _climbed(objective: KalmanObjective, p: Floats, steps: int) -> Top:
+def climbed(objective: KalmanObjective, p: Floats, steps: int) -> Top:
     """The top that a climb from p reaches."""
     longest = np.full(objective.numbers.size, np.inf)
     longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0

@@ -47,7 +47,7 @@ class Numbers(NamedTuple):
 
     @property
     def lane_q(self) -> int:
-        """q^2 among the numbers of a lane; r^2, d_r, d_l, phi and variances at first follow."""
+        """q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first, slack follow."""
         return self.n * (1 + self.m)
 
     @property
@@ -64,13 +64,17 @@ class KalmanObjective:
         layout: order, inputs and integrators of the plant.
         model: WHITE, AT_INPUT or AT_OUTPUT.
         limits: of the widths.
+        slack: by how much what a play passes on may be beside a reading that holds.
     """
 
-    def __init__(self, data: Data, layout: Layout, model: int, limits: Limits) -> None:
+    def __init__(
+        self, data: Data, layout: Layout, model: int, limits: Limits, slack: float = 0.0
+    ) -> None:
         self.data = data
         self.layout = layout
         self.numbers = Numbers(layout.n, layout.m, model, layout.integrators)
         self.limits = limits
+        self.slack = slack
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
         rows = [data.u, data.y, data.side, data.ok, starts]
@@ -105,7 +109,7 @@ class KalmanObjective:
         r = max(math.exp(log_r), QUIETEST)
         phi = math.tanh(p[-1]) if numbers.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
-        tail = [q * q, r * r, right, left, phi, 5.0, at_first]
+        tail = [q * q, r * r, right, left, phi, 5.0, at_first, self.slack]
         a = self.layout.denominator(p[: numbers.moving])
         return np.concatenate([a, p[numbers.moving : numbers.log_q], tail])
 
@@ -165,13 +169,28 @@ class KalmanObjective:
 
     def start(self, fit: Fit, share: float) -> Floats:
         """Numbers from a fit of (L2), that share of its disturbance coming from the model."""
+        right = fit.objective.layout.right
+        widths = fit.theta[right : right + 2]
+        white = math.sqrt(1 - share) * fit.s
+        return self.begun(fit.theta, widths, math.sqrt(share) * fit.s, white, fit.rho)
+
+    def begun(
+        self, plant: Floats, widths: Floats, disturbance: float, white: float, rho: float
+    ) -> Floats:
+        """Numbers where a climb starts.
+
+        Args:
+            plant: a, b, ...
+            widths: d_r, d_l.
+            disturbance: rms of what it makes of z.
+            white: rms of white noise.
+            rho: correlation of the disturbance over one sample, as far as it is known.
+        """
         numbers = self.numbers
-        layout = fit.objective.layout
         p = np.zeros(numbers.size)
-        p[: numbers.log_q] = fit.theta[: numbers.log_q]
-        disturbance = math.sqrt(share) * fit.s
-        white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
-        phi = min(max(fit.rho, 0.5), 0.99)
+        p[: numbers.log_q] = plant[: numbers.log_q]
+        white = max(white, 2 * QUIETEST)
+        phi = min(max(rho, 0.5), 0.99)
         gain = math.sqrt(self._gain(p, phi if numbers.model == AT_INPUT else 0.0))
         root = math.sqrt(1 - phi * phi)
         if numbers.model == AT_OUTPUT:
@@ -181,7 +200,7 @@ class KalmanObjective:
         else:
             log_q = math.log(disturbance / gain)
         p[numbers.log_q : numbers.log_q + 2] = log_q, math.log(white)
-        p[numbers.log_q + 2 : numbers.log_q + 4] = fit.theta[layout.right : layout.right + 2]
+        p[numbers.log_q + 2 : numbers.log_q + 4] = widths
         if numbers.model:
             p[-1] = math.atanh(phi)
         return p

@@ -44,12 +44,17 @@ def log_mass(a: Any, b: Any) -> Any:
 
 
 class Correction:
-    """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2."""
+    """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
 
-    def __init__(self, y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> None:
+    Without a side the reading is a level that z is near: 0 in a dead zone, y where a play holds.
+    """
+
+    def __init__(
+        self, y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any, slack: Any
+    ) -> None:
         speaks = side != 0
         v = (y + right * (side > 0) - left * (side < 0) - mean) / s
-        a, b = (right - mean) / s, (-left - mean) / s
+        a, b = (y + right + slack - mean) / s, (y - left - slack - mean) / s
         mass = log_mass(a, b)
         at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
         at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
@@ -78,7 +83,8 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> Kernel:
     Returns:
         A kernel whose state is (x, P column by column, upper part), whose inputs are (u, y, side,
         ok, start), whose lanes differ in (a, b input by input, q^2, r^2, d_r, d_l, phi, variance
-        of x and of the disturbance at first), and whose output is the log density.
+        of x and of the disturbance at first, slack of a level), and whose output is the log
+        density.
     """
     size = n + (model > 0)
     triangle = []
@@ -86,9 +92,9 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> Kernel:
         triangle += [(i, j) for i in range(j + 1)]
     state = ca.SX.sym("s", size + len(triangle))
     exogenous = ca.SX.sym("w", m + 4)
-    numbers = ca.SX.sym("p", n + m * n + 7)
+    numbers = ca.SX.sym("p", n + m * n + 8)
     F, B, G, H = matrices(n, m, model, numbers)
-    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
+    q2, r2, right, left, _, first, first_w, slack = ca.vertsplit(numbers[n + m * n :])
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
@@ -103,7 +109,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> Kernel:
     S = H @ PH + r2
     lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
+    by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left, slack)
     g, k = ok * by_reading.g, ok * by_reading.k
     before = [x, *[P[i, j] for i, j in triangle]]
     x = x + PH * g / s

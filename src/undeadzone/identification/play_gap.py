@@ -4,7 +4,8 @@ Noise behind a play leaves least squares consistent. A disturbance ahead of it d
 more turns, and the gap comes out too small. So logs with the plant, the gap and the disturbance of
 the fit are simulated and fitted in the same way, and the numbers are moved until the mean of these
 fits is the fit of the log (indirect inference: Gourieroux, Monfort and Renault 1993). The spread of
-the fits is a second opinion on the interval.
+the fits is a second opinion on the interval. Where each change of the readings shows motion, (L4)
+finds the gap, and simulated logs show the little bias that it has.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ import numpy as np
 from undeadzone.identification.ahead import Ahead, disturbance_ahead, shaped, white
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.long_run import quantile
-from undeadzone.identification.motion import sensing, white_noise
+from undeadzone.identification.motion import Sensing, sensing, white_noise
+from undeadzone.identification.play_likelihood import (
+    TickFit,
+    disturbance_of,
+    fit_ticks,
+    simulated,
+    ticks_of,
+)
 from undeadzone.identification.play_model import PlayFit, PlayModel
 from undeadzone.support.arrays import Floats
 
@@ -65,11 +73,14 @@ class Gap(NamedTuple):
         return self.fit.model
 
 
-def find_gap(fit: PlayFit, quantum: float, advance: Callable[[int], None]) -> Gap:
+def find_gap(
+    fit: PlayFit, others: list[PlayFit], quantum: float, advance: Callable[[int], None]
+) -> Gap:
     """The numbers of a play with their intervals.
 
     Args:
         fit: least squares.
+        others: the same of other orders, without a dead zone.
         quantum: of the readings, scaled; 0: none.
         advance: called with the number of steps just done.
 
@@ -85,6 +96,12 @@ def find_gap(fit: PlayFit, quantum: float, advance: Callable[[int], None]) -> Ga
         advance(1)
         intervals = _intervals(theta, model, halves)
         return Gap(fit, theta, intervals, spread.V[:count, :count], None, noise, True)
+    how = None if model.zone else ticks_of(model.data, quantum)
+    ticks = None if how is None else fit_ticks([fit, *others], how)
+    if ticks is not None and how is not None:
+        gap = _of_ticks(ticks, how)
+        advance(1)
+        return gap
     ahead = disturbance_ahead(model.simulator.layout, theta, model.residual(theta), model.data.ok)
     moved, fits, ahead = _matched(fit, noise, quantum, ahead)
     advance(1)
@@ -97,6 +114,27 @@ def find_gap(fit: PlayFit, quantum: float, advance: Callable[[int], None]) -> Ga
         halves[name] = math.hypot(own, float(weights @ (moved - theta)))
     intervals = _intervals(moved, model, halves)
     return Gap(fit, moved, intervals, scatter[:count, :count], ahead, noise, ahead.rms < STRONGEST)
+
+
+def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
+    """The numbers by (L4), corrected by what it makes of simulated logs."""
+    model, kalman = fit.play.model, fit.kalman
+    found = simulated(fit, how, RUNS)
+    moved = fit.theta
+    bias = found.mean(axis=0) - moved[model.base : model.base + 2]
+    moved[model.base : model.base + 2] -= bias
+    spread = kalman.objective.spread(kalman.p)
+    halves = {"zone": 0.0}
+    for name in ("right", "left", "width", "centre"):
+        row = np.array(ROWS[name][:2])
+        std = float(np.std(found @ row, ddof=1)) * math.sqrt(1 + 1 / RUNS)
+        own = max(spread.half_width(kalman.direction(*row)), quantile(RUNS - 1) * std)
+        halves[name] = math.hypot(own, float(row @ bias))
+    intervals = _intervals(model.project(moved), model, halves)
+    count = model.simulator.layout.b.stop
+    ahead = disturbance_of(kalman)
+    V, sure = spread.V[:count, :count], ahead.rms < STRONGEST
+    return Gap(fit.play, model.project(moved), intervals, V, ahead, 0.0, sure)
 
 
 def noise_of(model: PlayModel, quantum: float) -> float:

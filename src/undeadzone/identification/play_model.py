@@ -187,20 +187,23 @@ class PlayFit(NamedTuple):
     density: Density
 
 
-def fit_play(data: Data, orders: list[int], integrators: int) -> PlayFit | None:
-    """The play behind the plant of least BIC; None where no stable plant fits.
+def fit_play(data: Data, orders: list[int], integrators: int) -> list[PlayFit]:
+    """The play behind a plant of each order, the one of least BIC first.
 
     Args:
         data: the records.
         orders: of the plant, to be tried.
         integrators: of the plant.
+
+    Returns:
+        One fit an order; those without a stable plant are left out.
     """
     fits = []
     for n in orders:
         model = PlayModel(Simulator(data, n, integrators))
         linear = fit_linear(model.simulator, data.ok)
         fits.append(_best(model, _starts(model, linear)))
-    return _least(fits)
+    return _ranked(fits)
 
 
 def fit_both(begun: list[PlayFit | Fit]) -> PlayFit | None:
@@ -221,7 +224,7 @@ def fit_both(begun: list[PlayFit | Fit]) -> PlayFit | None:
                 widths = [0.8 * half, 0.8 * half, width, width]
             starts.append(np.append(one.theta[: model.base], widths))
         fits.append(_best(model, starts))
-    return _least(fits)
+    return next(iter(_ranked(fits)), None)
 
 
 def _starts(model: PlayModel, linear: Fit) -> list[Floats]:
@@ -252,7 +255,6 @@ def density_of(model: PlayModel, theta: Floats) -> Density:
     return density._replace(strange=is_strange(*curve_over(model.z(theta)[ok], e[ok])))
 
 
-def _least(fits: list[PlayFit | None]) -> PlayFit | None:
-    """The fit of least BIC."""
-    known = [one for one in fits if one is not None]
-    return min(known, key=lambda one: one.density.bic, default=None)
+def _ranked(fits: list[PlayFit | None]) -> list[PlayFit]:
+    """The fits that there are, that of least BIC first."""
+    return sorted((one for one in fits if one is not None), key=lambda one: one.density.bic)

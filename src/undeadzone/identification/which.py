@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -11,11 +10,9 @@ import numpy as np
 from undeadzone.identification.element import Element, is_there, of_input_zone, of_play
 from undeadzone.identification.first_fit import GLITCH, RARE
 from undeadzone.identification.fit import Fit
-from undeadzone.identification.four_offsets import Moving, Offsets, four_offsets
+from undeadzone.identification.four_offsets import Offsets
 from undeadzone.identification.input_zone import find_input_zone
-from undeadzone.identification.kalman_likelihood import input_gain
-from undeadzone.identification.kalman_step import matrices
-from undeadzone.identification.motion import sensing, turns_between, white_noise
+from undeadzone.identification.offsets_along import along
 from undeadzone.identification.options import Options
 from undeadzone.identification.orders import OrderFit
 from undeadzone.identification.plant_fit import Data, Simulator
@@ -24,11 +21,9 @@ from undeadzone.identification.play_model import PlayFit, density_of, fit_both, 
 from undeadzone.identification.records import part_of, reduced
 from undeadzone.identification.static_rivals import CLEARLY, Density, compare_statistic
 from undeadzone.identification.verdict import LEAST, Verdict
-from undeadzone.support.arrays import Floats
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
-QUIETEST = 1e-3  # least noise and disturbance that the filter is told, in rms of y
-AT_FIRST = 5.0  # standard deviation of a state at first, in rms of y
+QUIETEST = 1e-3  # least rms from which readings are counted as odd, in rms of y
 
 
 class Which(NamedTuple):
@@ -93,23 +88,23 @@ def find_play(
     plays = []
     for data in logs:
         fitted = fit_play(part_of(data), orders, options.integrators)
-        if fitted is not None and fitted.density.value.size == rivals["none"].value.size:
-            plays.append((_without_glitches(fitted), data))
+        if fitted and fitted[0].density.value.size == rivals["none"].value.size:
+            plays.append((_without_glitches(fitted[0]), fitted[1:], data))
     if not plays:
         return Which(verdict, None, offsets)
-    play, whole = min(plays, key=lambda one: one[0].density.bic)
+    play, others, whole = min(plays, key=lambda one: one[0].density.bic)
     same = [reduced(one.pairs) for one in fits] if whole is logs[-1] else []
     both = fit_both([play, *same])
     best = _better(play, both, rivals, options.kind == "play")
     if best is None:
         return Which(verdict, None, offsets)
-    gap = find_gap(best, quantum, advance)
+    gap = find_gap(best, others, quantum, advance)
     offsets = of_gap(gap, quantum)
     if best.model.zone and not _both_there(gap, offsets):
         best = play
         if _better(play, None, rivals, options.kind == "play") is None:
             return Which(verdict, None, offsets)
-        gap = find_gap(best, quantum, advance)
+        gap = find_gap(best, others, quantum, advance)
         offsets = of_gap(gap, quantum)
     if not best.model.zone and not is_there(gap.intervals["width"], LEAST_GAP) and gap.sure:
         return Which(_no_gap(verdict, gap), None, offsets)
@@ -195,7 +190,7 @@ def of_gap(gap: Gap, quantum: float) -> Offsets:
         gap: play, or play and dead zone.
         quantum: of the readings, scaled.
     """
-    return _along(gap.model.simulator, gap.theta, gap.model.rms(gap.fit.theta), quantum)
+    return along(gap.model.simulator, gap.theta, gap.model.rms(gap.fit.theta), quantum)
 
 
 def of_zone(fit: Fit, quantum: float) -> Offsets:
@@ -205,36 +200,7 @@ def of_zone(fit: Fit, quantum: float) -> Offsets:
         fit: plant and zone.
         quantum: of the readings, scaled.
     """
-    return _along(fit.objective.simulator, fit.theta, fit.s, quantum)
-
-
-def _along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Offsets:
-    """The four offsets, with a fitted plant taken for known."""
-    data = simulator.data
-    z = simulator.z(np.append(theta[: simulator.layout.right], np.zeros(4)))
-    longest = turns_between(z) / 8
-    how = sensing(data.y, data.ok, data.start, quantum, longest)
-    plant = moving(simulator, theta, rms, white_noise(data.y, data.ok, data.start))
-    return four_offsets(plant, data.u, data.y, data.ok, data.start, how)
-
-
-def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Moving:
-    """A fitted plant as the filter of the four offsets takes it.
-
-    Args:
-        simulator: the plant.
-        theta: its numbers.
-        rms: of what the fit leaves: white noise at the inputs makes as much of z.
-        noise: rms of the readings' white noise.
-    """
-    layout = simulator.layout
-    numbers = np.concatenate([layout.denominator(theta[layout.a]), theta[layout.b], np.zeros(5)])
-    F, B, G, H = matrices(layout.n, layout.m, 0, numbers)
-    power = 1.0
-    if not layout.integrators:
-        power = input_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
-    q = max(rms, QUIETEST) / math.sqrt(max(power, 1e-9))
-    return Moving(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, QUIETEST))
+    return along(fit.objective.simulator, fit.theta, fit.s, quantum)
 
 
 def find_actuator(verdict: Verdict, fits: list[OrderFit], offsets: Offsets | None) -> Which:
