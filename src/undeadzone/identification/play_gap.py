@@ -35,6 +35,7 @@ ROUNDS = 3
 STEPS = 8
 MOST = 2.0  # factor of the disturbance in a round
 STRONGEST = 0.2  # rms of a disturbance ahead, in rms of y, above which no gap is given
+STRONGEST_OF_BOTH = 0.15  # the same where a dead zone follows, which makes y smaller
 FINEST = 2e-4  # rms of y: no interval is narrower
 
 ROWS = {
@@ -113,7 +114,8 @@ def find_gap(
         own = max(halves[name], quantile(RUNS - 1) * std)
         halves[name] = math.hypot(own, float(weights @ (moved - theta)))
     intervals = _intervals(moved, model, halves)
-    return Gap(fit, moved, intervals, scatter[:count, :count], ahead, noise, ahead.rms < STRONGEST)
+    most = STRONGEST_OF_BOTH if model.zone else STRONGEST
+    return Gap(fit, moved, intervals, scatter[:count, :count], ahead, noise, ahead.rms < most)
 
 
 def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
@@ -163,12 +165,18 @@ def _matched(
         fits, residuals = _refitted(model, theta, w, behind, quantum)
         remains = _unexplained(float(np.sqrt(np.mean(residuals**2))), noise)
         rms *= min(math.sqrt(left / remains), MOST)
-        trial = model.project(theta + fit.theta - fits.mean(axis=0))
-        if not math.isfinite(model.value(trial)):
-            break
-        theta = trial
+        theta = _moved(model, theta, fit.theta - fits.mean(axis=0))
     gain = ahead.at_input / max(ahead.rms, 1e-300)
     return theta, fits, Ahead(rms, ahead.phi, rms * gain)
+
+
+def _moved(model: PlayModel, theta: Floats, step: Floats) -> Floats:
+    """theta moved by a step; the widths alone where the plant would leave what is admissible."""
+    trial = model.project(theta + step)
+    if math.isfinite(model.value(trial)):
+        return trial
+    of_widths = np.where(np.arange(step.size) < model.base, 0.0, step)
+    return model.project(theta + of_widths)
 
 
 def _unexplained(rms: float, noise: float) -> float:
