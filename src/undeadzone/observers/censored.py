@@ -27,6 +27,7 @@ from undeadzone.observers.parts.unknown_inputs import (
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
+from undeadzone.plants.time_scales import arrival
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
@@ -91,7 +92,8 @@ class Censored(
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         calibrated = self._checked()
-        usual = default_disturbance(model, prior.ranges.max(), correlation)
+        reached = arrival(model.flow, Ts)
+        usual = default_disturbance(model, prior.ranges.max(), correlation, reached)
         rms = _per_input("disturbance", self.disturbance, usual)
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
