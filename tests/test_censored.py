@@ -120,6 +120,7 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
         [on_numbers(observer, model) for observer in pair],
         [observer.init(observer.params) for observer in pair],
     )
+    least = np.inf
     for _ in range(30):
         y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
         both = [
@@ -128,7 +129,8 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
         ]
         states = [after for after, _ in both]
         assert all(np.array_equal(a, b) for a, b in zip(both[0][1], both[1][1], strict=True))
-    assert (both[0][1].x_std < 2.0).any()
+        least = min(least, both[0][1].x_std.min())
+    assert least < 2.0
 
 
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
