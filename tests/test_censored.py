@@ -768,9 +768,10 @@ def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> N
     assert 0.949 <= held <= 0.985
 
 
-def test_a_default_disturbance_is_known_within_wider_bounds_than_a_claim() -> None:
+def test_levels_lie_about_the_claim_and_wider_about_the_default() -> None:
+    np.testing.assert_allclose(Censored(right=[0, 2], disturbance=1.0)._factors(), [4, 1, 1 / 4])
     np.testing.assert_allclose(
-        Censored(right=[0, 2], disturbance=1.0)._factors(), [1, 1 / 4, 1 / 16]
+        Censored(right=[0, 2], disturbance=1.0, levels=2)._factors(), [1, 1 / 4]
     )
     np.testing.assert_allclose(Censored(right=[0, 2])._factors(), [4, 0.5**0.5, 1 / 8])
 
