@@ -456,7 +456,7 @@ def fed(options: Any, where: Zone, u: Floats, y: Floats) -> tuple[list[Any], lis
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_the_readings_tell_how_strong_the_disturbance_is(level: int) -> None:
     where = zone(noise=0.01)
-    u, y = drawn(MODEL, where, 4.0 / 4**level, 20.0, 5)
+    u, y = drawn(MODEL, where, 4.0 * 4 / 4**level, 20.0, 5)
     states, _ = fed(Censored(**EXACT | {"disturbance": 4.0}, correlation_time=0.2), where, u, y)
     assert states[-1].filter.odds.argmax() == level
 
