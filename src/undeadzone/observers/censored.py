@@ -59,7 +59,7 @@ class Censored(
             three or more, four times the claimed one first, the claimed one, and each a quarter of
             the one before; if none is claimed, from four times the default to an eighth of it.
             1 takes the claim or default as it is.
-        silence: false ignores the silent samples, and the ranges but as a prior.
+        silence: false ignores what silent samples bound, and the ranges but as a prior.
     """
 
     washout_time: float | None = None
