@@ -63,7 +63,9 @@ KINDS = {
     "10 % are 0": Kind(spoil=tenth_of(zeros)),
     "10 % random": Kind(spoil=tenth_of(anywhere)),
     "model error doubled": Kind(error=2.0),
+    "gust a sixteenth": Kind(gust=1 / 16),
     "gust doubled": Kind(gust=2.0),
+    "gust fourfold": Kind(gust=4.0),
     "gust steps by 2 rms": Kind(gust_step=2.0),
     "bias steps by 5 rms": Kind(bias_step=5.0),
 }

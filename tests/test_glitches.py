@@ -129,15 +129,17 @@ def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
 # --- Over random problems
 
 
-@pytest.mark.parametrize("kind", ["one of 1e299", "five alike", "10 % are 0"])
-def test_wrong_readings_cost_next_to_nothing(kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "most"), [("one of 1e299", 1.3), ("five alike", 1.3), ("10 % are 0", 1.6)]
+)
+def test_wrong_readings_cost_next_to_nothing(kind: str, most: float) -> None:
     spoil, _ = glitches.KINDS[kind]
     posed = coverage.problems("both edges", glitches.SHAKEN, 2, 80, 4)
     clean = glitches.observe(coverage.censored, posed)
     wrong = spoil(np.random.default_rng(5), posed.y)
     outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))
     assert np.median(outcome.rms / clean.rms) < 1.05
-    assert np.quantile(outcome.rms / clean.rms, 0.9) < 1.3
+    assert np.quantile(outcome.rms / clean.rms, 0.9) < most
     assert outcome.verdict.covered().min() > clean.verdict.covered().min() - 0.04
 
 

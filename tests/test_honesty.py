@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import casadi as ca
+import msgspec
 import numpy as np
 import pytest
 from benchmarks import coverage, glitches, honest_problems
@@ -19,7 +20,10 @@ from undeadzone.interfaces import Estimate, NumericObserver, Reading
 from undeadzone.linear.hold import zoh
 from undeadzone.numerics.doubtful import truncate_unless_fake, update_unless_glitch
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
+from undeadzone.plants.time_scales import arrival
 from undeadzone.sensor import resolve
 from undeadzone.support.arrays import Floats
 
@@ -238,6 +242,65 @@ def test_a_tenth_of_wrong_readings_costs_little_under_default_claims() -> None:
     ratio = outcome.rms / clean.rms
     assert np.median(ratio) < 1.1
     assert np.quantile(ratio, 0.9) < 2.0
+
+
+def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
+    """Half of the runs were flagged, and a tenth of the errors hundreds of times the usual."""
+    posed = coverage.problems("both edges", glitches.QUIET, 2, 100, 31)
+    usual = glitches.observe(coverage.kalman, posed)
+    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
+    outcome = glitches.observe(coverage.kalman, posed._replace(y=wrong))
+    assert outcome.verdict.covered().min() >= 0.9
+    assert np.mean(outcome.consistent == 0) <= 0.25
+    ratio = outcome.rms / usual.rms
+    assert np.median(ratio) < 1.5
+    assert np.quantile(ratio, 0.9) < 10.0
+
+
+# --- Claims of a disturbance that are too small, and defaults
+
+
+def test_a_gust_four_times_the_claim_is_followed() -> None:
+    """Without a level above the claim z^ is off by a third more, and intervals are far wider."""
+    posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 80, 6)
+    told = glitches.observe(glitches.doubting, posed)
+
+    def right(known: coverage.Problems, k: int) -> Any:
+        claims = glitches.doubting(known, k)
+        return msgspec.structs.replace(claims, disturbance=4.0 * known.disturbance[k])
+
+    knowing = glitches.observe(right, posed)
+    assert told.verdict.covered().min() >= 0.88
+    assert np.mean(told.consistent == 0) <= 0.3
+    assert np.median(told.rms / knowing.rms) < 1.1
+    widths = told.verdict.stds[:, :2] / knowing.verdict.stds[:, :2]
+    assert np.median(widths) < 1.3
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_a_default_disturbance_is_as_strong_whatever_the_order(order: int) -> None:
+    """Of equal poles and gain 1: the same input, though a quarter period shows little of it."""
+    moved = []
+    for n in (1, order):
+        a = np.poly([-1.0] * n)[:0:-1]
+        A, B = np.eye(n, k=1), np.eye(n)[:, -1:]
+        A[-1] = -a
+        plant = sampled(system(Plant(A=A, B=B, C=np.eye(n)[:1])), 0.01)
+        observer = uz.Censored(right=[0.0, 1.0]).build(
+            plant, resolve(uz.Sensor(right=0.5, left=0.5), 1, 0.01)
+        )
+        moved.append(float(observer.params.augmentation.variance[0]) ** 0.5)
+    assert 0.7 <= moved[1] / moved[0] <= 2.2
+
+
+def test_integrators_are_no_delay() -> None:
+    """Each pole is: n equal poles reach a quarter period and n - 1 time constants."""
+    for n in (1, 2, 4):
+        flow = system(
+            Plant(A=-3.0 * np.eye(n) + np.eye(n, k=1), B=np.eye(n)[:, -1:], C=np.eye(n)[:1])
+        )
+        assert arrival(flow.linear) == pytest.approx((np.pi / 2 + n - 1) / 3)
+    assert arrival(system(Plant(integrators=3)).linear, 0.01) == pytest.approx(0.5)
 
 
 # --- Late constants

@@ -27,12 +27,14 @@ from undeadzone.observers.parts.unknown_inputs import (
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
+from undeadzone.plants.time_scales import arrival
 from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
 FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
+DOUBTED = 3  # levels from which on one lies above the claim
 LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
@@ -46,17 +48,18 @@ class Censored(
 ):
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
 
-    Sampled time. Defaults doubt: the disturbance moves z by half of the largest width in a quarter
-    period, rms, the bias is a quarter of it, widths walk by a 400th of the largest in 1 / |pole|;
-    0 is a claim.
+    Sampled time. Defaults doubt: the disturbance moves z by half of the largest width, rms, in a
+    quarter period and the delay of the further poles, the bias is a quarter of it, widths walk by a
+    400th of the largest in 1 / |pole|; 0 is a claim.
 
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
             [s]; default none.
-        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): the
-            claimed one, and each a quarter of the one before; if none is claimed, from four times
-            the default to an eighth of it. 1 takes the claim or default as it is.
-        silence: false ignores the silent samples, and the ranges but as a prior.
+        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): of
+            three or more, four times the claimed one first, the claimed one, and each a quarter of
+            the one before; if none is claimed, from four times the default to an eighth of it.
+            1 takes the claim or default as it is.
+        silence: false ignores what silent samples bound, and the ranges but as a prior.
     """
 
     washout_time: float | None = None
@@ -91,7 +94,8 @@ class Censored(
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         calibrated = self._checked()
-        usual = default_disturbance(model, prior.ranges.max(), correlation)
+        reached = arrival(model.flow, Ts)
+        usual = default_disturbance(model, prior.ranges.max(), correlation, reached)
         rms = _per_input("disturbance", self.disturbance, usual)
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
@@ -126,7 +130,8 @@ class Censored(
         """The levels of the disturbance, in its claimed or default rms."""
         if self.disturbance is None:
             return np.geomspace(LARGEST, LEAST, self.levels)
-        return FALL ** -np.arange(self.levels)
+        above = self.levels >= DOUBTED
+        return FALL ** (1.0 * above - np.arange(self.levels))
 
     def _checked(self) -> float:
         """The probability of a calibrated input, once it and the levels are checked."""

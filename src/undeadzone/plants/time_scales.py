@@ -92,6 +92,16 @@ def time_scale(flow: Matrices, Ts: float | None = None) -> float:
     return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
 
 
+def arrival(flow: Matrices, Ts: float | None = None) -> float:
+    """A quarter period, and 1 / |pole| for each further pole that an input passes to an output [s].
+
+    The poles count per output. Until then an input has moved z by about as much of what it will,
+    whatever the order. flow, Ts: as for `time_scale`; integrators are no delay.
+    """
+    further = max(_moving(flow.A).size / flow.C.shape[0] - 1.0, 0.0)
+    return time_scale(flow, Ts) * (1 + 2 / np.pi * further)
+
+
 def pace(flow: Matrices, Ts: float | None = None) -> float:
     """How fast the plant moves [1/s]: |pole| of equal poles, else at least their mean.
 

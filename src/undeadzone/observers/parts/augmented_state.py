@@ -121,16 +121,17 @@ def joint_prior(
     return JointPrior(prior, rms**2, ranges)
 
 
-def agitation(model: System, rms: float) -> Floats:
+def agitation(model: System, rms: float, span: float | None = None) -> Floats:
     """The rms (m) of a disturbance, new at every sample, that alone moves some z by a given rms.
 
     Args:
         model: the sampled model.
-        rms: that of z after a quarter period of the plant [z].
+        rms: that of z in the end [z].
+        span: time that it has [s]; default a quarter period of the plant.
     """
     assert model.flow is not None
     A, B, C = model.flow
-    span = quarter_period(model)
+    span = quarter_period(model) if span is None else span
     reached = []
     for b in B.T:
         _, covariance = sampled_noise(A, np.outer(b, b), span)
@@ -139,7 +140,9 @@ def agitation(model: System, rms: float) -> Floats:
     return rms / np.sqrt(sample_time(model) * variance)
 
 
-def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
+def default_disturbance(
+    model: System, largest: float, correlation: float, span: float | None = None
+) -> Floats:
     """The rms (m) [u] of a coloured disturbance where none is claimed.
 
     At low frequencies it is as strong as a white one that moves z by `SWING` largest widths.
@@ -148,8 +151,10 @@ def default_disturbance(model: System, largest: float, correlation: float) -> Fl
         model: the sampled model.
         largest: largest claimed width [z].
         correlation: correlation time of the disturbance [s].
+        span: time in which it moves z [s]; default a quarter period of the plant.
     """
-    return agitation(model, SWING * largest) * np.sqrt(sample_time(model) / 2 / correlation)
+    white = agitation(model, SWING * largest, span)
+    return white * np.sqrt(sample_time(model) / 2 / correlation)
 
 
 def quarter_period(model: System) -> float:

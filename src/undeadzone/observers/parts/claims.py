@@ -24,7 +24,8 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         drift: random walk of the widths [z / sqrt(s)]; default a 400th of the largest width in
             1 / |pole| of the plant.
         disturbance: rms that a coloured input disturbance may have, one or one per input [u];
-            default what moves z by half of the largest width in a quarter period, rms.
+            default what moves z by half of the largest width, rms, in a quarter period of the
+            plant and 1 / |pole| for each further pole.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
             of the plant's period, 12.5 samples if it only integrates.
         bias: rms of an unknown constant at the input, one or one per input [u]; default a quarter

@@ -14,12 +14,7 @@ import numpy as np
 
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.doubtful import Weighed
-from undeadzone.numerics.gaussian import (
-    Gaussian,
-    advance,
-    predict,
-    symmetric,
-)
+from undeadzone.numerics.gaussian import Gaussian, advance, predict, symmetric
 from undeadzone.observers.parts.doubt import doubt_numbers
 from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
@@ -37,8 +32,10 @@ from undeadzone.observers.parts.limited_reading import (
 )
 from undeadzone.observers.parts.measured_reading import (
     Heard,
+    believed_silences,
     correct,
     rest_of,
+    silent_ones,
     sure_side,
     use_bounds,
 )
@@ -154,8 +151,7 @@ def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
     R = variances(q, reading)
     corrected = correct(setup, q, before, y, side, R, surprise(setup, q, s.pace, y, side, R))
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
-    if setup.bounds:
-        heard = with_bounds(setup, q, s, heard, reading, y, side)
+    heard = with_bounds(setup, q, s, heard, reading, y, side)
     if setup.limited:
         heard = heard._replace(trust=distrusted(heard.trust, reading))
     return Taken(y, side, before, corrected, heard)
@@ -213,7 +209,7 @@ def variances(q: Params, reading: Reading) -> Any:
 def with_bounds(
     setup: Setup, q: Params, s: State, heard: Heard, reading: Reading, y: Any, side: Any
 ) -> Heard:
-    """What is known given what silences and readings at a limit bound.
+    """What is known given what silences and readings at a limit bound, if the filter uses that.
 
     Args:
         setup: the filter.
@@ -224,12 +220,11 @@ def with_bounds(
         y: reading, 0 where it is missing (p) [y].
         side: the sides that are sure (p).
     """
-    silent = present(reading.y)
-    if not setup.play:
-        silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
+    silent = silent_ones(setup, q, reading, y)
+    if not setup.bounds:
+        return heard._replace(silence=believed_silences(setup, q, heard.belief, silent))
     if not setup.limited:
         return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
-    silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from undeadzone.interfaces import Reading
 from undeadzone.numerics.doubtful import (
     Weighed,
     together,
@@ -20,7 +21,7 @@ from undeadzone.observers.parts.shown_belief import Setup
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
 from undeadzone.play import readings_of_motion
-from undeadzone.sensor import LEFT, RIGHT, Zone, offset
+from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.
 DOUBT = 1.6448536269514722
@@ -148,6 +149,44 @@ def use_bounds(
             waits.append(ca.if_else(used, q.rest, waiting - 1))
     silences = tuple(ca.vertsplit(ca.vertcat(*believed), setup.model.p))
     return Heard(belief, ca.vertcat(*waits), trust, log, silences)
+
+
+def silent_ones(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
+    """Which readings bound z by the edges of a silent sensor (p); of a play, all that are there.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        reading: what was read.
+        y: reading, 0 where it is missing (p) [y].
+    """
+    silent = present(reading.y)
+    if not setup.play:
+        silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
+    if setup.limited:
+        silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
+    return silent
+
+
+def believed_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) -> tuple[Any, ...]:
+    """Whether the belief bears a silence out, by right edges and by left ones (2 of p).
+
+    Empty where nobody asks.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: about [x; d; extra], which no silence moves here.
+        silent: whether each output is silent (p).
+    """
+    if not setup.paced:
+        return ()
+    each = []
+    for edge in (RIGHT, LEFT):
+        for i in range(setup.model.p):
+            *_, regular = heard_edge(setup, q, belief, i, edge, silent[i], 0.0, 0.0, q.gate[i])
+            each.append(ca.logic_and(silent[i], regular > 0.5))
+    return tuple(ca.vertsplit(ca.vertcat(*each), setup.model.p))
 
 
 def heard_edge(

@@ -50,7 +50,7 @@ class Setup(NamedTuple):
     @property
     def paced(self) -> bool:
         """Whether readings that leave silence are asked how far z can move."""
-        return self.doubts and self.bounds and self.plain
+        return self.doubts and self.plain
 
     @property
     def plain(self) -> bool:
