@@ -25,6 +25,7 @@ PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loo
 LEAST: Final = {
     "sensor.right": 0.0,
     "sensor.left": 0.0,
+    "sensor.play": 0.0,
     "sensor.threshold": 0.0,
     "sensor.noise": 0.0,
     "sensor.noise_before": 0.0,
@@ -37,6 +38,10 @@ LIMITS: Final = {
     "sensor.limits.low": 0,
     "sensor.limits.high": 1,
 }  # places in a pair of sensor.range
+GAPS: Final = {
+    "sensor.gap_right": 0,
+    "sensor.gap_left": 1,
+}  # places in a pair of sensor.play
 SCALES: Final = {
     "scale.reference": "reference.scale",
     "scale.disturbance": "disturbance.scale",
@@ -115,9 +120,11 @@ def _address(problem: Problem, name: str) -> str:
         return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
     if key in SCALES:
         return SCALES[key] + index
-    if key in LIMITS:
+    pairs = LIMITS | GAPS
+    if key in pairs:
         output = index[1:-1] + "," if problem.plant.p > 1 else ""
-        return f"sensor.range[{output}{LIMITS[key]}]"
+        pair = "sensor.range" if key in LIMITS else "sensor.play"
+        return f"{pair}[{output}{pairs[key]}]"
     return name
 
 

@@ -91,7 +91,7 @@ class Censored(
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         calibrated = self._checked()
-        usual = default_disturbance(model, prior.ranges.max(), correlation)
+        usual = default_disturbance(model, prior.largest, correlation)
         rms = _per_input("disturbance", self.disturbance, usual)
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
