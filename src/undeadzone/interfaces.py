@@ -106,6 +106,7 @@ class Estimate(NamedTuple):
         actuator_right_std, actuator_left_std: their standard deviations (m).
         gap_right, gap_left: gaps c_r^, c_l^ of a play ahead of a dead zone (p).
         gap_right_std, gap_left_std: their standard deviations (p).
+        gap_std: standard deviation of c_r^ + c_l^ (p).
     """
 
     x: Any
@@ -134,6 +135,7 @@ class Estimate(NamedTuple):
     gap_left: Any = NONE
     gap_right_std: Any = NONE
     gap_left_std: Any = NONE
+    gap_std: Any = NONE
 
 
 _COLUMNS = {
@@ -338,7 +340,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 15,
+        *[none] * 16,
     )
 
 

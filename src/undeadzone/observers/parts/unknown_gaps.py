@@ -88,9 +88,21 @@ def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) ->
     unknown = q.gaps.std.shape[0]
     if unknown:
         gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
-        variances = ca.diag(shown.cov)[place(q, shown.mean.shape[0])]
-        std = ca.sqrt(ca.fmax(variances, 0.0))
-        estimated = estimated._replace(gap_right_std=std[:p], gap_left_std=std[p:])
+        estimated = estimated._replace(**_deviations(q, shown, p))
     contact = ca.if_else(reading.side != 0, reading.motion, 0.0)
     inverse = estimated.z_inverse + offset(contact, gaps[:p], gaps[p:])
     return estimated._replace(z_inverse=inverse, gap_right=gaps[:p], gap_left=gaps[p:])
+
+
+def _deviations(q: Any, shown: Gaussian, p: int) -> dict[str, Any]:
+    """Standard deviations of the gaps and of their sums, as fields of an estimate."""
+    part = place(q, shown.mean.shape[0])
+    cov = shown.cov[part, part]
+    variances, between = ca.diag(cov), ca.diag(cov[:p, p:])
+    of_width = variances[:p] + variances[p:] + 2 * between
+    std = ca.sqrt(ca.fmax(variances, 0.0))
+    return {
+        "gap_right_std": std[:p],
+        "gap_left_std": std[p:],
+        "gap_std": ca.sqrt(ca.fmax(of_width, 0.0)),
+    }
