@@ -38,7 +38,7 @@ from undeadzone.scenario.time_step import (
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Floats, nonnegative, scalar
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 
 class Problem(NamedTuple):
@@ -120,7 +120,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
-        gaps_of(scenario.model.play, true.p, "model.play")
+        _require_play(scenario.model.play, sensor)
     told = resolve(known_sensor(scenario), true.p, step, pace(flow.linear))
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
@@ -183,6 +183,16 @@ def _require_numbers(sensor: Zone) -> None:
     if sensor.play is not None and sensor.play.ranges is not None:
         raise InputError(
             "sensor.play: expected numbers, a simulation needs them; give the ranges as model.play"
+        )
+
+
+def _require_play(told: Array, sensor: Zone) -> None:
+    """Raise InputError unless what is told of a play's gaps can be, and there is a play."""
+    gaps_of(told, sensor.right.size, "model.play")
+    if sensor.play is None and np.any(told):
+        raise InputError(
+            "model.play: the sensor has no play ahead of its dead zone; give sensor.play, or leave "
+            "it out"
         )
 
 
