@@ -152,7 +152,8 @@ def _absent(problem: Problem) -> list[str]:
 def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list[int]:
     """Where the observer holds its own copy of a packed number of the sensor.
 
-    It copies the threshold and the range, and the oracle copies the widths too.
+    It copies the threshold and the range, and the gaps ahead of a dead zone unless [model] says
+    what they are; the oracle copies the widths too.
     """
     of_play = problem.sensor.kind == "play"
     copies = {
@@ -162,10 +163,14 @@ def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list
     }
     if isinstance(problem.scenario.observer, Oracle):
         copies |= {"sensor.right": "observer.right0", "sensor.left": "observer.left0"}
-    key = stem(name)
+    key, index = stem(name), index_of(name)
+    model = problem.scenario.model
+    if key in GAPS and (model is None or model.play is None):
+        place = int(index[1:-1]) + GAPS[key] * problem.plant.p
+        copies[key], index = "observer.gaps.middle", f"[{place}]"
     if key not in copies:
         return []
-    copy = copies[key] + index_of(name)
+    copy = copies[key] + index
     return [slots[copy]] if copy in slots else []
 
 

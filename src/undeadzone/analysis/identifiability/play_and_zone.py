@@ -156,8 +156,8 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
             *_unturned(schedule, visited, i),
             *_mixed(zone, gap, both, readings.gaps_known),
         )
-        told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
-        each.append(Told(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
+        told_of_zone = _verdict(zone, reasons)._replace(std=expected.widths[2 * i])
+        each.append(Told(told_of_zone, _verdict(gap, ()), both, gap_std))
     return each
 
 
@@ -169,6 +169,12 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
     hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, bias)
     hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
+
+
+def _verdict(known: dict[str, bool], reasons: tuple[str, ...]) -> Verdict:
+    """A verdict without deviations."""
+    right, left, width, centre = (known[name] for name in DIRECTIONS)
+    return Verdict(right, left, width, centre, reasons)
 
 
 def _padded(B: Floats, p: int) -> Floats:
