@@ -125,7 +125,8 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     whole, twice = with_gaps(linear, schedule.Ts), by_contact(schedule)
-    least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
+    swing = float((schedule.high - schedule.low).max())
+    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or SMALLEST
     told = beforehand_of_gaps(linear, readings, least)
     bias = None if readings.bias is None else _padded(readings.bias, p)
     colour = readings.colour
