@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from test_engines import distance, parts
 from test_play import CENSORED, KALMAN, late, slow
+from test_which import STEP, driven, through
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
 from undeadzone.analysis.side_schedule import planned, recorded
 from undeadzone.arena.prior_knowledge import situation
@@ -436,6 +437,32 @@ def test_a_plan_sees_the_zone_behind_the_gap() -> None:
     moves = np.diff(twice, prepend=twice[-1])
     beyond = schedule.spans @ (schedule.sides == 1)
     assert beyond[0] == pytest.approx(((twice > 0) & (moves != 0)).sum(), abs=2)
+
+
+# From a log
+
+
+def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
+    rng, u, z = driven(21)
+    gaps, widths = (0.25, 0.15), (0.2, 0.3)
+    y = through(z, gaps, widths) + 0.01 * rng.standard_normal(z.size)
+    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    (tmp_path / "both.toml").write_text(found.scenario())
+    scenario = uz.read(tmp_path / "both.toml")
+    sensor = resolve_scenario(scenario).sensor
+    assert sensor.play is not None
+    assert sensor.play.right + sensor.play.left == pytest.approx(0.4, abs=0.03)
+    assert sensor.right + sensor.left == pytest.approx(0.5, abs=0.05)
+    centre = gaps[0] - gaps[1] + widths[0] - widths[1]
+    assert sensor.right - sensor.left == pytest.approx(centre, abs=0.05)
+    followed = uz.estimate(scenario, t=STEP * np.arange(y.size), y=y, u=u)
+    assert followed.c_hat is not None
+    assert followed.c_hat[-1].sum() == pytest.approx(0.4, abs=0.03)
+    late_error = (followed.z_hat[:, 0] - z)[len(z) // 2 :]
+    assert np.sqrt(np.mean(late_error**2)) < 0.05 * z.std()
+    run = simulate(scenario.replace("simulation.duration", 60.0))
+    assert run.diverged_at is None
+    assert late(run, run.z - run.z_hat) < 0.1 * run.z.std()
 
 
 # What is shown, written and run elsewhere
