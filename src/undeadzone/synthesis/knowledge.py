@@ -109,7 +109,7 @@ def cures_of_both(problem: Problem, schedule: Schedule) -> list[Cure]:
         elif not gaps_known(problem):
             text = (
                 "no reference can tell both centres apart: measure the gaps, and give them as "
-                "model.play = [c_r, c_l]"
+                "model.play = [c_r, c_l]; or claim that of the zone: observer.centre = [lo, hi]"
             )
             remedies.append(Cure(i, None, None, text))
     return remedies
