@@ -1,7 +1,7 @@
 """The play ahead of a dead zone in a filter: what its gaps take off z (docs/play.md).
 
 A reading on side s of the zone that moves to the side m is y / m = z - chi_s d - chi_m c. The gaps
-c_r, c_l are known, or stand among the unknowns beside the widths and never change.
+c_r, c_l are known, or stand among the unknowns and walk as the widths do.
 """
 
 from __future__ import annotations
@@ -26,29 +26,41 @@ class Gaps(NamedTuple):
         middle: the gaps, or the middles of their ranges: all c_r, then all c_l (2p) [z].
         ranges: these (2p x 2) [z]; empty where the gaps are known.
         std: standard deviations of the gaps at first (2p) [z]; empty where they are known.
+        drift: variance that they gain each step, as the widths do (2p) [z^2]; empty likewise.
     """
 
     middle: Floats
     ranges: Floats
     std: Floats
+    drift: Floats
 
 
-def numbers_of(sensor: Zone) -> Gaps | None:
-    """The numbers of a filter about the play ahead of the zone; None: there is none."""
+def numbers_of(sensor: Zone, drift: Floats) -> Gaps | None:
+    """The numbers of a filter about the play ahead of the zone; None: there is none.
+
+    Args:
+        sensor: as the filter takes it.
+        drift: variance that the widths of the zone gain each step (2p) [z^2].
+    """
     if sensor.play is None:
         return None
     middle = np.concatenate([sensor.play.right, sensor.play.left])
     ranges = sensor.play.ranges
     if ranges is None:
-        return Gaps(middle, np.empty((0, 2)), np.empty(0))
-    return Gaps(middle, ranges, np.diff(ranges, axis=1).ravel() / np.sqrt(12))
+        return Gaps(middle, np.empty((0, 2)), np.empty(0), np.empty(0))
+    return Gaps(middle, ranges, np.diff(ranges, axis=1).ravel() / np.sqrt(12), drift)
 
 
 def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
     """The motion with the gaps' errors as its last unknowns, if they are not known."""
     if gaps is None or not gaps.std.size:
         return inner
-    return with_constants(inner, gaps.std**2)
+
+    def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
+        of_x, of_extra = inner.noise(q, x, u)
+        return of_x, ca.diagcat(of_extra, ca.diag(q.gaps.drift))
+
+    return with_constants(inner, gaps.std**2)._replace(noise=noise)
 
 
 def place(q: Any, size: int) -> slice:
