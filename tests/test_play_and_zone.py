@@ -398,6 +398,13 @@ def test_one_direction_alone_does_not_tell_the_gap() -> None:
     assert any("moves right alone" in reason for reason in one.zone.reasons)
 
 
+def test_an_edge_that_is_not_reached_is_named_with_its_gap() -> None:
+    low = {"kind": "sine", "amplitude": 1.2, "frequency": 0.2}
+    (verdict,) = simulate(both({}, KALMAN, model=RANGES, reference=low)).info.identifiable
+    assert not verdict["right"]
+    assert any("below d_r + c_r, 1." in reason for reason in verdict["reasons"])
+
+
 def test_check_and_run_say_the_same_in_words() -> None:
     scenario = both({"noise": 0.02}, KALMAN, model=RANGES)
     checked, run = uz.check(scenario), simulate(scenario)

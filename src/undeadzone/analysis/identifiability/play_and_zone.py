@@ -153,7 +153,7 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
         reasons = (
-            *unreached(schedule, schedule.visited(n), i),
+            *_unreached(schedule, n, i),
             *_unturned(schedule, visited, i),
             *_mixed(zone, gap, both, readings.gaps_known),
         )
@@ -191,6 +191,15 @@ def _direction(
     direction[n + 2 * i : n + 2 * i + 2] = gap
     direction[n + 2 * p + 4 * i : n + 2 * p + 4 * i + 2] = zone
     return direction
+
+
+def _unreached(schedule: Schedule, n: int, i: int) -> list[str]:
+    """`unreached` of an edge behind a gap."""
+    words = []
+    for reason in unreached(schedule, schedule.visited(n), i):
+        named = reason.replace("below d_r,", "below d_r + c_r,")
+        words.append(named.replace("above -d_l,", "above -d_l - c_l,"))
+    return words
 
 
 def _unturned(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
