@@ -398,11 +398,16 @@ def test_one_direction_alone_does_not_tell_the_gap() -> None:
     assert any("moves right alone" in reason for reason in one.zone.reasons)
 
 
-def test_an_edge_that_is_not_reached_is_named_with_its_gap() -> None:
-    low = {"kind": "sine", "amplitude": 1.2, "frequency": 0.2}
+@pytest.mark.parametrize(
+    ("amplitude", "words"),
+    [(1.1, "stays below d_r + c_r, 1."), (1.2, "the right edge is hardly reached")],
+)
+def test_an_edge_that_is_not_reached_is_named_with_its_gap(amplitude: float, words: str) -> None:
+    low = {"kind": "sine", "amplitude": amplitude, "frequency": 0.2}
     (verdict,) = simulate(both({}, KALMAN, model=RANGES, reference=low)).info.identifiable
     assert not verdict["right"]
-    assert any("below d_r + c_r, 1." in reason for reason in verdict["reasons"])
+    assert any(words in reason for reason in verdict["reasons"])
+    assert not any("told are" in reason for reason in verdict["reasons"])
 
 
 def test_check_and_run_say_the_same_in_words() -> None:

@@ -102,7 +102,8 @@ def _known_from_run(run: Run) -> list[Knowledge]:
 
 def cures_of_both(problem: Problem, schedule: Schedule) -> list[Cure]:
     """What would tell more of a play and a dead zone."""
-    visited, remedies = schedule.visited(problem.model.n), []
+    model, remedies = problem.model, []
+    visited = schedule.visited(model.n + 2 * model.p)
     for i in range(problem.model.p):
         if not visited[i].all():
             remedies.append(reaching(schedule, i))

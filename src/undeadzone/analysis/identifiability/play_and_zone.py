@@ -132,7 +132,7 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     colour = readings.colour
     if colour is not None:
         colour = colour._replace(B=_padded(colour.B, p))
-    visited = twice.visited(n)
+    visited = twice.visited(n + 2 * p)
     hidden = invisible(whole, visited, schedule.Ts, bias).told(told)
     expected = deviations(
         whole,
@@ -153,7 +153,7 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
         reasons = (
-            *_unreached(schedule, n, i),
+            *_unreached(schedule, n + 2 * p, i),
             *_unturned(schedule, visited, i),
             *_mixed(zone, gap, both, readings.gaps_known),
         )
@@ -166,7 +166,7 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
     """Which states the readings along a schedule determine (n). Arguments as of `told_of_both`."""
     n, p = linear.A.shape[0], linear.C.shape[0]
     bias = None if readings.bias is None else _padded(readings.bias, p)
-    visited = by_contact(schedule).visited(n)
+    visited = by_contact(schedule).visited(n + 2 * p)
     hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, bias)
     hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
