@@ -39,6 +39,7 @@ NAMES = (
     "firmware",
     "arena_effort",
     "play",
+    "play_and_zone",
     "behind_play",
     "both_ends",
     "which",

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.engine import lanes
+from undeadzone.interfaces import Estimate
 from undeadzone.plants.options import Plant
 from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem
@@ -30,6 +31,9 @@ class Loops(NamedTuple):
         peak: largest |u|, late (K).
         actuator: errors of the actuator's widths in the end (K x 2), or without columns.
         actuator_stds: claimed deviations of the same.
+        gaps: true gaps of a play ahead of a dead zone (K x 2), or without columns.
+        gap_errors: errors of its gaps in the end (K x 2), or without columns.
+        gap_std: claimed deviation of their sum (K), or empty.
     """
 
     rms: Floats
@@ -42,6 +46,9 @@ class Loops(NamedTuple):
     peak: Floats
     actuator: Floats
     actuator_stds: Floats
+    gaps: Floats
+    gap_errors: Floats
+    gap_std: Floats
 
     def actuator_covered(self) -> str:
         """The share of the actuator's widths that claimed intervals hold; nothing if none are."""
@@ -92,6 +99,7 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     drives = [problem.actuator for problem in each]
     b_true = np.array([[*drive.right, *drive.left] for drive in drives if drive is not None])
     wrong = np.concatenate(b, 1) - b_true if len(b_true) else np.zeros((len(each), 0))
+    gaps, gap_errors = _gaps(each, out[:, -1], estimate)
     return Loops(
         rms=_rms(z - r[:, judged]),
         hidden=_rms(z - out[:, judged, estimate.z][..., 0]),
@@ -103,7 +111,20 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
         peak=np.abs(u).max(axis=(1, 2)),
         actuator=wrong,
         actuator_stds=np.concatenate(b_stds, 1),
+        gaps=gaps,
+        gap_errors=gap_errors,
+        gap_std=out[:, -1, estimate.gap_std].ravel(),
     )
+
+
+def _gaps(each: Sequence[Problem], last: Floats, places: Estimate) -> tuple[Floats, Floats]:
+    """The true gaps ahead of dead zones, and the errors of those that were estimated (K x 2)."""
+    plays = [problem.sensor.play for problem in each]
+    true = np.array([[play.right[0], play.left[0]] for play in plays if play is not None])
+    true = true.reshape(-1, 2)
+    found = np.concatenate([last[:, places.gap_right], last[:, places.gap_left]], 1)
+    errors = found - true if found.shape == true.shape else np.zeros((len(each), 0))
+    return true, errors
 
 
 def _behind(problem: Problem, z: Floats) -> Floats:

@@ -28,6 +28,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["run", "arm.toml", *COMMON],
         ["run", "examples/valve_both_ends.toml", *COMMON],
         ["run", "examples/geared_motor.toml", *COMMON],
+        ["run", "examples/gears_and_zone.toml", *COMMON],
         ["run", "study/runs.npz", "--replay", "1", *COMMON],
     ],
     "check": [

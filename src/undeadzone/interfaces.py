@@ -26,6 +26,8 @@ class Reading(NamedTuple):
             None elsewhere.
         level: reading from which silence is measured (p): 0 of a dead zone, y itself of a play.
         rms: of what y is off by (p) [y], where the reading itself tells it; None: the sensor's.
+        motion: contact of a play ahead of a dead zone in which y moves (p): +1 right, -1 left, 0
+            where it holds; None: there is none.
     """
 
     y: Any
@@ -33,6 +35,7 @@ class Reading(NamedTuple):
     x: Any = None
     level: Any = 0.0
     rms: Any = None
+    motion: Any = None
 
 
 def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
@@ -101,6 +104,9 @@ class Estimate(NamedTuple):
         contact: the side of a play that the observer made out itself (p).
         actuator_right, actuator_left: widths b_r^, b_l^ of the actuators (m).
         actuator_right_std, actuator_left_std: their standard deviations (m).
+        gap_right, gap_left: gaps c_r^, c_l^ of a play ahead of a dead zone (p).
+        gap_right_std, gap_left_std: their standard deviations (p).
+        gap_std: standard deviation of c_r^ + c_l^ (p).
     """
 
     x: Any
@@ -125,6 +131,11 @@ class Estimate(NamedTuple):
     actuator_left: Any = NONE
     actuator_right_std: Any = NONE
     actuator_left_std: Any = NONE
+    gap_right: Any = NONE
+    gap_left: Any = NONE
+    gap_right_std: Any = NONE
+    gap_left_std: Any = NONE
+    gap_std: Any = NONE
 
 
 _COLUMNS = {
@@ -329,7 +340,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 11,
+        *[none] * 16,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from undeadzone import play
 from undeadzone.errors import InputError
+from undeadzone.gaps import KEY, Ahead, gaps_of
 from undeadzone.limits import Limits, at_limit, checked_range, limits_of, require_readings
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
@@ -214,9 +215,11 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             per output (p x 2) [y]; -inf and inf are no limits; default: none. A reading at its
             limit says only that z is at least, or at most, what it reads; of a play it is missing.
         start: reading of a play before the first sample (p) [y]; the first one is the nearest
-            possible to it.
+            possible to it. Of a play ahead of a dead zone what would be read without the zone.
         window: time over which a play's motion is judged where readings are noisy [s]; default a
             25th of the plant's period.
+        play: [c_r, c_l], gaps of a play ahead of a dead zone, or one such pair per output (p x 2);
+            sampled time; default: there is none [z].
         load_friction: input that Coulomb friction behind a play takes while it moves, of a plant of
             one input and one output; a pair is a range, which observers estimate [u].
         load_inertia: input that what is behind a play takes per acceleration; it tells whether the
@@ -237,6 +240,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     range: list[float | list[float]] | None = None
     start: Array = 0.0
     window: float | None = None
+    play: Array | None = None
     load_friction: Array = 0.0
     load_inertia: Array = 0.0
 
@@ -261,6 +265,7 @@ class Zone(msgspec.Struct, frozen=True):
         friction: of what is behind a play (p) [u].
         inertia: of the same (p) [u s^2/z].
         friction_std: standard deviation of the friction, to an observer that is not told (p) [u].
+        play: ahead of the dead zone; None: there is none.
     """
 
     kind: str
@@ -280,6 +285,12 @@ class Zone(msgspec.Struct, frozen=True):
     friction: Floats
     inertia: Floats
     friction_std: Floats
+    play: Ahead | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a play, or has one: what it reads depends on how z moved."""
+        return self.kind == "play" or self.play is not None
 
     @property
     def limits(self) -> Limits | None:
@@ -341,15 +352,38 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     if sensor.threshold is not None:
         threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
     elif sensor.kind == "play":
-        # the least-squares slope over the window, times the window, has this rms
-        spread = np.sqrt(12 / window)
-        threshold = spread * noise_threshold(np.hypot(noise, quantum / np.sqrt(12)), step, rate)
+        threshold = _motion(noise, quantum, window, step, rate)
     else:
         threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
     low, high = checked_range("sensor.range", sensor.range, p)
     require_readings(low, high, threshold)
     numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
-    return Zone(sensor.kind, right, left, *numbers, start, window, *_load(sensor, p))
+    load = _load(sensor, p)
+    ahead = _ahead(sensor, p, _motion(noise, quantum, window, step, play.FALSE_ALARMS * pace))
+    return Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead)
+
+
+def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: float) -> Floats:
+    """Change of a reading over the window that noise alone exceeds at a rate [1/s] (p) [y]."""
+    # the least-squares slope over the window, times the window, has this rms
+    spread = np.sqrt(12 / window)
+    rms = np.hypot(noise, quantum / np.sqrt(12))
+    return np.asarray(spread * noise_threshold(rms, step, rate))
+
+
+def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
+    """The play ahead of the dead zone; None where there is none. Raises InputError."""
+    if sensor.play is None:
+        return None
+    if sensor.kind != "deadzone":
+        raise InputError(
+            f'{KEY}: stands ahead of kind = "deadzone", found "{sensor.kind}"; a play alone has '
+            "its gaps in sensor.right and sensor.left"
+        )
+    (right, left), ranges = gaps_of(sensor.play, p)
+    if ranges is None and not right.any() and not left.any():
+        return None
+    return Ahead(right, left, ranges, threshold)
 
 
 def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
@@ -379,7 +413,7 @@ def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
 
 def _window(sensor: Sensor, step: float, pace: float) -> int:
     """Readings over which a play's motion is judged. Raises InputError."""
-    if sensor.kind != "play":
+    if sensor.kind != "play" and sensor.play is None:
         for name, given in (("start", np.any(sensor.start)), ("window", sensor.window)):
             if given:
                 raise InputError(f"sensor.{name}: only a play has one; leave it out")

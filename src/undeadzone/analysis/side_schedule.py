@@ -37,6 +37,8 @@ class Schedule(NamedTuple):
         levels: the side reads right above levels[:, 0] and left below -levels[:, 1] (p x 2).
         exact: share of the readings beyond an edge that are at no limit of the range (p); None: all
             of them.
+        contacts: of the play ahead of each dead zone in each span (K x p): +1 right, -1 left, 0
+            where it holds; None: there is none.
     """
 
     sides: Floats
@@ -49,6 +51,7 @@ class Schedule(NamedTuple):
     high: Floats
     levels: Floats
     exact: Floats | None = None
+    contacts: Floats | None = None
 
     @property
     def duration(self) -> float:
@@ -155,7 +158,8 @@ def recorded(
     """
     read = reading(z, sensor)
     if arrived is not None:
-        read = Read(np.where(arrived, read.side, 0.0), read.limited & arrived)
+        side = np.where(arrived, read.side, 0.0)
+        read = Read(side, read.limited & arrived, read.contact)
     return _from_samples(read, z, reading_levels(sensor), step, Ts, False, np.empty(0))
 
 
@@ -185,7 +189,7 @@ def merged(schedule: Schedule) -> Schedule:
     """The same schedule with neighbours of equal sides put together."""
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
     spans = np.add.reduceat(schedule.spans, np.flatnonzero(first))
-    return schedule._replace(sides=schedule.sides[first], spans=spans)
+    return schedule._replace(sides=schedule.sides[first], spans=spans, contacts=None)
 
 
 def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Floats:
@@ -313,6 +317,8 @@ def _from_samples(
     """
     side = read.side
     starts = np.concatenate([[True], (np.diff(side, axis=0) != 0).any(axis=1)])
+    if read.contact is not None:
+        starts[1:] |= (np.diff(read.contact, axis=0) != 0).any(axis=1)
     after = np.ceil(corners / step - ROUNDING * len(side)).astype(int)
     starts[after[(after > 0) & (after < len(side))]] = True
     first = np.flatnonzero(starts)
@@ -326,4 +332,7 @@ def _from_samples(
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
         low, mean, high = z.min(axis=0), z.mean(axis=0), z.max(axis=0)
         exact = read.share(np.ones(len(side)))
-        return Schedule(side[first], spans, Ts, periodic, grain, low, mean, high, levels, exact)
+        contact = None if read.contact is None else read.contact[first]
+        return Schedule(
+            side[first], spans, Ts, periodic, grain, low, mean, high, levels, exact, contact
+        )

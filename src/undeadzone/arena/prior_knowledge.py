@@ -136,6 +136,11 @@ class Setting(NamedTuple):
 
 def situation(scenario: Scenario) -> Setting:
     """A scenario with what is known of it. Raises InputError or a subclass."""
+    if scenario.sensor.play is not None:
+        raise InputError(
+            "sensor.play: the arena has no play ahead of a dead zone, which most of its methods do "
+            "not know; compare two observers by [compare]"
+        )
     problem = resolve_scenario(scenario)
     claims = declaration(scenario)
     widths = ranges(claims.right, claims.left, problem.model.p)

@@ -25,6 +25,7 @@ PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loo
 LEAST: Final = {
     "sensor.right": 0.0,
     "sensor.left": 0.0,
+    "sensor.play": 0.0,
     "sensor.threshold": 0.0,
     "sensor.noise": 0.0,
     "sensor.noise_before": 0.0,
@@ -37,6 +38,10 @@ LIMITS: Final = {
     "sensor.limits.low": 0,
     "sensor.limits.high": 1,
 }  # places in a pair of sensor.range
+GAPS: Final = {
+    "sensor.gap_right": 0,
+    "sensor.gap_left": 1,
+}  # places in a pair of sensor.play
 SCALES: Final = {
     "scale.reference": "reference.scale",
     "scale.disturbance": "disturbance.scale",
@@ -115,9 +120,11 @@ def _address(problem: Problem, name: str) -> str:
         return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
     if key in SCALES:
         return SCALES[key] + index
-    if key in LIMITS:
+    pairs = LIMITS | GAPS
+    if key in pairs:
         output = index[1:-1] + "," if problem.plant.p > 1 else ""
-        return f"sensor.range[{output}{LIMITS[key]}]"
+        pair = "sensor.range" if key in LIMITS else "sensor.play"
+        return f"{pair}[{output}{pairs[key]}]"
     return name
 
 
@@ -145,7 +152,8 @@ def _absent(problem: Problem) -> list[str]:
 def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list[int]:
     """Where the observer holds its own copy of a packed number of the sensor.
 
-    It copies the threshold and the range, and the oracle copies the widths too.
+    It copies the threshold and the range, and the gaps ahead of a dead zone unless [model] says
+    what they are; the oracle copies the widths too.
     """
     of_play = problem.sensor.kind == "play"
     copies = {
@@ -155,10 +163,14 @@ def _observer_copies(problem: Problem, name: str, slots: dict[str, int]) -> list
     }
     if isinstance(problem.scenario.observer, Oracle):
         copies |= {"sensor.right": "observer.right0", "sensor.left": "observer.left0"}
-    key = stem(name)
+    key, index = stem(name), index_of(name)
+    model = problem.scenario.model
+    if key in GAPS and (model is None or model.play is None):
+        place = int(index[1:-1]) + GAPS[key] * problem.plant.p
+        copies[key], index = "observer.gaps.middle", f"[{place}]"
     if key not in copies:
         return []
-    copy = copies[key] + index_of(name)
+    copy = copies[key] + index
     return [slots[copy]] if copy in slots else []
 
 

@@ -159,6 +159,9 @@ def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
     limits = numbers.pop("limits")
     if limits is not None:
         changes |= limits._asdict()
+    gaps = {side: numbers.pop(f"gap_{side}") for side in ("right", "left")}
+    if sensor.play is not None:
+        changes["play"] = sensor.play._replace(**gaps)
     for name, value in numbers.items():
         if value.size:
             changes[name] = value

@@ -116,6 +116,11 @@ def estimate_meanings(units: Units) -> dict[str, str]:
         "actuator_left": f"estimated left width of the actuator's dead zone [{units.input}]",
         "actuator_right_std": f"standard deviation of actuator_right [{units.input}]",
         "actuator_left_std": f"standard deviation of actuator_left [{units.input}]",
+        "gap_right": f"estimated right gap of the play ahead of the dead zone [{output}]",
+        "gap_left": f"estimated left gap of the play ahead of the dead zone [{output}]",
+        "gap_right_std": f"standard deviation of gap_right [{output}]",
+        "gap_left_std": f"standard deviation of gap_left [{output}]",
+        "gap_std": f"standard deviation of gap_right + gap_left [{output}]",
         "contact": "side of the play that the readings are on: 1 right, -1 left, 0 neither",
     }
 

@@ -33,6 +33,7 @@ class Element(NamedTuple):
         side: contact of a play, side of an input zone (N).
         widths: right, left, width, centre in units of the log; None where they are not known.
         zone: both: d_r + d_l beside the play's width [y]; else None.
+        edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
         ahead: what disturbs z, scaled; None where it was not told apart.
         noise: rms of the readings' white noise, scaled.
         degrees: of freedom of the intervals.
@@ -56,6 +57,7 @@ class Element(NamedTuple):
     degrees: float
     rms: float
     remarks: list[str]
+    edges: tuple[Interval, Interval] | None = None
 
 
 def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
@@ -73,7 +75,7 @@ def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
     moves = np.append(False, np.diff(level) != 0)
     remarks = []
     widths: dict[str, Interval | None] = dict(NONE)
-    zone = None
+    zone, edges = None, None
     if not gap.sure and gap.ahead is not None:
         strong = gap.ahead.rms * data.y_scale
         remarks.append(
@@ -83,6 +85,8 @@ def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
     elif model.zone:
         widths["width"] = gap.intervals["width"].scaled(data.y_scale)
         zone = gap.intervals["zone"].scaled(data.y_scale)
+        right, left = (gap.intervals[f"zone_{side}"] for side in ("right", "left"))
+        edges = right.scaled(data.y_scale), left.scaled(data.y_scale)
         remarks.append(
             f"the play's gap is the width above; the dead zone's, d_r + d_l, is {zone.value:.4g}"
             f" [{zone.low:.4g}, {zone.high:.4g}]; of both centres only the sum shows"
@@ -111,6 +115,7 @@ def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
         degrees=RUNS - 1,
         rms=gap.model.rms(gap.fit.theta),
         remarks=remarks,
+        edges=edges,
     )
 
 

@@ -44,6 +44,8 @@ ROWS = {
     "width": (1.0, 1.0, 0.0, 0.0),
     "centre": (0.5, -0.5, 0.0, 0.0),
     "zone": (0.0, 0.0, 1.0, 1.0),
+    "zone_right": (0.0, 0.0, 1.0, 0.0),
+    "zone_left": (0.0, 0.0, 0.0, 1.0),
 }
 
 
@@ -53,7 +55,8 @@ class Gap(NamedTuple):
     Attributes:
         fit: what was fitted.
         theta: its numbers after the correction.
-        intervals: right, left, width, centre of the play, and zone, the width of a dead zone.
+        intervals: right, left, width, centre of the play; zone, the width of a dead zone, and
+            zone_right, zone_left, its edges if the gap is even.
         V: covariance of the plant's numbers a and b.
         ahead: what disturbs z; None of an integrating plant, where it is not told apart.
         noise: rms of the readings' white noise.

@@ -27,7 +27,7 @@ from undeadzone.support.shown import Block
 if TYPE_CHECKING:
     pass
 
-WRITTEN = ("play", "input_zone")  # verdicts besides the sensor's zone that a scenario has
+WRITTEN = ("play", "both", "input_zone")  # verdicts besides the sensor's zone that a scenario has
 
 
 class States(NamedTuple):

@@ -16,7 +16,7 @@ from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.kalman_likelihood import AT_INPUT, WHITE, input_gain
 from undeadzone.identification.to_continuous import entry_spread
-from undeadzone.identification.told_range import told_range
+from undeadzone.identification.told_range import told_element, told_range
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
@@ -60,8 +60,10 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         "[sensor]",
         *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
         *_widths(right, left),
+        *_gaps(first),
         *_noise(answers),
         "",
+        *_told_gaps(first),
         *(_actuator(first) if first.verdict == "input_zone" else []),
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
@@ -99,10 +101,45 @@ def _widths(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
 
 def _claimed(answers: Sequence[Answer]) -> list[str]:
     """The widths as the observer knows them. Raises InputError."""
+    element = answers[0].element
+    if answers[0].verdict == "both" and element is not None and element.edges is not None:
+        ranges = [told_element(element, edge) for edge in element.edges]
+        remark = "99.9 % interval, if c_r = c_l"
+        return [
+            f"{side} = {_pairs([pair])}  # {remark}"
+            for side, pair in zip(("right", "left"), ranges, strict=True)
+        ]
     return [
         f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
         f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
     ]
+
+
+def _gaps(answer: Answer) -> list[str]:
+    """The gaps of a play ahead of the dead zone; nothing without one."""
+    if answer.verdict != "both":
+        return []
+    gap = _gap(answer)
+    even = _number(gap.value / 2)
+    remark = "the sum of both centres stands in right and left"
+    return [f"play = [{even}, {even}]  # c_r + c_l, 95 %: {_intervals([gap])}; {remark}"]
+
+
+def _told_gaps(answer: Answer) -> list[str]:
+    """The gaps as the observer knows them; nothing without a play ahead of the dead zone."""
+    element = answer.element
+    if answer.verdict != "both" or element is None:
+        return []
+    low, high = told_element(element, _gap(answer))
+    half = f"[{_number(low / 2)}, {_number(high / 2)}]"
+    return ["[model]", f"play = [{half}, {half}]  # 99.9 % interval of the gap, even", ""]
+
+
+def _gap(answer: Answer) -> Interval:
+    """The gap of a play ahead of a dead zone. Raises InputError."""
+    if answer.width is None:
+        raise InputError("scenario: both widths must be known")
+    return answer.width
 
 
 def _unclaimed() -> list[str]:
@@ -174,9 +211,12 @@ def _listed(texts: Sequence[str]) -> str:
 
 def _edges(answer: Answer) -> tuple[Interval, Interval]:
     """Both widths. Raises InputError."""
-    if answer.right is None or answer.left is None:
+    right, left = answer.right, answer.left
+    if answer.element is not None and answer.element.edges is not None:
+        right, left = answer.element.edges
+    if right is None or left is None:
         raise InputError("scenario: both widths must be known")
-    for name, edge in (("right", answer.right), ("left", answer.left)):
+    for name, edge in (("right", right), ("left", left)):
         if not math.isfinite(edge.value):
             raise InputError(
                 f"scenario: the {name} edge is never reached in the log; give it by --{name}"
@@ -192,7 +232,7 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
             raise InputError(
                 f"scenario: the {name} width {value} is negative: z = 0 is not inside; {cure}"
             )
-    return answer.right, answer.left
+    return right, left
 
 
 def _name(answer: Answer) -> str:

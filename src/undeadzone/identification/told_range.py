@@ -7,6 +7,7 @@ from typing import Literal
 
 from undeadzone.errors import InputError
 from undeadzone.identification.answer import Answer
+from undeadzone.identification.element import Element
 from undeadzone.identification.intervals import Interval
 from undeadzone.identification.long_run import quantile
 
@@ -40,6 +41,15 @@ def told_range(answer: Answer, side: Literal["right", "left"]) -> tuple[float, f
         raise InputError(
             f"scenario: the log gives no upper bound of d_{side}; bound it by --{side} LOW,HIGH"
         )
+    margin = LEAST * max(high, LEAST)
+    return (low, high) if high - low > margin else (max(low - margin, 0.0), high + margin)
+
+
+def told_element(element: Element, interval: Interval) -> tuple[float, float]:
+    """The 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
+    wider = quantile(element.degrees, SURE) / quantile(element.degrees)
+    low = max(interval.value - wider * (interval.value - interval.low), 0.0)
+    high = interval.value + wider * (interval.high - interval.value)
     margin = LEAST * max(high, LEAST)
     return (low, high) if high - low > margin else (max(low - margin, 0.0), high + margin)
 

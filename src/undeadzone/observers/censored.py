@@ -95,7 +95,7 @@ class Censored(
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         calibrated = self._checked()
         reached = arrival(model.flow, Ts)
-        usual = default_disturbance(model, prior.ranges.max(), correlation, reached)
+        usual = default_disturbance(model, prior.largest, correlation, reached)
         rms = _per_input("disturbance", self.disturbance, usual)
         bias = _per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)

@@ -89,7 +89,7 @@ class Kalman(
             centre=self.centre,
         )
         if self.disturbance is None:
-            rms = agitation(model, SWING * prior.ranges.max())
+            rms = agitation(model, SWING * prior.largest)
         else:
             rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
         glitches = glitch_share(self.glitches)

@@ -34,16 +34,20 @@ STACKED = 2  # outputs, whose errors and widths stand below them; those of more 
 def overview(run: Run) -> Figure:
     """Per output: z, reading, reference and estimate over the dead zone; errors; widths; then V.
 
-    Below them stand the actuators whose widths are estimated. Many outputs have a row each. A run
+    Below them stand the actuators whose widths are estimated, and the plays ahead of dead zones
+    whose gaps are. Many outputs have a row each. A run
     that diverged is drawn up to where it did.
     """
     outputs = run.z.shape[1]
     actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
+    gaps = 0 if run.c_hat is None else outputs
     if outputs > STACKED:
-        rows = rows_beside(outputs, run.V is not None) + rows_of_actuators(actuators, 12)
+        rows = rows_beside(outputs, run.V is not None)
+        rows += rows_of_actuators(actuators, 12) + rows_of_gaps(gaps, 12)
         figure, panels = sheet(rows, run.info.title, width=15.0, height=2.2)
     else:
-        rows = rows_below(outputs, run.V is not None) + rows_of_actuators(actuators, 6)
+        rows = rows_below(outputs, run.V is not None)
+        rows += rows_of_actuators(actuators, 6) + rows_of_gaps(gaps, 6)
         figure, panels = sheet(rows, run.info.title)
     for i in range(outputs):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
@@ -54,6 +58,10 @@ def overview(run: Run) -> Figure:
         of = f" {j}" if actuators > 1 else ""
         _command(panels[f"command {j}"], run, j, of)
         _actuator(panels[f"actuator {j}"], run, j, of)
+    for i in range(gaps):
+        of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
+        _loop(panels[f"loop {i}"], run, i, of)
+        _gaps(panels[f"gaps {i}"], run, i, of)
     if run.V is not None:
         plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
@@ -85,6 +93,12 @@ def rows_of_actuators(actuators: int, columns: int) -> list[list[str]]:
     """The panels of actuators whose widths are estimated: a row each, command and widths."""
     half = columns // 2
     return [[f"command {j}"] * half + [f"actuator {j}"] * half for j in range(actuators)]
+
+
+def rows_of_gaps(gaps: int, columns: int) -> list[list[str]]:
+    """The panels of plays whose gaps are estimated: a row each, reading over z and gaps."""
+    half = columns // 2
+    return [[f"loop {i}"] * half + [f"gaps {i}"] * half for i in range(gaps)]
 
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
@@ -144,6 +158,25 @@ def _actuator(axes: Axes, run: Run, j: int, of: str) -> None:
     std = None if run.b_std is None else run.b_std[run.shown, columns]
     _over_truth(axes, run, run.b_hat[run.shown, columns], std, "b", true)
     finish(axes, f"Widths of the actuator{of}, truth pale", axis_label("b", run.unit("b_hat")))
+
+
+def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
+    """Readings of output i over the true output and its estimate, of the end of the run."""
+    last = slice(2 * run.t.size // 3, None)
+    axes.plot(run.z[last, i], run.y[last, i], color=TRUTH, label="z")
+    z_hat = run.z_hat[last, i]
+    axes.plot(z_hat, run.y[last, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"$\hat z$")
+    title, unit = f"Reading{of} over the output, last third", run.unit("z")
+    finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
+
+
+def _gaps(axes: Axes, run: Run, i: int, of: str) -> None:
+    """The estimated gaps ahead of the dead zone of output i over the true ones."""
+    assert run.c_hat is not None
+    columns = slice(2 * i, 2 * i + 2)
+    std = None if run.c_std is None else run.c_std[run.shown, columns]
+    _over_truth(axes, run, run.c_hat[run.shown, columns], std, "c", run.info.gaps[columns])
+    finish(axes, f"Gaps of the play{of}, truth pale", axis_label("c", run.unit("c_hat")))
 
 
 def _over_truth(

@@ -78,7 +78,7 @@ def estimation_page(result: Estimation, image: bytes, origin: Origin | None = No
         head,
         *reasons,
         section("Along the log", picture(image, _OVERVIEW), paragraph(_TEST, "note")),
-        section("Widths", table(_heads(info.units.output), _widths(result))),
+        section("Widths", table(_heads(info.units.output), _widths(result)), *_gaps(result)),
         section("The log", table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,
     )
@@ -99,6 +99,23 @@ def _widths(result: Estimation) -> list[tuple[Any, ...]]:
         right, left = _width(info.d_right[i], right_std[i]), _width(info.d_left[i], left_std[i])
         rows.append((name, right, left, info.right[i], info.left[i], info.silent[i]))
     return rows
+
+
+def _gaps(result: Estimation) -> list[Any]:
+    """The table of the gaps ahead of dead zones; nothing where none are estimated."""
+    c, std, both = result.c_hat, result.c_std, result.gap_std
+    if c is None or std is None or both is None:
+        return []
+    rows = []
+    for i, name in enumerate(result.outputs):
+        pair = slice(2 * i, 2 * i + 2)
+        values = (*c[-1, pair], c[-1, pair].sum())
+        stds = (*std[-1, pair], both[-1, i])
+        found = [with_deviation(float(v), float(s)) for v, s in zip(values, stds, strict=True)]
+        rows.append((name, *found))
+    unit = result.info.units.output
+    heads = [label(symbol, unit) for symbol in ("c_r^", "c_l^", "c_r^ + c_l^")]
+    return [table(("play ahead of the zone", *heads), rows)]
 
 
 def _width(value: float, std: float | None) -> float | str:

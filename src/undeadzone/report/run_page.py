@@ -13,7 +13,8 @@ from undeadzone.support.text import label, with_deviation, with_unit
 
 _OVERVIEW: Final = (
     "Output, reading and estimate; errors; widths, in bands of two standard deviations, against "
-    "the truth; command and widths of actuators that are estimated; "
+    "the truth; command and widths of actuators that are estimated; reading over output, and gaps, "
+    "of plays that are estimated; "
     "the Lyapunov function where there is one."
 )
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
@@ -44,7 +45,9 @@ def run_page(
         _verdict(run),
         section("What happens", *first, *(picture(figure, _OVERVIEW) for figure in figures)),
         section("Numbers", _numbers_table(run, rival)),
-        section("Widths", _widths_table(run), *_actuators(run), *map(paragraph, reasons)),
+        section(
+            "Widths", _widths_table(run), *_actuators(run), *_gaps(run), *map(paragraph, reasons)
+        ),
         section("Gains", *_gains(run)),
         origin=origin or Origin(scenario=run.info.scenario, seed=run.info.seed),
     )
@@ -135,6 +138,28 @@ def _actuators(run: Run) -> list[Html]:
         rows.append((f"u[{j}]", right, true_right, left, true_left))
     unit = run.info.units.input
     return [table(("actuator", label("b_r^", unit), "true", label("b_l^", unit), "true"), rows)]
+
+
+def _gaps(run: Run) -> list[Html]:
+    """The estimated and the true gaps ahead of each dead zone; nothing where none are."""
+    if run.c_hat is None or run.c_std is None or run.gap_std is None:
+        return []
+    rows = []
+    for i, name in enumerate(run.outputs):
+        true = run.info.gaps[2 * i : 2 * i + 2]
+        c, std = run.c_hat[-1, 2 * i : 2 * i + 2], run.c_std[-1, 2 * i : 2 * i + 2]
+        values = (*c, c.sum())
+        stds = (*std, run.gap_std[-1, i])
+        found = [with_deviation(float(v), float(s)) for v, s in zip(values, stds, strict=True)]
+        cells: list[Any] = []
+        for estimate, truth in zip(found, (*true, sum(true)), strict=True):
+            cells += [estimate, truth]
+        rows.append((name, *cells))
+    unit = run.info.units.output
+    heads: list[str] = []
+    for symbol in ("c_r^", "c_l^", "c_r^ + c_l^"):
+        heads += [label(symbol, unit), "true"]
+    return [table(("play ahead of the zone", *heads), rows)]
 
 
 def _yes(known: bool) -> Html:

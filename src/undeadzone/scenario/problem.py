@@ -13,6 +13,7 @@ from undeadzone.controllers import Controller
 from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.gaps import gaps_of
 from undeadzone.interfaces import Compensator
 from undeadzone.linear.structure import require_structure
 from undeadzone.observers import NumericObserver, Observer
@@ -37,7 +38,7 @@ from undeadzone.scenario.time_step import (
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Floats, nonnegative, scalar
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 
 class Problem(NamedTuple):
@@ -93,11 +94,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
     sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
-    if sensor.friction_std.any():
-        raise InputError(
-            "sensor.load_friction: expected a number, a simulation needs one; give the range as "
-            "model.load_friction"
-        )
+    _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
     disturbance = _disturbance(scenario, true.m)
@@ -114,15 +111,19 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
         )
-    elif sensor.kind == "play":
+    elif sensor.moves:
+        key = "sensor.kind" if sensor.play is None else "sensor.play"
         raise InputError(
-            "sensor.kind: a play shows its side from one reading to the next; set "
+            f"{key}: a play shows its side from one reading to the next; set "
             'simulation.time = "sampled"'
         )
-    require_hearer(scenario.observer, sensor.kind)
     require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
+    if scenario.model is not None and scenario.model.play is not None:
+        _require_play(scenario.model.play, sensor)
     told = resolve(known_sensor(scenario), true.p, step, pace(flow.linear))
+    for each in (sensor, told):
+        require_hearer(scenario.observer, each)
     observer = built(scenario.observer, model, told, belief)
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
@@ -164,11 +165,35 @@ def known_actuator(scenario: Scenario) -> ActuatorModel | None:
 
 
 def known_sensor(scenario: Scenario) -> Sensor:
-    """The sensor as observers know it, in a user's words: with the friction of [model]."""
-    told = None if scenario.model is None else scenario.model.load_friction
-    if told is None:
+    """The sensor as observers know it, in a user's words: with what [model] says of it."""
+    if scenario.model is None:
         return scenario.sensor
-    return msgspec.structs.replace(scenario.sensor, load_friction=told)
+    told = {"load_friction": scenario.model.load_friction, "play": scenario.model.play}
+    told = {key: value for key, value in told.items() if value is not None}
+    return msgspec.structs.replace(scenario.sensor, **told)
+
+
+def _require_numbers(sensor: Zone) -> None:
+    """Raise InputError where the sensor itself has a range in place of a number."""
+    if sensor.friction_std.any():
+        raise InputError(
+            "sensor.load_friction: expected a number, a simulation needs one; give the range as "
+            "model.load_friction"
+        )
+    if sensor.play is not None and sensor.play.ranges is not None:
+        raise InputError(
+            "sensor.play: expected numbers, a simulation needs them; give the ranges as model.play"
+        )
+
+
+def _require_play(told: Array, sensor: Zone) -> None:
+    """Raise InputError unless what is told of a play's gaps can be, and there is a play."""
+    gaps_of(told, sensor.right.size, "model.play")
+    if sensor.play is None and np.any(told):
+        raise InputError(
+            "model.play: the sensor has no play ahead of its dead zone; give sensor.play, or leave "
+            "it out"
+        )
 
 
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:

@@ -42,6 +42,8 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         actuator: as in [actuator]; widths that are ranges are estimated.
         load_friction: as in [sensor]; a pair is a range, and `kalman`, `censored` and `auto` then
             estimate it [u].
+        play: as in [sensor]; ranges [[lo, hi], [lo, hi]] in place of [c_r, c_l] are estimated by
+            `kalman`, `censored` and `auto` [z].
     """
 
     A: Array | None = None
@@ -50,6 +52,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parameters: dict[str, float] = {}
     actuator: ActuatorModel | None = None
     load_friction: Array | None = None
+    play: Array | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -64,7 +64,7 @@ def close(
         plant=np.zeros(plant.n),
         observer=observer.init(observer.params),
         controller=controller.init(controller.params),
-        sensor=sensor.start if sensor.kind == "play" else np.zeros(0),
+        sensor=sensor.start if sensor.moves else np.zeros(0),
         compensator=None if compensator is None else compensator.init(compensator.params),
         actuator=np.zeros(plant.m if rated else 0),
     )
@@ -110,7 +110,17 @@ def numbers(
     quantum = sensor.quantum if sensor.quantum.any() else np.empty(0)
     widths = sensor.right, sensor.left
     friction = sensor.friction if sensor.friction.any() else np.empty(0)
-    zone = SensorParams(*widths, sensor.slope, sensor.threshold, quantum, sensor.limits, friction)
+    none, ahead = np.empty(0), sensor.play
+    zone = SensorParams(
+        *widths,
+        sensor.slope,
+        sensor.threshold,
+        quantum,
+        sensor.limits,
+        friction,
+        gap_right=none if ahead is None else ahead.right,
+        gap_left=none if ahead is None else ahead.left,
+    )
     h = np.float64(step)
     undoing = None if compensator is None else compensator.params
     own = (observer.params, controller.params)

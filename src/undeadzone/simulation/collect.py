@@ -21,6 +21,7 @@ from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures
 from undeadzone.simulation.false_claims import with_false_claims
+from undeadzone.simulation.gap_words import gap_signals
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import FRAMES, Info, Run
 from undeadzone.simulation.run_info import IntegrationError
@@ -32,6 +33,7 @@ from undeadzone.simulation.verdicts import (
     constant_inputs,
     linear_verdicts,
     told_at_both_ends,
+    withdrawn,
 )
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -46,6 +48,9 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         problem: what was simulated.
         signal: the outputs of the loop (a row per sample).
     """
+    if problem.sensor.play is not None and (problem.plant.nonlinear or actuator_unknown(problem)):
+        why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
+        return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
     if problem.plant.nonlinear:
         return with_false_claims(problem, _verdicts_along(problem, signal))
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
@@ -179,6 +184,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "restarts": estimate.restarts,
         "level": behind_play(problem, signal.z),
         **_actuator(estimate),
+        **gap_signals(estimate),
     }
     return Run(
         t=t,
@@ -222,6 +228,15 @@ def _true_actuator(problem: Problem) -> list[float]:
     if drive is None or belief is None or belief.ranges is None:
         return []
     return [float(width) for width in np.stack([drive.right, drive.left], axis=1).ravel()]
+
+
+def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
+    """True [c_r, c_l] of each output; nothing where they are known, or there is no play."""
+    if not signal.estimate.gap_std.shape[1]:
+        return []
+    play, none = problem.sensor.play, np.zeros(problem.plant.p)
+    gaps = (none, none) if play is None else (play.right, play.left)
+    return [float(gap) for gap in np.stack(gaps, axis=1).ravel()]
 
 
 def _true_widths(problem: Problem) -> Floats:
@@ -280,6 +295,7 @@ def _info(
         adapts=traits.adapts,
         sensor=problem.sensor.kind,
         actuator=_true_actuator(problem),
+        gaps=_true_gaps(problem, signal),
         scenario=_text(scenario),
         version=undeadzone.__version__,
         seed=scenario.simulation.seed,

@@ -20,6 +20,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.estimation import Estimation
 from undeadzone.simulation.follow_text import TextLog
 from undeadzone.simulation.follower import Follower, require_units
+from undeadzone.simulation.gap_words import gap_signals
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
@@ -172,6 +173,7 @@ def _collected(
         "w_hat": estimated.w,
         "theta_hat": estimated.theta,
         "theta_std": estimated.theta_std,
+        **gap_signals(estimated),
     }
     return Estimation(
         t=regular.t,

@@ -51,6 +51,9 @@ class Estimation:
         w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: parameters of the model that the observer estimates (info.uncertain).
         theta_std: standard deviations of theta_hat.
+        c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
+        c_std: standard deviation of c_hat (N x 2p) [z].
+        gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
         x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
             `censored`, `extended` and `auto`.
         x_smooth_std, d_smooth_std: their standard deviations.
@@ -74,6 +77,9 @@ class Estimation:
     w_hat: Floats | None = None
     theta_hat: Floats | None = None
     theta_std: Floats | None = None
+    c_hat: Floats | None = None
+    c_std: Floats | None = None
+    gap_std: Floats | None = None
     x_smooth: Floats | None = None
     z_smooth: Floats | None = None
     d_smooth: Floats | None = None

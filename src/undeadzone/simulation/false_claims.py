@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.gaps import gaps_of
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.scenario.problem import Problem
+
+ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
 
 
 def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
@@ -37,5 +42,23 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
                 )
                 found: dict[str, Any] = {side: False, "width": False, "centre": False}
                 verdict = verdict._replace(**found, reasons=(*verdict.reasons, reason))
-        judged.append(verdict)
+        judged.append(_with_false_gaps(problem, verdict, i))
     return judged
+
+
+def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
+    """The verdict on output i; no width is known beside a gap that is told wrongly."""
+    play, model = problem.sensor.play, problem.scenario.model
+    if play is None or model is None or model.play is None:
+        return verdict
+    p = problem.model.p
+    gaps, ranges = gaps_of(model.play, p, "model.play")
+    low, high = gaps, gaps
+    if ranges is not None:
+        low, high = ranges.T.reshape(2, 2, p)
+    true = np.stack([play.right, play.left])
+    slack = ROUNDING * true
+    if ((low - slack <= true) & (true <= high + slack))[:, i].all():
+        return verdict
+    reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    return Verdict(False, False, False, False, (*verdict.reasons, reason), verdict.std)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
+from undeadzone.simulation.gap_words import gap_numbers, gap_signals
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.numeric_along import numeric_along
 from undeadzone.simulation.online import Online, built_for
@@ -127,7 +129,7 @@ class Follower:
         band = self.zone.threshold / self.zone.slope
         for i, test in enumerate(self._tests):
             along[:, i] = test.add(estimate.innovation[:, i], estimate.innovation_std[:, i])
-            if self.zone.kind == "deadzone":
+            if self.zone.kind == "deadzone" and self.zone.play is None:
                 test.add_silences(estimate, i, silent[:, i], float(band[i]))
         return along
 
@@ -201,6 +203,7 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
+            play=_final_gaps(last),
             remarks=self._remarks(),
         )
 
@@ -215,6 +218,13 @@ class Follower:
                     f"they only bound z: set sensor.range = {ends.text}"
                 )
         return remarks
+
+
+def _final_gaps(last: Estimate) -> dict[str, Any]:
+    """The gaps of the last estimate, with their deviations; nothing where none are estimated."""
+    whole = Estimate(*[field[None] for field in last])
+    signals = gap_signals(whole)
+    return gap_numbers(*signals.values()) if signals else {}
 
 
 def require_units(layout: Layout, units: Units, source: str) -> None:

@@ -42,6 +42,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         limited: samples at a limit of the range, of each output (p); empty: there is none.
         remarks: what else the log shows, for the user.
         sensor: its kind.
+        play: final gaps of the play ahead of each dead zone, with their deviations, by name [z];
+            empty where none are estimated.
     """
 
     title: str
@@ -77,10 +79,12 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     limited: list[int] = []
     remarks: list[str] = []
     sensor: str = "deadzone"
+    play: dict[str, Any] = {}
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""
         numbers = msgspec.to_builtins(self)
+        numbers |= numbers.pop("play")
         for name in ("right", "left", "silent", "limited"):
             numbers[f"samples_{name}"] = numbers.pop(name)
         if not self.limited:

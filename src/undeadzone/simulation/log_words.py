@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from undeadzone.logs.samples import counted_lines
+from undeadzone.simulation.gap_words import in_words as gaps_in_words
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.run_columns import output_names
 from undeadzone.support.shown import Block, Rows
@@ -30,6 +31,8 @@ def in_words(info: LogInfo) -> list[Block]:
         unit = info.units.output
         shown["d_right"] = with_unit(_width(info.d_right, info.d_right_std, 0), unit) + estimated
         shown["d_left"] = with_unit(_width(info.d_left, info.d_left_std, 0), unit) + estimated
+        if info.play:
+            shown |= gaps_in_words(info.play, unit)
         shown["readings"] = _sides(info, 0)
     elif not info.adapts:
         shown["widths"] = "not estimated"

@@ -49,6 +49,7 @@ class SensorParams(NamedTuple):
         quantum: step of the reading (p) [y]; empty where nothing is quantised.
         limits: least and largest readings (p) [y]; None: there are none.
         friction: of what is behind a play (p) [u]; empty where there is none.
+        gap_right, gap_left: of a play ahead of a dead zone (p) [z]; empty where there is none.
     """
 
     right: Any
@@ -58,6 +59,8 @@ class SensorParams(NamedTuple):
     quantum: Any
     limits: Limits | None
     friction: Any
+    gap_right: Any
+    gap_left: Any
 
 
 class Scale(NamedTuple):
@@ -102,7 +105,7 @@ class State(NamedTuple):
 
     Attributes:
         plant, observer, controller, compensator: states of the parts.
-        sensor: level of a play (p) [z]; empty of another sensor.
+        sensor: level of a play (p) [z]; empty of a sensor without one.
         actuator: last command, where its rate has a limit (m) [u]; else empty.
     """
 

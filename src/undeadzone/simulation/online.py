@@ -210,7 +210,7 @@ def built_for(
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
     zone = resolve(sensor, model.p, Ts, pace(system.linear))
-    require_hearer(observer, zone.kind)
+    require_hearer(observer, zone)
     built = behind(observer, model, zone, believed(actuator, model.m))
     require_bounded_error(model, built, Ts)
     return model, zone, built

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from undeadzone.simulation.gap_words import gap_numbers
 from undeadzone.simulation.run_columns import (
     actuator_widths,
     arrays_of,
@@ -67,6 +68,9 @@ class Run:
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
         b_std: standard deviation of b_hat (N x 2m) [u].
+        c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
+        c_std: standard deviation of c_hat (N x 2p) [z].
+        gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
         level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
         tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
             [m].
@@ -100,6 +104,9 @@ class Run:
     restarts: Floats | None = None
     b_hat: Floats | None = None
     b_std: Floats | None = None
+    c_hat: Floats | None = None
+    c_std: Floats | None = None
+    gap_std: Floats | None = None
     level: Floats | None = None
     tip: Floats | None = None
     tip_hat: Floats | None = None
@@ -252,6 +259,7 @@ class Run:
             "d_left_std": None if d_std is None else one_or_list(d_std[-1, 1::2]),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             **actuator_widths(self.b_hat, self.b_std),
+            **gap_numbers(self.c_hat, self.c_std, self.gap_std),
             "width_std": None if width_std is None else one_or_list(width_std[-1]),
             **judgement(self.consistent, self.refused, self.restarts),
             "listens": one_or_list(np.array(listens, float)) if listens else None,

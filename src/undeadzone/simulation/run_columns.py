@@ -17,6 +17,8 @@ EDGES: Final = {
     "d_std": ("d_right_std", "d_left_std"),
     "b_hat": ("b_right", "b_left"),
     "b_std": ("b_right_std", "b_left_std"),
+    "c_hat": ("gap_right", "gap_left"),
+    "c_std": ("gap_right_std", "gap_left_std"),
     "d_smooth": ("d_right_smooth", "d_left_smooth"),
     "d_smooth_std": ("d_right_smooth_std", "d_left_smooth_std"),
 }

@@ -55,6 +55,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
             cannot be told; empty: not measured (`simulation.listening`).
         sensor: its kind.
         actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
+        gaps: true [c_r, c_l] of the play ahead of each dead zone, where they are estimated (2p)
+            [z].
     """
 
     title: str
@@ -78,6 +80,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     listens: list[float | None] = []
     sensor: str = "deadzone"
     actuator: list[float] = []
+    gaps: list[float] = []
     scenario: str = ""
     version: str = ""
     seed: int = 0

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.analysis.identifiability.words import yes_no
+from undeadzone.simulation.gap_words import in_words as gaps_in_words
 from undeadzone.simulation.listening_words import in_words as listening_in_words
 from undeadzone.simulation.run_info import Info
 from undeadzone.support.shown import Block, Rows
@@ -68,6 +69,8 @@ def _errors(info: Info, summary: Mapping[str, Any], last: float, single: bool) -
         shown |= _widths(summary, ("d_right", "d_left"), info.widths, info.units.output)
     if len(info.actuator) == 2 and "b_right" in summary:
         shown |= _widths(summary, ("b_right", "b_left"), info.actuator, info.units.input)
+    if single and "gap_std" in summary:
+        shown |= gaps_in_words(summary, info.units.output, info.gaps)
     for name, parameter in summary.get("parameters", {}).items():
         estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
         shown[name] = f"{with_deviation(estimate, std)} (true {true:g})"

@@ -14,7 +14,9 @@ from undeadzone.analysis.identifiability.linear import (
     unknown_bias,
     verdicts,
 )
+from undeadzone.analysis.identifiability.play_and_zone import Readings, Told, told_of_both
 from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.gaps import gaps_of
 from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
@@ -39,6 +41,8 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     bias = constant_inputs(problem, linear.B)
     if sensor.kind == "jump":
         return verdicts(linear, schedule, bias, jump=True)
+    if sensor.play is not None:
+        return [one.zone for one in verdicts_of_both(problem, schedule, arrive)]
     alone = _with_deviations(problem, schedule, arrive, bias, None)
     traits = problem.observer.traits
     least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
@@ -74,6 +78,51 @@ def _with_deviations(
     for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
         judged.append(as_far_as_known(problem, schedule, verdict, i, expected[i]))
     return judged
+
+
+def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:
+    """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
+    judged, play = [], problem.sensor.play
+    assert play is not None
+    readings = readings_of_both(problem, schedule, arrive)
+    for i, told in enumerate(told_of_both(problem.model.linear, schedule, readings)):
+        assert told.zone.std is not None
+        zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
+        gap = float(play.right[i] + play.left[i])
+        if gap < told.gap_std < np.inf:
+            reason = (
+                f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
+            )
+            zone = zone._replace(reasons=(*zone.reasons, reason))
+        judged.append(told._replace(zone=zone))
+    return judged
+
+
+def readings_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
+    """What tells of a play and a dead zone; arguments as of `linear_verdicts`."""
+    simulation, traits, model = problem.scenario.simulation, problem.observer.traits, problem.model
+    least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
+    return Readings(
+        noise=problem.sensor.rms,
+        step=simulation.step,
+        duration=simulation.duration,
+        arrive=arrive,
+        bias=constant_inputs(problem, model.linear.B),
+        colour=_colour(model, problem.scenario.disturbance),
+        told=beforehand(model.n, model.p, traits.start_std, traits.centre_std, least),
+        gaps_known=gaps_known(problem),
+    )
+
+
+def gaps_known(problem: Problem) -> bool:
+    """Whether the observer is told the gaps of the play ahead of a dead zone."""
+    model = problem.scenario.model
+    return model is None or model.play is None or gaps_of(model.play, problem.model.p)[1] is None
+
+
+def withdrawn(problem: Problem, why: str) -> list[Verdict]:
+    """Verdicts that claim nothing, with the reason."""
+    return [Verdict(False, False, False, False, reasons=(why,))] * problem.model.p
 
 
 def as_far_as_known(

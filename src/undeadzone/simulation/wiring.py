@@ -50,11 +50,18 @@ class Wiring(NamedTuple):
     def mode(self, s: State, w: Exogenous) -> Mode:
         """The branch at a state."""
         right, left = self.widths(w)
-        z = self.plant.output(self.p.plant, s.plant) + w.before
+        z = self.ahead_of_zone(s, w)
         side = ca.SX(0.0)
         for above, below in zip(*self.levels(w), strict=True):
             side += 1.0 * (z > above) - 1.0 * (z < below)
         return Mode(zone(z, right, left), side)
+
+    def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
+        """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
+        z, sensor = self.plant.output(self.p.plant, s.plant), self.p.sensor
+        if sensor.gap_right.numel():
+            return held(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
+        return z + w.before
 
     def levels(self, w: Exogenous) -> Levels:
         """Levels of z, noise ahead of the zone included (p each).
@@ -104,7 +111,9 @@ class Wiring(NamedTuple):
         if self.kind == "play":
             level = held(ca, z, s.sensor, *self.widths(w))
             mode = Mode(mode.zone, contact(level, s.sensor))
-        reading = self._read(z, level, s, w, mode)
+        elif self.p.sensor.gap_right.numel():
+            level = self.ahead_of_zone(s, w)
+        reading = self._read(self.ahead_of_zone(s, w), level, s, w, mode)
         unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
         _, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
@@ -134,7 +143,7 @@ class Wiring(NamedTuple):
         return last, through_zone(ca, passed, drive)
 
     def _read(self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
-        """What the sensor gives of an output z (p) on a given branch; level: of a play."""
+        """What the sensor gives of `ahead_of_zone` (p) on a given branch; level: of a play."""
         sensor = self.p.sensor
         if self.kind == "play":
             y = sensor.slope * level + w.after
@@ -145,7 +154,7 @@ class Wiring(NamedTuple):
                 return Reading(y, mode.side, s.plant)
             end = at_limit(y, sensor.limits)
             return Reading(y, ca.if_else(end != 0, 2 * end, mode.side), s.plant)
-        exact = branch(z + w.before, mode.zone, *self.widths(w), sensor.slope, self.kind)
+        exact = branch(z, mode.zone, *self.widths(w), sensor.slope, self.kind)
         y = exact + w.after
         if sensor.quantum.numel():
             y = self._within_range(quantised(y, sensor.quantum))

@@ -16,6 +16,7 @@ RENAMED: Final = {
 IN_OUTPUT_UNITS: Final = (
     "y", "r", "z", "right", "left", "z_inverse", "innovation",
     "right_std", "left_std", "width_std", "innovation_std",
+    "gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std",
 )  # fmt: skip
 
 

@@ -127,9 +127,10 @@ def _require_shown(problem: Problem) -> None:
             f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}; "
             "leave the key out"
         )
-    if sensor.kind == "play":
+    if sensor.moves:
+        key = "sensor.kind" if sensor.play is None else "sensor.play"
         raise InputError(
-            "sensor.kind: the page draws a band in which the sensor reads 0; a play has none"
+            f"{key}: the page draws a band in which the sensor reads 0; a play has none"
         )
     for key in ("drift", "dropout"):
         if getattr(sensor, key).any():

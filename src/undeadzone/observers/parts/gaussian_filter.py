@@ -77,6 +77,7 @@ class Params(NamedTuple):
         ends: of the range of the readings, as `Ends`; None: they have none.
         zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
         rest: steps for which a silent edge is not heard again.
+        gaps: of a play ahead of the dead zone, as `Gaps`; None: there is none.
     """
 
     model: Any
@@ -94,6 +95,7 @@ class Params(NamedTuple):
     ends: Any = None
     zones: Any = None
     rest: Any = 1.0
+    gaps: Any = None
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
@@ -141,7 +143,19 @@ def informed(q: Params, model: System, cov: Any) -> Any:
     n, known = model.n, model.n + 2 * model.p
     first = q.doubt.std[n:known] ** 2
     told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
-    return ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
+    return ca.vertcat(ca.SX.ones(n), told, _informed_of_gaps(q, cov, known))
+
+
+def _informed_of_gaps(q: Params, cov: Any, known: int) -> Any:
+    """`informed` of the unknowns after the widths, of which there are `known` with the state."""
+    rest = cov.shape[0] - known
+    if q.gaps is None or not q.gaps.std.shape[0]:
+        return ca.SX.ones(rest)
+    after = 0 if q.zones is None else q.zones.middle.shape[0]
+    count = q.gaps.std.shape[0]
+    variance = ca.diag(cov)[cov.shape[0] - after - count : cov.shape[0] - after]
+    told = ca.sqrt(ca.fmax(1 - variance / q.gaps.std**2, 0.0))
+    return ca.vertcat(ca.SX.ones(rest - after - count), told, ca.SX.ones(after))
 
 
 def motion(

@@ -58,6 +58,7 @@ from undeadzone.observers.parts.unknown_actuator import (
     with_actuator,
     with_widths,
 )
+from undeadzone.observers.parts.unknown_gaps import numbers_of, with_gaps, with_play
 from undeadzone.observers.parts.unknown_load import against_friction, with_friction
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
@@ -101,7 +102,9 @@ def measured_filter(
     zones: Zones | None = None,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
-    augmentation = with_widths(with_friction(augmentation, sensor), zones)
+    gaps = numbers_of(sensor, prior.drift)
+    augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
+    augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     centred = prior.centre is not None
@@ -122,6 +125,7 @@ def measured_filter(
         ends=ends(sensor, prior),
         zones=zones,
         rest=np.asarray(rest_of(model, sensor, lasting)),
+        gaps=gaps,
     )
     smoothing = Smoothing(
         moments=partial(moments, setup),
@@ -149,7 +153,8 @@ def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
     side = side_taken(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
     R = variances(q, reading)
-    corrected = correct(setup, q, before, y, side, R, surprise(setup, q, s.pace, y, side, R))
+    surprises = surprise(setup, q, s.pace, y, side, R)
+    corrected = correct(setup, q, before, y, side, R, surprises, reading.motion)
     heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
     heard = with_bounds(setup, q, s, heard, reading, y, side)
     if setup.limited:
@@ -181,6 +186,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = with_unknowns(setup, q, estimated, shown, s.u)
     estimated = with_actuator(q.zones, estimated, shown)
+    estimated = with_play(q, estimated, shown, reading)
     mean, cov, restarted = sound(
         q, setup.entries, predicted(setup, q, heard.belief, u, reading.side)
     )
@@ -223,10 +229,28 @@ def with_bounds(
     silent = silent_ones(setup, q, reading, y)
     if not setup.bounds:
         return heard._replace(silence=believed_silences(setup, q, heard.belief, silent))
+    if setup.both:
+        return with_bounds_of_both(setup, q, s, heard, y, present(reading.y))
     if not setup.limited:
         return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
+
+
+def with_bounds_of_both(
+    setup: Setup, q: Params, s: State, heard: Heard, y: Any, seen: Any
+) -> Heard:
+    """`with_bounds` of a play ahead of a dead zone, which bounds z wherever it is.
+
+    Silence says -d_l - c_l <= z <= d_r + c_r; beyond an edge z lies within the gap about what is
+    held, as far as readings that are held may be off.
+    """
+    held = sure_side(y, s.last, s.previous, q.gate)
+    silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
+    heard_at_all = ca.logic_or(silent, held != 0)
+    held = ca.if_else(silent, 0.0, held)
+    level = ca.if_else(held != 0, y, 0.0)
+    return use_bounds(setup, q, heard, heard_at_all, held, level, held)
 
 
 def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
@@ -247,6 +271,8 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
     if setup.limited:
         exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
+    if setup.both:  # what holds tells no contact
+        side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side
     stuck = ca.logic_and(y == s.last, q.doubt.noisy)

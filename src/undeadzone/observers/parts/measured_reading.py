@@ -17,7 +17,9 @@ from undeadzone.numerics.doubtful import (
 )
 from undeadzone.numerics.gaussian import Gaussian, linearise, truncate
 from undeadzone.observers.parts.gaussian_filter import Params, informed
+from undeadzone.observers.parts.prior import HELD, SILENT
 from undeadzone.observers.parts.shown_belief import Setup
+from undeadzone.observers.parts.unknown_gaps import taken_by_play
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
 from undeadzone.play import readings_of_motion
@@ -45,15 +47,25 @@ class Heard(NamedTuple):
     silence: tuple[Any, ...] = ()
 
 
-def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any) -> Any:
-    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself."""
+def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: Any = 0.0) -> Any:
+    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself.
+
+    contact: of a play ahead of the zone, whose gap is taken off too.
+    """
     n, p = setup.model.n, setup.model.p
     z = setup.model.output(q.model, X[:n])[i]
-    return z - offset(side, X[n + i], X[n + p + i])
+    return z - offset(side, X[n + i], X[n + p + i]) - taken_by_play(q, i, contact, X)
 
 
 def correct(
-    setup: Setup, q: Params, belief: Gaussian, y: Any, side: Any, R: Any, surprise: Sequence[Any]
+    setup: Setup,
+    q: Params,
+    belief: Gaussian,
+    y: Any,
+    side: Any,
+    R: Any,
+    surprise: Sequence[Any],
+    contact: Any = None,
 ) -> Weighed:
     """The belief after the readings on the sides that are sure, one output at a time.
 
@@ -65,6 +77,7 @@ def correct(
         side: the sides that are sure (p), 0 where none is.
         R: variances of the readings (p) [z^2].
         surprise: log of what the silence before speaks for each reading (p).
+        contact: of a play ahead of the zone, in which y moves (p); None: there is none.
 
     Returns:
         Innovations, their standard deviations and trust (p each), and the sum of the logs.
@@ -73,7 +86,9 @@ def correct(
     for i in range(setup.model.p):
         active = side[i] != 0
         branch = 0.0 if setup.jump else side[i]
-        expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
+        moving = 0.0 if contact is None else contact[i]
+        sight = partial(beyond_edge, setup, q, i, branch, contact=moving)
+        expected, h = linearise(sight, belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
         moved = moved_by(setup, q, belief, i, side[i]) if setup.apart else None
@@ -112,7 +127,13 @@ def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> An
 
 
 def use_bounds(
-    setup: Setup, q: Params, known: Heard, silent: Any, side: Any, level: Any = None
+    setup: Setup,
+    q: Params,
+    known: Heard,
+    silent: Any,
+    side: Any,
+    level: Any = None,
+    held: Any = None,
 ) -> Heard:
     """What is known given that z is inside the edges of a silent sensor.
 
@@ -127,6 +148,8 @@ def use_bounds(
         silent: whether each output is silent (p).
         side: the sides that are sure (p).
         level: from which z is inside the edges (p) [y], y of a play; None: 0.
+        held: side of the zone on which a play ahead of it holds the reading (p), 0 where the zone
+            is silent; None: there is no such play.
     """
     waits: list[Any] = []
     believed: list[Any] = []
@@ -138,9 +161,12 @@ def use_bounds(
             waiting = known.wait[len(waits)]
             bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
             above = 0.0 if level is None else edge * level[i]
-            slack = q.gate[i] + above
+            slack, branch = q.gate[i] + above, edge
+            if held is not None:
+                branch = ca.if_else(held[i] != 0, held[i], edge)
+                slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
             one, used, regular = heard_edge(
-                setup, q, belief, i, edge, silent[i], outside, bounded, slack
+                setup, q, belief, i, edge, branch, silent[i], outside, bounded, slack
             )
             belief = one.belief
             believed.append(ca.logic_and(silent[i], regular > 0.5))
@@ -184,7 +210,9 @@ def believed_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) ->
     each = []
     for edge in (RIGHT, LEFT):
         for i in range(setup.model.p):
-            *_, regular = heard_edge(setup, q, belief, i, edge, silent[i], 0.0, 0.0, q.gate[i])
+            *_, regular = heard_edge(
+                setup, q, belief, i, edge, edge, silent[i], 0.0, 0.0, q.gate[i]
+            )
             each.append(ca.logic_and(silent[i], regular > 0.5))
     return tuple(ca.vertsplit(ca.vertcat(*each), setup.model.p))
 
@@ -195,6 +223,7 @@ def heard_edge(
     belief: Gaussian,
     i: int,
     edge: float,
+    branch: Any,
     silent: Any,
     outside: Any,
     bounded: Any,
@@ -208,12 +237,14 @@ def heard_edge(
         belief: the belief so far.
         i: number of the output.
         edge: right or left.
+        branch: side of the zone whose edge it is, that of a play ahead of it aside.
         silent: whether the output is silent.
         outside: whether z is beyond the edge instead, by a jump sensor's reading.
         bounded: whether the edge is heard.
         slack: reading up to which z may be beyond the edge of a silent sensor [y].
     """
-    excess, h = linearise(partial(beyond_edge, setup, q, i, edge), belief.mean)
+    sight = partial(beyond_edge, setup, q, i, branch, contact=edge)
+    excess, h = linearise(sight, belief.mean)
     sign = edge * (1 - 2 * outside)
     over = sign * excess - ca.if_else(silent, slack / q.slope[i], 0.0)
     if not setup.doubts:

@@ -95,11 +95,15 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
 
     means = [weighted_mean(share, values) for values in zip(*estimates, strict=True)]
     widths = [one.right + one.left for one in estimates]
-    of_actuator = {}
-    for side in ("actuator_right", "actuator_left"):
-        of_actuator[f"{side}_std"] = mixture_std(share, wide, each(side), each(f"{side}_std"))
+    further = {}
+    for side in ("actuator_right", "actuator_left", "gap_right", "gap_left"):
+        if getattr(estimates[0], f"{side}_std").shape[0]:
+            further[f"{side}_std"] = mixture_std(share, wide, each(side), each(f"{side}_std"))
+    if estimates[0].gap_std.shape[0]:
+        gaps = [one.gap_right + one.gap_left for one in estimates]
+        further["gap_std"] = mixture_std(share, wide, gaps, each("gap_std"))
     return Estimate(*means)._replace(
-        **of_actuator,
+        **further,
         x_std=mixture_std(share, wide, each("x"), each("x_std")),
         right_std=mixture_std(share, wide, each("right"), each("right_std")),
         left_std=mixture_std(share, wide, each("left"), each("left_std")),

@@ -38,6 +38,8 @@ HEARERS = (
     "luenberger",
     "oracle",
 )
+# Of a play ahead of a dead zone; the latter two take no widths into account.
+HEARERS_OF_BOTH = ("auto", "censored", "kalman", "full_state", "luenberger")
 
 
 class Motion(NamedTuple):
@@ -91,7 +93,7 @@ def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer
     Raises:
         InputError: in continuous time.
     """
-    if sensor.kind != "play":
+    if not sensor.moves:
         return observer
     if model.Ts is None:
         raise InputError(
@@ -102,7 +104,7 @@ def heard_by_motion(observer: Observer, model: System, sensor: Zone) -> Observer
     numbers = Motion(
         slope=sensor.slope,
         quantum=sensor.quantum,
-        threshold=sensor.threshold,
+        threshold=sensor.threshold if sensor.play is None else sensor.play.threshold,
         window=np.float64(sensor.window),
         gains=np.array([1 - fade**2, (1 - fade) ** 2]),
         friction=sensor.friction if sensor.friction.any() else np.empty(0),
@@ -135,10 +137,15 @@ def step_by_motion(
 ) -> tuple[State, Estimate]:
     """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
     inner, motion = tree.parted(q, type(observer.params)), q.motion
-    y = exact(reading, sensor.limits).y
+    reading = exact(reading, sensor.limits)
+    y = reading.y
     seen = present(y)
     moving, heard, rms = sided(sensor, motion, s, y)
-    taken = Reading(heard, ca.if_else(seen, moving, 0.0), reading.x, heard, rms)
+    moving = ca.if_else(seen, moving, 0.0)
+    if sensor.play is None:
+        taken = Reading(heard, moving, reading.x, heard, rms)
+    else:
+        taken = Reading(heard, reading.side, reading.x, rms=rms, motion=moving)
     if motion.friction.numel():
         u = u - motion.friction * taken.side
     moved, estimate = observer.step(inner, s.observer, u, taken)
@@ -149,6 +156,8 @@ def step_by_motion(
         regular = ca.logic_and(seen, refused == s.refused)
     line = followed(sensor, motion, s, y, regular)
     after = State(moved, *line, ahead, refused)
+    if sensor.play is not None:
+        return after, estimate
     return after, estimate._replace(contact=taken.side)
 
 
@@ -216,10 +225,15 @@ def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[A
     )
 
 
-def require_hearer(options: Any, sensor_kind: str) -> None:
-    """Raise InputError where the method with these options does not know a play."""
+def require_hearer(options: Any, sensor: Zone) -> None:
+    """Raise InputError where the method with these options does not know the sensor's play."""
     method = str(options.__struct_config__.tag)
-    if sensor_kind == "play" and method not in HEARERS:
+    if sensor.play is not None and method not in HEARERS_OF_BOTH:
+        raise InputError(
+            f"observer.method: {method!r} knows no play ahead of a dead zone; use one of "
+            f"{', '.join(HEARERS_OF_BOTH)}, or leave out sensor.play"
+        )
+    if sensor.kind == "play" and method not in HEARERS:
         raise InputError(
             f"observer.method: {method!r} takes the reading for a function of z, which a play is "
             f"not; use one of {', '.join(HEARERS)}"

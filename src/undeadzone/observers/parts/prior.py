@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.gaps import largest_gap
 from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import state_units, time_scale
@@ -31,6 +32,7 @@ class Prior(NamedTuple):
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         centre: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but what
             the ranges say.
+        largest: width that the ranges allow, or gap of a play ahead of the zone [z].
     """
 
     mean: Floats
@@ -40,6 +42,7 @@ class Prior(NamedTuple):
     drift: Floats
     ranges: Floats
     centre: Floats | None = None
+    largest: float = 0.0
 
     def widths(self) -> tuple[Floats, Floats]:
         """Mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the centre."""
@@ -97,7 +100,7 @@ def build_prior(
     p = model.p
     ranges = width_ranges(right, left, p)
     span = ranges[:, 1] - ranges[:, 0]
-    largest = ranges[:, 1].max()
+    largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
     if noise is None:
         rms = sensor.rms
         least = floor * span.reshape(2, p).max(axis=0)
@@ -120,6 +123,7 @@ def build_prior(
         drift=np.full(2 * p, growth),
         ranges=ranges,
         centre=None if centre is None else _centres(centre, ranges, p),
+        largest=largest,
     )
 
 

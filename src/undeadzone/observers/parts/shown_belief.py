@@ -54,13 +54,13 @@ class Setup(NamedTuple):
 
     @property
     def plain(self) -> bool:
-        """Whether the sensor is a dead zone, neither of the jump kind nor a play."""
-        return not self.jump and not self.play
+        """Whether the sensor is a dead zone alone, neither of the jump kind nor with a play."""
+        return not self.jump and not self.sensor.moves
 
     @property
     def limited(self) -> bool:
         """Whether readings at a limit of their range bound z; of a play they are missing."""
-        return self.sensor.limits is not None and not self.play
+        return self.sensor.limits is not None and not self.sensor.moves
 
     @property
     def jump(self) -> bool:
@@ -71,6 +71,11 @@ class Setup(NamedTuple):
     def play(self) -> bool:
         """Whether the sensor is a play, which holds its reading in place of 0."""
         return self.sensor.kind == "play"
+
+    @property
+    def both(self) -> bool:
+        """Whether a play stands ahead of the dead zone."""
+        return self.sensor.play is not None
 
 
 def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:

@@ -1,0 +1,231 @@
+"""What readings tell of a play ahead of a dead zone: gaps and widths together (docs/play.md).
+
+A reading on side s of the zone, in contact m of the play, is C_i x - chi_s d - chi_m c. The gaps
+are states that never change, and each output stands twice, once for each contact, with the same d.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.analysis.identifiability.edges import unreached
+from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, invisible
+from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.linear.matrices import Matrices
+from undeadzone.support.arrays import Floats
+
+
+class Readings(NamedTuple):
+    """What tells of the widths.
+
+    Attributes:
+        noise: rms of the noise of z (p).
+        step: time between two readings [s].
+        duration: for how long there are readings [s].
+        arrive: share of each output's readings that arrive (p).
+        bias: directions (n x b) of unknown constant inputs; None: there is none.
+        colour: a random input; None: there is none.
+        told: what is known beforehand of [x(0); d] (k x n + 2p).
+        gaps_known: whether the gaps are.
+    """
+
+    noise: Floats
+    step: float
+    duration: float
+    arrive: Floats
+    bias: Floats | None
+    colour: Colour | None
+    told: Floats
+    gaps_known: bool
+
+
+class Told(NamedTuple):
+    """What readings tell of one output.
+
+    Attributes:
+        zone: of its dead zone.
+        gap: of its play: right and left gap, their sum and their difference.
+        both: whether the sum of both centres, c_r - c_l + d_r - d_l, is told.
+        gap_std: deviation of c_r + c_l that an optimal estimator reaches [z].
+    """
+
+    zone: Verdict
+    gap: Verdict
+    both: bool
+    gap_std: float
+
+
+def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
+    """The plant with [c_r, c_l] of each output as states, and each output once for each contact.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        Ts: sample time [s]; None in continuous time.
+    """
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
+    A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
+    B = np.vstack([linear.B, np.zeros((2 * p, linear.B.shape[1]))])
+    taken = np.diag(np.tile([-1.0, 1.0], p))
+    return Matrices(A, B, np.hstack([np.repeat(linear.C, 2, axis=0), taken]))
+
+
+def by_contact(schedule: Schedule) -> Schedule:
+    """The schedule of the outputs of `with_gaps`: a side counts in its own contact alone."""
+    assert schedule.contacts is not None
+    sides = np.stack([schedule.sides * (schedule.contacts == m) for m in (1.0, -1.0)], axis=2)
+    low, mean, high = (np.repeat(part, 2) for part in schedule[5:8])
+    return schedule._replace(
+        sides=sides.reshape(len(sides), -1),
+        low=low,
+        mean=mean,
+        high=high,
+        levels=np.repeat(schedule.levels, 2, axis=0),
+        exact=None,
+        contacts=None,
+    )
+
+
+def beforehand_of_gaps(linear: Matrices, readings: Readings, least: float) -> Floats:
+    """What is known beforehand of [x(0); c; d] of `with_gaps`, d once for each contact.
+
+    Both contacts have the same d; gaps that are known have no error.
+
+    Args:
+        linear: of the plant.
+        readings: what tells.
+        least: deviation of what is known exactly [z].
+    """
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    unit, first = np.eye(n + 6 * p), n + 2 * p
+    rows = []
+    for i in range(p):
+        right, left = first + 4 * i, first + 4 * i + 1
+        rows += [unit[right] - unit[right + 2], unit[left] - unit[left + 2]]
+        if readings.gaps_known:
+            rows += [unit[n + 2 * i], unit[n + 2 * i + 1]]
+    places = [*range(n)]
+    for i in range(p):
+        places += [first + 4 * i, first + 4 * i + 1]
+    claimed = np.zeros((len(readings.told), n + 6 * p))
+    claimed[:, places] = readings.told
+    return np.vstack([np.array(rows) / least, claimed])
+
+
+def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> list[Told]:
+    """What the readings along a schedule tell of gaps and widths of each output.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        schedule: of the sides and contacts.
+        readings: what tells.
+    """
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    whole, twice = with_gaps(linear, schedule.Ts), by_contact(schedule)
+    swing = float((schedule.high - schedule.low).max())
+    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or SMALLEST
+    told = beforehand_of_gaps(linear, readings, least)
+    bias = None if readings.bias is None else _padded(readings.bias, p)
+    colour = readings.colour
+    if colour is not None:
+        colour = colour._replace(B=_padded(colour.B, p))
+    visited = twice.visited(n + 2 * p)
+    hidden = invisible(whole, visited, schedule.Ts, bias).told(told)
+    expected = deviations(
+        whole,
+        twice,
+        np.repeat(readings.noise, 2),
+        readings.step,
+        readings.duration,
+        bias,
+        arrive=np.repeat(readings.arrive, 2),
+        colour=colour,
+        told=told,
+    )
+    each = []
+    for i in range(p):
+        gap = {name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()}
+        zone = {name: hidden.width(2 * i, name) for name in DIRECTIONS}
+        both = hidden.sees(_direction(n, p, i, (1.0, -1.0), (1.0, -1.0)))
+        own = slice(n + 2 * i, n + 2 * i + 2)
+        gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
+        reasons = (
+            *_unreached(schedule, n + 2 * p, i),
+            *_unturned(schedule, visited, i),
+            *_mixed(zone, gap, both, readings.gaps_known),
+        )
+        told_of_zone = _verdict(zone, reasons)._replace(std=expected.widths[2 * i])
+        each.append(Told(told_of_zone, _verdict(gap, ()), both, gap_std))
+    return each
+
+
+def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> list[bool]:
+    """Which states the readings along a schedule determine (n). Arguments as of `told_of_both`."""
+    n, p = linear.A.shape[0], linear.C.shape[0]
+    bias = None if readings.bias is None else _padded(readings.bias, p)
+    visited = by_contact(schedule).visited(n + 2 * p)
+    hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, bias)
+    hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
+    return [hidden.state(i) for i in range(n)]
+
+
+def _verdict(known: dict[str, bool], reasons: tuple[str, ...]) -> Verdict:
+    """A verdict without deviations."""
+    right, left, width, centre = (known[name] for name in DIRECTIONS)
+    return Verdict(right, left, width, centre, reasons)
+
+
+def _padded(B: Floats, p: int) -> Floats:
+    """Inputs (n x b) of the plant as those of `with_gaps`, which move no gap."""
+    return np.vstack([B, np.zeros((2 * p, B.shape[1]))])
+
+
+def _direction(
+    n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
+) -> Floats:
+    """A combination of gaps and widths of output i among [x; c; d]."""
+    direction = np.zeros(n + 6 * p)
+    direction[n + 2 * i : n + 2 * i + 2] = gap
+    direction[n + 2 * p + 4 * i : n + 2 * p + 4 * i + 2] = zone
+    return direction
+
+
+def _unreached(schedule: Schedule, n: int, i: int) -> list[str]:
+    """`unreached` of an edge behind a gap."""
+    words = []
+    for reason in unreached(schedule, schedule.visited(n), i):
+        named = reason.replace("below d_r,", "below d_r + c_r,")
+        words.append(named.replace("above -d_l,", "above -d_l - c_l,"))
+    return words
+
+
+def _unturned(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
+    """That output i is read in one contact alone, beyond one edge or both, in words."""
+    right, left = (bool(each.any()) for each in visited[2 * i : 2 * i + 2])
+    if right == left:
+        return []
+    seen, other = ("right", "left") if right else ("left", "right")
+    return [
+        f"beyond the edges the output is read while it moves {seen} alone, never while it moves "
+        f"{other}: the gap cannot be told"
+    ]
+
+
+def _mixed(zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool) -> list[str]:
+    """What of centres is told, in words; nothing where every width is."""
+    if (zone["right"] and zone["left"]) or gaps_known:
+        return []
+    if not (zone["width"] and gap["width"]):
+        return []
+    if both:
+        return [
+            "told are c_r + c_l, d_r + d_l and c_r - c_l + d_r - d_l: a shift of the gap cannot be "
+            "told from one of the zone, and z needs their sum alone"
+        ]
+    return [
+        "told are c_r + c_l and d_r + d_l: the sum of both centres cannot be told from a shift of "
+        "the state"
+    ]
