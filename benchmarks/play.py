@@ -93,21 +93,22 @@ READINGS = {  # noise and quantum, in amplitudes of the reference
     "encoder 0.3 %": (0.0, 0.0031),
     "encoder 3 %": (0.0, 0.03),
 }
-Options = Callable[[World, tuple[float, float]], ObserverOptions]
+Widths = tuple[float, ...]  # c_r, c_l; d_r, d_l of a dead zone after the play
+Options = Callable[[World, Widths], ObserverOptions]
 
 
-def kalman(world: World, gaps: tuple[float, float]) -> Kalman:
+def kalman(world: World, gaps: Widths) -> Kalman:
     """It knows the range of the gaps."""
     return Kalman(right=world.claim, disturbance=world.disturbance)
 
 
-def known(world: World, gaps: tuple[float, float]) -> Kalman:
+def known(world: World, gaps: Widths) -> Kalman:
     """It knows the gaps."""
     right, left = ([max(gap - SLIGHT, 0.0), gap + SLIGHT] for gap in gaps)
     return Kalman(right=right, left=left, disturbance=world.disturbance)
 
 
-def censored(world: World, gaps: tuple[float, float]) -> Censored:
+def censored(world: World, gaps: Widths) -> Censored:
     """It knows the range of the gaps, and hears what a held reading bounds."""
     return Censored(
         right=world.claim,
@@ -121,12 +122,12 @@ def censored(world: World, gaps: tuple[float, float]) -> Censored:
     )
 
 
-def ranges_alone(world: World, gaps: tuple[float, float]) -> Censored:
+def ranges_alone(world: World, gaps: Widths) -> Censored:
     """It knows the range of the gaps, and nothing else."""
     return Censored(right=world.claim)
 
 
-def certified(world: World, gaps: tuple[float, float]) -> Certified:
+def certified(world: World, gaps: Widths) -> Certified:
     """Constant gains with a certificate."""
     assert world.gains is not None
     L, gamma = world.gains
@@ -134,12 +135,12 @@ def certified(world: World, gaps: tuple[float, float]) -> Certified:
     return Certified(L=[[gain] for gain in L], gamma=gamma, widths0=middle)
 
 
-def inverse(world: World, gaps: tuple[float, float]) -> AdaptiveInverse:
+def inverse(world: World, gaps: Widths) -> AdaptiveInverse:
     """The adaptive inverse of Tao and Kokotovic."""
     return AdaptiveInverse(widths0=float(np.mean(world.claim)), width_max=world.claim[1])
 
 
-def naive(world: World, gaps: tuple[float, float]) -> Luenberger:
+def naive(world: World, gaps: Widths) -> Luenberger:
     """It takes y for z."""
     return Luenberger(poles=[-2 * world.poles, -2.2 * world.poles])
 
@@ -156,6 +157,37 @@ OBSERVERS: dict[str, tuple[Options, bool]] = {
 }
 
 
+def rms_and_quantum(world: World, reading: tuple[float, float]) -> tuple[float, float]:
+    """Noise and quantum [y], of shares of the reference's amplitude."""
+    noise, quantum = (world.reference[0] * share for share in reading)
+    return noise, quantum
+
+
+def loop(
+    world: World, sensor: Sensor, observer: ObserverOptions, rng: np.random.Generator, seed: int
+) -> Scenario:
+    """A loop of a family from a random start.
+
+    Args:
+        world: the family.
+        sensor: its sensor.
+        observer: its observer.
+        rng: draws the start.
+        seed: of noise and disturbance.
+    """
+    (a0, a1, b), (amplitude, frequency) = world.plant, world.reference
+    x0 = [float(amplitude * rng.uniform(-0.3, 0.3)), 0.0]
+    return Scenario(
+        plant=Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]], x0=x0),
+        sensor=sensor,
+        reference=Sine(amplitude=amplitude, frequency=frequency),
+        observer=observer,
+        controller=StateFeedback(poles=[-world.poles, -1.05 * world.poles]),
+        disturbance=Random(rms=world.disturbance, correlation_time=1e-4),
+        simulation=Simulation(duration=world.duration, time="sampled", step=world.step, seed=seed),
+    )
+
+
 def posed(world: World, reading: str, options: Options, mistaken: bool, seed: int) -> Problem:
     """One random loop.
 
@@ -167,21 +199,10 @@ def posed(world: World, reading: str, options: Options, mistaken: bool, seed: in
         seed: of everything random.
     """
     rng = np.random.default_rng([seed, 18])
-    (a0, a1, b), (amplitude, frequency) = world.plant, world.reference
     gaps = tuple(rng.uniform(*world.gaps, 2))
-    noise, quantum = (amplitude * share for share in READINGS[reading])
-    x0 = [float(amplitude * rng.uniform(-0.3, 0.3)), 0.0]
-    plant = Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]], x0=x0)
+    noise, quantum = rms_and_quantum(world, READINGS[reading])
     sensor = Sensor(kind="play", right=gaps[0], left=gaps[1], noise=noise, quantum=quantum)
-    scenario = Scenario(
-        plant=plant,
-        sensor=sensor,
-        reference=Sine(amplitude=amplitude, frequency=frequency),
-        observer=options(world, gaps),
-        controller=StateFeedback(poles=[-world.poles, -1.05 * world.poles]),
-        disturbance=Random(rms=world.disturbance, correlation_time=1e-4),
-        simulation=Simulation(duration=world.duration, time="sampled", step=world.step, seed=seed),
-    )
+    scenario = loop(world, sensor, options(world, gaps), rng, seed)
     problem = resolve_scenario(scenario)
     if not mistaken:
         return problem

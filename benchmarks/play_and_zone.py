@@ -6,23 +6,32 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from benchmarks.markdown import head, row
-from benchmarks.play import SLIGHT, WORLDS, World
+from benchmarks.play import (
+    SLIGHT,
+    WORLDS,
+    Options,
+    Widths,
+    World,
+    censored,
+    kalman,
+    loop,
+    naive,
+    ranges_alone,
+    rms_and_quantum,
+)
 from benchmarks.random_loops import Loops, run_loops
-from undeadzone.controllers import StateFeedback
-from undeadzone.observers import Censored, Kalman, Luenberger, ObserverOptions
-from undeadzone.plants.options import Plant
+from undeadzone.observers import Kalman
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
-from undeadzone.scenario.schema import Model, Scenario, Simulation
+from undeadzone.scenario.schema import Model
 from undeadzone.sensor import Sensor, resolve
-from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
 
 READINGS = {  # noise and quantum, in amplitudes of the reference
@@ -30,8 +39,6 @@ READINGS = {  # noise and quantum, in amplitudes of the reference
     "noise 1 %": (0.01, 0.0),
     "encoder 0.3 %": (0.0, 0.0031),
 }
-Widths = tuple[float, float, float, float]  # c_r, c_l, d_r, d_l
-Options = Callable[[World, Widths], ObserverOptions]
 
 
 class Entry(NamedTuple):
@@ -52,35 +59,6 @@ def known(world: World, widths: Widths) -> Kalman:
     """It knows the widths of the dead zone."""
     right, left = ([max(d - SLIGHT, 0.0), d + SLIGHT] for d in widths[2:])
     return Kalman(right=right, left=left, disturbance=world.disturbance)
-
-
-def kalman(world: World, widths: Widths) -> Kalman:
-    """It knows ranges."""
-    return Kalman(right=world.claim, disturbance=world.disturbance)
-
-
-def censored(world: World, widths: Widths) -> Censored:
-    """It knows ranges, and hears what silence and a held reading bound."""
-    return Censored(
-        right=world.claim,
-        disturbance=world.disturbance,
-        correlation_time=world.step,
-        bias=0.0,
-        calibrated=0.0,
-        tolerance=0.0,
-        drift=0.0,
-        levels=1,
-    )
-
-
-def ranges_alone(world: World, widths: Widths) -> Censored:
-    """It knows ranges, and nothing else."""
-    return Censored(right=world.claim)
-
-
-def naive(world: World, widths: Widths) -> Luenberger:
-    """It takes y for z."""
-    return Luenberger(poles=[-2 * world.poles, -2.2 * world.poles])
 
 
 ROWS = {
@@ -105,24 +83,13 @@ def posed(world: World, reading: str, entry: Entry, seed: int) -> Problem:
         seed: of everything random.
     """
     rng = np.random.default_rng([seed, 181])
-    (a0, a1, b), (amplitude, frequency) = world.plant, world.reference
     c_r, c_l, d_r, d_l = (float(width) for width in rng.uniform(*world.gaps, 4))
-    noise, quantum = (amplitude * share for share in READINGS[reading])
-    x0 = [float(amplitude * rng.uniform(-0.3, 0.3)), 0.0]
-    plant = Plant(A=[[0.0, 1.0], [-a0, -a1]], B=[[0.0], [b]], C=[[1.0, 0.0]], x0=x0)
+    noise, quantum = rms_and_quantum(world, READINGS[reading])
     sensor = Sensor(right=d_r, left=d_l, play=[c_r, c_l], noise=noise, quantum=quantum)
     told = [c_r, c_l] if entry.gaps == "known" else [world.claim, world.claim]
     options = entry.options(world, (c_r, c_l, d_r, d_l))
-    scenario = Scenario(
-        plant=plant,
-        sensor=sensor,
-        reference=Sine(amplitude=amplitude, frequency=frequency),
-        observer=options,
-        controller=StateFeedback(poles=[-world.poles, -1.05 * world.poles]),
-        disturbance=Random(rms=world.disturbance, correlation_time=1e-4),
-        simulation=Simulation(duration=world.duration, time="sampled", step=world.step, seed=seed),
-        model=Model(play=told),
-    )
+    scenario = loop(world, sensor, options, rng, seed)
+    scenario = msgspec.structs.replace(scenario, model=Model(play=told))
     problem = resolve_scenario(scenario)
     if not entry.mistaken:
         return problem
