@@ -150,6 +150,7 @@ def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
     [
         ("z^ and x~", "z\u0302 and x\u0303"),
         ("d_r^ − d_l", "d\u0302<sub>r</sub> − d<sub>l</sub>"),
+        ("c_l^ + b_r", "c\u0302<sub>l</sub> + b<sub>r</sub>"),
         ("m/s^2, d_right, z^2, A_d_r", "m/s^2, d_right, z^2, A_d_r"),
     ],
 )

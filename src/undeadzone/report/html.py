@@ -53,7 +53,7 @@ _HAT: Final = "\u0302"
 _TILDE: Final = "\u0303"
 _ERRORS: Final = re.compile(r"\b([xyzd])~")
 _ESTIMATES: Final = re.compile(r"\b([xyzdwu])\^(?![\d(])")
-_EDGES: Final = re.compile(r"\bd_([rl])(\^?)(?!\w)")
+_EDGES: Final = re.compile(r"\b([bcd])_([rl])(\^?)(?!\w)")
 
 
 class Html(NamedTuple):
@@ -85,7 +85,7 @@ def escaped(text: str) -> str:
 
 
 def symbols(text: str) -> str:
-    """Letters as in the figures: z^, x~, d_r, d_l^ with hats, tildes and indices."""
+    """Letters as in the figures: z^, x~, d_r, c_l^ with hats, tildes and indices."""
     text = _ESTIMATES.sub(rf"\1{_HAT}", text)
     text = _ERRORS.sub(rf"\1{_TILDE}", text)
     return _EDGES.sub(_edge, text)
@@ -93,8 +93,8 @@ def symbols(text: str) -> str:
 
 def _edge(found: re.Match[str]) -> str:
     """The letter of an edge, or of its estimate."""
-    hat = _HAT if found[2] else ""
-    return f"d{hat}<sub>{found[1]}</sub>"
+    hat = _HAT if found[3] else ""
+    return f"{found[1]}{hat}<sub>{found[2]}</sub>"
 
 
 def join(parts: Iterable[Any]) -> Html:
@@ -249,6 +249,7 @@ _SYMBOLS: Final = (
     ("z, y, r", "output of the plant, reading of the sensor, reference"),
     ("x, u", "state of the plant, its input"),
     ("d_r, d_l", "widths of the dead zone to the right and to the left: y = 0 for -d_l < z < d_r"),
+    ("c_r, c_l; b_r, b_l", "gaps of a play ahead of it; widths of an actuator's dead zone"),
     ("x^, z^, d_r^, d_l^", "estimates of the observer"),
     ("x~, d~", "their errors, truth less estimate"),
     ("d_r + d_l, d_r − d_l", "the width of the whole zone; twice its centre"),
