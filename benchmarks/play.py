@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -247,13 +247,16 @@ def _rows(place: str, world: World, reading: str, loops: int) -> list[str]:
         each = [posed(world, reading, options, mistaken, seed) for seed in range(loops)]
         ran = run_loops(each, 0.8 * world.duration)
         best = ran.rms if best is None else best
-        ratio = quantile(np.sort(np.nan_to_num(ran.rms / best, nan=np.inf)), 0.5)
-        cells = [f"{np.median(ran.rms):.3g}"]
-        cells.append(f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]")
-        cells.append(f"{np.median(ran.hidden):.3g}")
+        cells = [*errors(ran.rms, best), f"{np.median(ran.hidden):.3g}"]
         cells += _of_gaps(ran) if name not in ("gaps known", "y taken for z") else ["", ""]
         lines.append(row(place, reading, name, *cells))
     return lines
+
+
+def errors(rms: np.ndarray, best: np.ndarray) -> list[str]:
+    """The median of an rms, and of its ratio to the best one with a 95 % interval."""
+    ratio = quantile(np.sort(np.nan_to_num(rms / best, nan=np.inf)), 0.5)
+    return [f"{np.median(rms):.3g}", f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"]
 
 
 def _of_gaps(ran: Loops) -> list[str]:
@@ -266,10 +269,23 @@ def _of_gaps(ran: Loops) -> list[str]:
     return [size, f"{np.mean(np.abs(wrong) <= 1.96 * ran.width_std):.2f}, {ran.covered()}"]
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.play", description=__doc__)
-    parser.add_argument("--loops", type=int, default=100)
+def main(name: str, about: str | None, table: Callable[..., str], loops: int, kinds: Any) -> None:
+    """Print a part of a table, as the command line says.
+
+    Args:
+        name: of the module.
+        about: what `--help` says of it.
+        table: of loops, plants and readings.
+        loops: of a row by default.
+        kinds: of readings that there are.
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=about)
+    parser.add_argument("--loops", type=int, default=loops)
     parser.add_argument("--plants", nargs="+", default=list(WORLDS), choices=WORLDS)
-    parser.add_argument("--readings", nargs="+", default=list(READINGS), choices=READINGS)
+    parser.add_argument("--readings", nargs="+", default=list(kinds), choices=kinds)
     words = parser.parse_args()
     print(table(words.loops, words.plants, words.readings))
+
+
+if __name__ == "__main__":
+    main("play", __doc__, table, 100, READINGS)

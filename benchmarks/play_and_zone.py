@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,8 +19,10 @@ from benchmarks.play import (
     Widths,
     World,
     censored,
+    errors,
     kalman,
     loop,
+    main,
     naive,
     ranges_alone,
     rms_and_quantum,
@@ -32,7 +33,6 @@ from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model
 from undeadzone.sensor import Sensor, resolve
-from undeadzone.statistics.intervals import quantile
 
 READINGS = {  # noise and quantum, in amplitudes of the reference
     "noise 0.2 %": (0.002, 0.0),
@@ -133,9 +133,7 @@ def _rows(place: str, world: World, reading: str, loops: int) -> list[str]:
             [posed(world, reading, entry, seed) for seed in range(loops)], 0.8 * world.duration
         )
         best = ran.rms if best is None else best
-        ratio = quantile(np.sort(np.nan_to_num(ran.rms / best, nan=np.inf)), 0.5)
-        cells = [f"{np.median(ran.rms):.3g}"]
-        cells.append(f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]")
+        cells = errors(ran.rms, best)
         cells += ["", "", ""] if entry.options in (known, naive) else _of_widths(ran, entry)
         lines.append(row(place, reading, name, *cells))
     return lines
@@ -166,9 +164,4 @@ def _shares(wrong: np.ndarray, true: np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.play_and_zone", description=__doc__)
-    parser.add_argument("--loops", type=int, default=60)
-    parser.add_argument("--plants", nargs="+", default=list(WORLDS), choices=WORLDS)
-    parser.add_argument("--readings", nargs="+", default=list(READINGS), choices=READINGS)
-    words = parser.parse_args()
-    print(table(words.loops, words.plants, words.readings))
+    main("play_and_zone", __doc__, table, 60, READINGS)

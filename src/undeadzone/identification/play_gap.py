@@ -101,8 +101,7 @@ def find_gap(
         intervals = _intervals(theta, model, halves)
         return Gap(fit, theta, intervals, spread.V[:count, :count], None, noise, True)
     how = None if model.zone else ticks_of(model.data, quantum)
-    ticks = None if how is None else fit_ticks([fit, *others], how)
-    if ticks is not None and how is not None:
+    if how is not None and (ticks := fit_ticks([fit, *others], how)) is not None:
         gap = _of_ticks(ticks, how)
         advance(1)
         return gap
@@ -128,6 +127,7 @@ def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
     moved = fit.theta
     bias = found.mean(axis=0) - moved[model.base : model.base + 2]
     moved[model.base : model.base + 2] -= bias
+    moved = model.project(moved)
     spread = kalman.objective.spread(kalman.p)
     halves = {"zone": 0.0}
     for name in ("right", "left", "width", "centre"):
@@ -135,11 +135,11 @@ def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
         std = float(np.std(found @ row, ddof=1)) * math.sqrt(1 + 1 / RUNS)
         own = max(spread.half_width(kalman.direction(*row)), quantile(RUNS - 1) * std)
         halves[name] = math.hypot(own, float(row @ bias))
-    intervals = _intervals(model.project(moved), model, halves)
+    intervals = _intervals(moved, model, halves)
     count = model.simulator.layout.b.stop
     ahead = disturbance_of(kalman)
     V, sure = spread.V[:count, :count], ahead.rms < STRONGEST
-    return Gap(fit.play, model.project(moved), intervals, V, ahead, 0.0, sure)
+    return Gap(fit.play, moved, intervals, V, ahead, 0.0, sure)
 
 
 def noise_of(model: PlayModel, quantum: float) -> float:

@@ -9,6 +9,7 @@ from undeadzone.report.html import Origin, page, paragraph, picture, section, ta
 from undeadzone.report.log_figures import log_overview
 from undeadzone.report.style import write as write_figure
 from undeadzone.simulation.estimation import Estimation
+from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 
@@ -109,12 +110,9 @@ def _gaps(result: Estimation) -> list[Any]:
     rows = []
     for i, name in enumerate(result.outputs):
         pair = slice(2 * i, 2 * i + 2)
-        values = (*c[-1, pair], c[-1, pair].sum())
-        stds = (*std[-1, pair], both[-1, i])
-        found = [with_deviation(float(v), float(s)) for v, s in zip(values, stds, strict=True)]
-        rows.append((name, *found))
+        rows.append((name, *gaps_with_deviations(c[-1, pair], std[-1, pair], both[-1, i])))
     unit = result.info.units.output
-    heads = [label(symbol, unit) for symbol in ("c_r^", "c_l^", "c_r^ + c_l^")]
+    heads = [label(symbol, unit) for symbol in SYMBOLS]
     return [table(("play ahead of the zone", *heads), rows)]
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.gains_sections import trust
 from undeadzone.report.html import Html, Origin, page, paragraph, picture, section, table, tag
+from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
 from undeadzone.simulation.run import Run
 from undeadzone.support.text import label, with_deviation, with_unit
 
@@ -148,16 +149,14 @@ def _gaps(run: Run) -> list[Html]:
     for i, name in enumerate(run.outputs):
         true = run.info.gaps[2 * i : 2 * i + 2]
         c, std = run.c_hat[-1, 2 * i : 2 * i + 2], run.c_std[-1, 2 * i : 2 * i + 2]
-        values = (*c, c.sum())
-        stds = (*std, run.gap_std[-1, i])
-        found = [with_deviation(float(v), float(s)) for v, s in zip(values, stds, strict=True)]
+        found = gaps_with_deviations(c, std, run.gap_std[-1, i])
         cells: list[Any] = []
         for estimate, truth in zip(found, (*true, sum(true)), strict=True):
             cells += [estimate, truth]
         rows.append((name, *cells))
     unit = run.info.units.output
     heads: list[str] = []
-    for symbol in ("c_r^", "c_l^", "c_r^ + c_l^"):
+    for symbol in SYMBOLS:
         heads += [label(symbol, unit), "true"]
     return [table(("play ahead of the zone", *heads), rows)]
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from undeadzone.interfaces import Estimate
 from undeadzone.support.arrays import Floats, one_or_list
 from undeadzone.support.text import with_deviation, with_unit
+
+SYMBOLS: Final = ("c_r^", "c_l^", "c_r^ + c_l^")  # of what `gaps_with_deviations` shows
 
 
 def gap_signals(estimate: Estimate) -> dict[str, Floats]:
@@ -68,6 +70,17 @@ def in_words(
         label = "gap_right + gap_left" if name == "gap" else name
         shown[label] = words if truth is None else f"{words} (true {truth[name]:.6g})"
     return shown
+
+
+def gaps_with_deviations(gaps: Floats, stds: Floats, both: float) -> list[str]:
+    """The gaps of one output and their sum, for a page: c_r^, c_l^, c_r^ + c_l^.
+
+    Args:
+        gaps, stds: [c_r^, c_l^] and their deviations (2) [z].
+        both: deviation of c_r^ + c_l^ [z].
+    """
+    pairs = zip((*gaps, gaps.sum()), (*stds, both), strict=True)
+    return [with_deviation(float(value), float(std)) for value, std in pairs]
 
 
 def _interleaved(right: Floats, left: Floats) -> Floats:
