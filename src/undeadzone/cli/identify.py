@@ -81,13 +81,14 @@ def identify(
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
         is_found = answer.verdict in ("dead_zone", options["kind"])
-        written: list[Path] = []
+        written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in WRITTEN:
             path = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
-            written, reason = _scenario(answer, path)
-        if folder is not None:
-            written += _pages(answer, folder, first.name, not no_figures)
+            scenario, reason = _scenario(answer, path)
+            written = scenario + written
+        if folder is not None and not no_figures:
+            written += _pages(answer, folder, first.name)
     if keep is not None:
         keep.unlink(missing_ok=True)
     if as_json:
@@ -109,16 +110,14 @@ def _scenario(answer: Answers, path: Path) -> tuple[list[Path], str | None]:
         return [], str(error)
 
 
-def _pages(answer: Answers, folder: Path, source: str, figures: bool) -> list[Path]:
-    """The numbers, and a page with figures for each output, written to a folder."""
-    written = [answer.save(folder / "identify.json")]
-    if not figures:
-        return written
+def _pages(answer: Answers, folder: Path, source: str) -> list[Path]:
+    """A page with figures for each output, written to a folder."""
     from undeadzone.identification.result import Identified
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):
-        return written + write_identified(answer, folder, source, origin(None))
+        return write_identified(answer, folder, source, origin(None))
+    written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
         written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
     return written

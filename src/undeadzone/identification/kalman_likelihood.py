@@ -12,7 +12,7 @@ from undeadzone.identification.fit import Fit
 from undeadzone.identification.kalman_step import kernel
 from undeadzone.identification.long_run import Spread, above, sandwich
 from undeadzone.identification.objective import Limits
-from undeadzone.identification.plant_fit import Data, Layout
+from undeadzone.identification.plant_fit import Data, Layout, roots
 from undeadzone.support.arrays import Floats
 
 WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
@@ -97,7 +97,7 @@ class KalmanObjective:
             return False
         if numbers.model and abs(p[-1]) > 4:
             return False
-        poles = np.roots(np.append(1.0, p[: numbers.moving]))
+        poles = roots(p[: numbers.moving])
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
     def lane(self, p: Floats) -> Floats:

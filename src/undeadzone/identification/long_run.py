@@ -8,6 +8,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.stats import t as student
 
+from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
 GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
@@ -84,9 +85,23 @@ def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
 def _whitener(scores: Floats) -> Floats:
     """W with W W' the inverse of the sum of the scores' outer products (P x P)."""
     scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
-    values, vectors = np.linalg.eigh((scores * scale).T @ (scores * scale))
+    values, vectors = np.linalg.eigh(finite((scores * scale).T @ (scores * scale)))
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
     return np.asarray(whitener * (values > 1e-10))
+
+
+def finite(matrix: Floats) -> Floats:
+    """A matrix whose decomposition is asked for.
+
+    Raises:
+        InputError: a fit of which so little is known that its derivatives overflow.
+    """
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "log: what the readings tell of the plant overflows; try a lower --order, or a log"
+            " whose readings move more"
+        )
+    return matrix
 
 
 def quantile(degrees: float, level: float = 0.95) -> float:
@@ -127,7 +142,7 @@ def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Sprea
         Covariances and degrees of freedom.
     """
     J, number = long_run_covariance(scores, count)
-    inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
+    inverse = np.linalg.pinv(finite(hessian), rcond=1e-13, hermitian=True)
     return Spread(inverse @ J @ inverse, inverse, number, scores)
 
 
@@ -156,7 +171,7 @@ def positive(hessian: Floats) -> Floats:
     """A Hessian with its eigenvalues, after scaling, raised to at least 1e-6 of the largest."""
     both = 0.5 * (hessian + hessian.T)
     scale = 1 / np.sqrt(np.abs(np.diag(both)) + 1e-300)
-    values, vectors = np.linalg.eigh(both * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(finite(both * np.outer(scale, scale)))
     raised = np.maximum(values, 1e-6 * values.max())
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
@@ -174,10 +189,10 @@ def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
         along the logarithm of a variance that is nearly 0.
     """
     scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
-    values, vectors = np.linalg.eigh(outer * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(finite(outer * np.outer(scale, scale)))
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
     whiten = np.linalg.pinv(root)
     both = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
-    sizes, axes = np.linalg.eigh(whiten @ both @ whiten.T)
+    sizes, axes = np.linalg.eigh(finite(whiten @ both @ whiten.T))
     raised = (axes * np.maximum(sizes, least)) @ axes.T
     return root @ raised @ root.T / np.outer(scale, scale)

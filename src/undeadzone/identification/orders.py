@@ -81,7 +81,7 @@ def fit_orders(
             continue
         singles, pairs = _stages(Simulator(data, n, integrators), limits, known.get(n))
         advance(1)
-        if math.isfinite(singles.value):
+        if _says_something(singles) and _says_something(pairs):
             fits.append(OrderFit(n, singles, pairs, *validate(pairs, train)))
     return fits
 
@@ -95,6 +95,13 @@ def _stages(simulator: Simulator, limits: Limits, begun: OrderFit | None) -> tup
     singles = fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
     paired = data.silent_zeros and math.isfinite(singles.value)
     return singles, refit(singles, "pairs") if paired else singles
+
+
+def _says_something(fit: Fit) -> bool:
+    """Whether a fit has a likelihood whose derivatives do not overflow."""
+    if not math.isfinite(fit.value):
+        return False
+    return all(np.isfinite(part).all() for part in fit.objective.quadratic(fit.theta))
 
 
 def trained_part(data: Data, held_out: float) -> Flags:

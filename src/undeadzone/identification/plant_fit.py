@@ -13,6 +13,7 @@ from undeadzone.identification.log import Flags
 from undeadzone.support.arrays import Floats, Integers
 
 RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
+FAR = 1e100  # a coefficient beyond which no root can be computed
 SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
 
 
@@ -182,8 +183,10 @@ def roots(a: Floats) -> Any:
     """Roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
 
     Args:
-        a: coefficients, finite (n).
+        a: coefficients (n); of such as are not finite, all roots are infinite.
     """
+    if not np.abs(a).max(initial=0.0) < FAR:
+        return np.full(a.size, np.inf)
     companion = np.eye(a.size, k=-1)
     if a.size:
         companion[0] = -a
@@ -193,6 +196,8 @@ def roots(a: Floats) -> Any:
 def stabilised(a: Floats, radius: float = 0.98) -> Floats:
     """Denominator coefficients a_1.. with poles beyond `radius` moved onto it, for starts."""
     poles = roots(a)
+    if not np.isfinite(poles).all():
+        return np.zeros(a.size)
     size = np.abs(poles)
     moved = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
     return np.atleast_1d(np.real(np.poly(moved)))[1:]

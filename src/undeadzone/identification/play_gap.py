@@ -129,7 +129,7 @@ def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
     moved[model.base : model.base + 2] -= bias
     moved = model.project(moved)
     spread = kalman.objective.spread(kalman.p)
-    halves = {"zone": 0.0}
+    halves = dict.fromkeys(ROWS, 0.0)
     for name in ("right", "left", "width", "centre"):
         row = np.array(ROWS[name][:2])
         std = float(np.std(found @ row, ddof=1)) * math.sqrt(1 + 1 / RUNS)

@@ -285,10 +285,18 @@ def _reference(answers: Sequence[Answer], A: Floats) -> list[str]:
 
 
 def _frequency(answer: Answer, A: Floats) -> float:
-    """A frequency that plant and samples follow [Hz]."""
+    """A frequency that plant and samples follow [Hz]; integrators alone: that of the log."""
     rates = np.abs(np.linalg.eigvals(A))
-    slowest = float(rates[rates > 1e-6 * rates.max(initial=1e-300)].min(initial=rates.max()))
+    moving = rates[rates > 1e-6 * rates.max()]
+    slowest = float(moving.min()) if moving.size else _rate_of_motion(answer)
     return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.evidence.grid.step):.3g}")
+
+
+def _rate_of_motion(answer: Answer) -> float:
+    """rms of z' over that of z along the log [1/s]: of a sine its frequency."""
+    grid = answer.evidence.grid
+    around = float(np.std(answer.z))
+    return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
 def _duration(answers: Sequence[Answer], A: Floats) -> float:

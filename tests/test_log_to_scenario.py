@@ -1,0 +1,102 @@
+"""From a log to a scenario, for every sensor and plant that `identify` says it takes."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import undeadzone as uz
+from undeadzone.identification.long_run import positive
+from undeadzone.identification.plant_fit import roots, stabilised
+from undeadzone.scenario.reader import parse
+from undeadzone.support.arrays import Floats
+
+STEP = 0.01
+RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone
+READINGS = ("noise", "encoder", "exact")
+WORDS = {"zone": "dead_zone", "play": "play", "both": "both", "actuator": "input_zone"}
+CASES = list(itertools.product(WORDS, READINGS))
+
+
+def record(element: str, reading: str, integrates: bool) -> tuple[Floats, Floats]:
+    """u and y of a second-order plant with an element, read in one of three ways."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(60), 15)
+    acting = zone(u) if element == "actuator" else u
+    x, z = np.zeros(2), []
+    spring = 0.0 if integrates else 20.0
+    for force in acting:
+        z.append(x[0])
+        for _ in range(10):
+            x = x + STEP / 10 * np.array([x[1], 20 * force - spring * x[0] - 4 * x[1]])
+    y = np.array(z)
+    if element in ("play", "both"):
+        y = play(y)
+    if element in ("zone", "both"):
+        y = zone(y)
+    if reading == "noise":
+        y = y + 0.005 * rng.standard_normal(y.size)
+    return u, 0.01 * np.round(y / 0.01) if reading == "encoder" else y
+
+
+def zone(z: Floats) -> Floats:
+    """What a dead zone leaves."""
+    return np.maximum(z - RIGHT, 0.0) + np.minimum(z + LEFT, 0.0)
+
+
+def play(z: Floats) -> Floats:
+    """What a play leaves."""
+    level, out = 0.0, []
+    for value in z:
+        level = min(max(level, value - RIGHT), value + LEFT)
+        out.append(level)
+    return np.array(out)
+
+
+def read_back(answer: Any) -> str:
+    """The answer's scenario, read again; or why there is none."""
+    try:
+        text = answer.scenario()
+    except uz.InputError as error:
+        return str(error)
+    parse(text)
+    return ""
+
+
+@pytest.mark.parametrize(("element", "reading"), CASES)
+def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) -> None:
+    u, y = record(element, reading, integrates=False)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2)
+    assert answer.verdict == WORDS[element]
+    assert answer.width.low - 0.005 <= RIGHT + LEFT <= answer.width.high + 0.005
+    assert not read_back(answer)
+
+
+@pytest.mark.parametrize(("element", "reading"), CASES)
+def test_a_log_of_a_motor_ends_in_a_scenario_or_in_words(element: str, reading: str) -> None:
+    u, y = record(element, reading, integrates=True)
+    answer = uz.identify(t=STEP, u=u, y=y, order="1-2", integrators=1)
+    if element == "zone":
+        assert answer.verdict == "dead_zone"
+        assert answer.width.low - 0.005 <= RIGHT + LEFT <= answer.width.high + 0.005
+    words = read_back(answer)
+    assert not words or words.startswith(("scenario: ", "plant: "))
+
+
+def test_an_integrator_alone_is_given_the_pace_of_its_log() -> None:
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.standard_normal(100), 10)
+    y = play(STEP * np.cumsum(8 * u)) + 0.005 * rng.standard_normal(u.size)
+    answer = uz.identify(t=STEP, u=u, y=y, order=1, integrators=1)
+    assert not read_back(answer)
+
+
+def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
+    with pytest.raises(uz.InputError, match="lower --order"):
+        positive(np.array([[1.0, np.nan], [np.nan, 1.0]]))
+    wild = np.array([np.nan, 1.0])
+    assert np.isinf(roots(wild)).all()
+    assert not stabilised(wild).any()
