@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.coverage import Verdict, covariance, verdict
 from benchmarks.markdown import row
 from undeadzone import sensor
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.observers import Estimate, Extended, Reading
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

@@ -23,7 +23,7 @@ from benchmarks.random_problems import (
     problems,
 )
 from benchmarks.random_problems import World as World
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.linear.hold import zoh
 from undeadzone.observers import Censored, Kalman, Observer, Reading
 from undeadzone.plants.build import system

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.observers import Auto, Observer, Reading
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

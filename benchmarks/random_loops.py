@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.options import Plant
 from undeadzone.play import levels

@@ -16,8 +16,8 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
+from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
-from undeadzone.engine import lanes
 from undeadzone.interfaces import received
 from undeadzone.limits import Limits
 from undeadzone.observers import Censored, Certified, Kalman, Observer, ObserverOptions

@@ -24,7 +24,7 @@ from undeadzone.actuator import (
 )
 from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.linear import invisible
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.exports import parts as export_parts

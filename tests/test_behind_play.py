@@ -11,7 +11,7 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from test_engines import distance, parts
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.interfaces import Estimate

@@ -19,8 +19,8 @@ from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
 from undeadzone import sensor
+from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices

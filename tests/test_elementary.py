@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from test_engines import SPECIAL, identical, stateless
-from undeadzone.engine import lanes
-from undeadzone.engine.elementary import FAR, FUNCTIONS
+from undeadzone.compile import lanes
+from undeadzone.compile.elementary import FAR, FUNCTIONS
 from undeadzone.support.arrays import Array, Floats
 
 ULPS = {"sin": 1.0, "cos": 1.0, "exp": 1.0, "log": 1.0, "erf": 1.5, "tanh": 3.0}

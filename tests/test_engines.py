@@ -20,9 +20,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.scenes import scene
 
+from undeadzone.compile import cache, interpret, kernel, lanes
+from undeadzone.compile.machine import here
 from undeadzone.controllers import ControllerOptions
-from undeadzone.engine import cache, interpret, kernel, lanes
-from undeadzone.engine.machine import here
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario

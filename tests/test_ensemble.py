@@ -22,7 +22,7 @@ import pytest
 
 from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, small
 from undeadzone.cli import main
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
-from undeadzone.engine.graph import listed
+from undeadzone.compile.graph import listed
 from undeadzone.errors import InputError
 from undeadzone.exports import elementary
 from undeadzone.exports.accuracy import Compiled

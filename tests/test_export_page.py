@@ -19,7 +19,7 @@ from browser import Browser, browser
 from scenes import scene
 from test_engines import PENDULUM
 from tools import require
-from undeadzone.engine.graph import listed
+from undeadzone.compile.graph import listed
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports import elementary, wasm
 from undeadzone.exports.page.build import build

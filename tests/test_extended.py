@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from scenes import on_numbers, random_plant, scene
 from undeadzone import sensor
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers import Censored, Estimate, Extended, Kalman
 from undeadzone.observers.parts.even_states import even_units

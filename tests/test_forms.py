@@ -24,10 +24,9 @@ from test_engines import (
     small,
     stateless,
 )
-from undeadzone.engine import cache, kernel, lanes
-from undeadzone.engine.forms import Form, Shape
-from undeadzone.engine.machine import Machine, here, stack
-from undeadzone.engine.machine_code import compiled
+from undeadzone.compile import cache, kernel, lanes
+from undeadzone.compile.forms import Form, Shape
+from undeadzone.compile.machine import Machine, compiled, here, stack
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario

@@ -19,7 +19,7 @@ FILES = sorted(
 FLOORS = (
     ("errors",),
     ("support",),
-    ("actuator", "engine", "gaps", "limits", "linear", "logs", "numerics", "play", "statistics"),
+    ("actuator", "compile", "gaps", "limits", "linear", "logs", "numerics", "play", "statistics"),
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),

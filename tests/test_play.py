@@ -19,7 +19,7 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import distance, parts
 from undeadzone.analysis.side_schedule import planned
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.observers.parts import measured_side, motion

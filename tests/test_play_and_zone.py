@@ -20,7 +20,7 @@ from test_which import STEP, driven, through
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
 from undeadzone.analysis.side_schedule import planned, recorded
 from undeadzone.arena.prior_knowledge import situation
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linear.matrices import Matrices

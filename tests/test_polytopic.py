@@ -17,7 +17,7 @@ from undeadzone.analysis.certificate.passivity import Certificate, certify, pass
 from undeadzone.analysis.certificate.polytopic import certify_on, design_on
 from undeadzone.analysis.certificate.subdivision import _entry_slopes, absolute, form, halved
 from undeadzone.analysis.error_dynamics import Dynamics
-from undeadzone.engine.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

@@ -20,7 +20,7 @@ from scenes import on_numbers, scene
 from test_engines import OBSERVERS, distance, parts, small
 from undeadzone.analysis.side_schedule import planned
 from undeadzone.cli import group
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.identification.grid import to_grid

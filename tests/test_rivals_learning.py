@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone import sensor
+from undeadzone.compile import interpret
 from undeadzone.controllers import FuzzyFeedback, RBFFeedback, TaylorFeedback
 from undeadzone.controllers.parts.learned_feedback import error_weights, relative_degree
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.linear.fast_gain import fast_gain

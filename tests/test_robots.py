@@ -21,7 +21,7 @@ from scenes import scene
 from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
 from test_report import Auditor
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.replay import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError

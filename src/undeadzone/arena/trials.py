@@ -19,7 +19,7 @@ from undeadzone.arena.methods import NOTHING, Method, Numbers, catalogue, fittin
 from undeadzone.arena.metric import Result, worth
 from undeadzone.arena.prior_knowledge import Setting, situation
 from undeadzone.arena.scenario_sets import scenarios as scenarios_of
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import ClusterError, UndeadzoneError
 from undeadzone.observers import NumericObserver
 from undeadzone.scenario.problem import Problem, resolve_scenario

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.binding import Binding, Lanes, bind
 from undeadzone.ensemble.blocks.job import Layout

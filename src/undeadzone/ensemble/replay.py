@@ -13,7 +13,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.bands import EDGES, Bands, bands
 from undeadzone.ensemble.batch import Batch
 from undeadzone.errors import InputError

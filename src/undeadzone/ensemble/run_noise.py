@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import normal
-from undeadzone.engine.lane_inputs import Source, Supply
+from undeadzone.compile import normal
+from undeadzone.compile.lanes import Source, Supply
 from undeadzone.ensemble.binding import Binding
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals import noise

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.exports.code import Code
 from undeadzone.exports.compiler import shared_library, stack_bytes
 from undeadzone.exports.fields import Field

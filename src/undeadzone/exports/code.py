@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph, Node, listed
+from undeadzone.compile.graph import Graph, Node, listed
 from undeadzone.exports.instructions import require_known, uses_of
 from undeadzone.exports.parts import Step
 from undeadzone.exports.rewrite import rewritten

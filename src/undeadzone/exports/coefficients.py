@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from undeadzone.engine import elementary
+from undeadzone.compile import elementary
 
 
 class Numbers(NamedTuple):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine.graph import Graph
+from undeadzone.compile.graph import Graph
 from undeadzone.exports.instructions import (
     BINARY,
     BITWISE,

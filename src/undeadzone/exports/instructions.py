@@ -6,7 +6,7 @@ from collections import Counter
 
 import casadi as ca
 
-from undeadzone.engine.graph import CONDITIONS, Graph, Node
+from undeadzone.compile.graph import CONDITIONS, Graph, Node
 from undeadzone.errors import InputError
 
 SELECT = -1

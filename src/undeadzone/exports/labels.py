@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph
+from undeadzone.compile.graph import Graph
 from undeadzone.exports.fields import members
 from undeadzone.exports.instructions import is_condition
 from undeadzone.exports.parts import Step

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine.graph import CONDITIONS, Graph, Node
+from undeadzone.compile.graph import CONDITIONS, Graph, Node
 from undeadzone.exports.expressions import held
 from undeadzone.exports.instructions import BINARY, BITWISE, LIBRARY, OWN, SELECT, uses_of
 

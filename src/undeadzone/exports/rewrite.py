@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import CONDITIONS, Graph, Node
+from undeadzone.compile.graph import CONDITIONS, Graph, Node
 from undeadzone.exports.rewriting import Rewriting
 
 _LOGIC = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import CONDITIONS, Node
+from undeadzone.compile.graph import CONDITIONS, Node
 from undeadzone.exports.instructions import SELECT
 
 _COMPARED = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import undeadzone
-from undeadzone.engine.graph import Graph
+from undeadzone.compile.graph import Graph
 from undeadzone.exports import elementary
 from undeadzone.exports.code import Code
 from undeadzone.exports.expressions import Style, literal

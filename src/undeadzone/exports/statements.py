@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph
+from undeadzone.compile.graph import Graph
 from undeadzone.exports.expressions import Expressions, Style
 from undeadzone.exports.instructions import BINARY, OWN, SELECT, is_condition, uses_of
 

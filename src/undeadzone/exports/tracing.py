@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph
+from undeadzone.compile.graph import Graph
 from undeadzone.exports.instructions import EXPONENT, FRACTION, OWN, POWER, SELECT, TRUNCATED
 from undeadzone.exports.rewriting import Rewriting
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import InputError
 from undeadzone.exports import elementary
 from undeadzone.exports.code import Code

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph, Node
+from undeadzone.compile.graph import Graph, Node
 from undeadzone.errors import InputError
 from undeadzone.exports import elementary
 from undeadzone.exports.expressions import held

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.support.arrays import Floats
 
 WIDTH = 32

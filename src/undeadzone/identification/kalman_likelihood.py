@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.identification.fit import Fit
 from undeadzone.identification.kalman_step import kernel
 from undeadzone.identification.long_run import Spread, above, sandwich

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine.lanes import Kernel, build
+from undeadzone.compile.lanes import Kernel, build
 
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 TAIL = -4.0  # below it Phi is taken by its continued fraction

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from undeadzone.engine.interpret import CHUNK
+from undeadzone.compile.interpret import CHUNK
 from undeadzone.interfaces import Estimate, NumericObserver, Reading
 from undeadzone.limits import beyond
 from undeadzone.sensor import Zone, side

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.interfaces import Estimate, Observer, Reading, received
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, present
@@ -115,13 +115,13 @@ class BlockRunner:
         """The outputs along w (N x inputs), a row each; the state is moved in place."""
         self._count += len(w)
         if self._kernel is None and self._count > PATIENCE:
-            from undeadzone.engine import lanes
+            from undeadzone.compile import lanes
 
             self._kernel = lanes.build(self._step, width=1)
         if self._kernel is None:
             outputs, state[:] = interpret.run(self._step, state, w, self._params)
             return outputs
-        from undeadzone.engine import lanes
+        from undeadzone.compile import lanes
 
         every, finals = lanes.run(self._kernel, state, w, self._params)
         state[:] = finals[0]

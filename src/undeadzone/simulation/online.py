@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.actuator import ActuatorModel, believed
-from undeadzone.engine.interpret import Stepper
+from undeadzone.compile.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
 from undeadzone.observers import ObserverOptions
@@ -26,7 +26,7 @@ from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
 
 if TYPE_CHECKING:
-    from undeadzone.engine.live import CompiledStepper
+    from undeadzone.compile.live import CompiledStepper
 
 FEW = 8  # samples in a block from which on it is run at once
 
@@ -175,7 +175,7 @@ def _engine(
     """What runs single samples, what runs blocks (None: the same), and how it is called."""
     engine = "virtual machine"
     if compiled:
-        from undeadzone.engine.live import CompiledStepper
+        from undeadzone.compile.live import CompiledStepper
 
         try:
             return CompiledStepper(graph, state, params), None, "compiled"

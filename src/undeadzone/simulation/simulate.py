@@ -14,7 +14,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, graph_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -31,7 +31,7 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
 
 if TYPE_CHECKING:
-    from undeadzone.engine.lanes import Kernel
+    from undeadzone.compile.lanes import Kernel
 
 Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
@@ -230,7 +230,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
     if engine not in get_args(Engine):
         raise InputError(f"engine: expected auto, interpret or lanes, found {engine!r}")
     if engine != "interpret":
-        from undeadzone.engine import lanes
+        from undeadzone.compile import lanes
 
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > lanes.WORTH
@@ -246,7 +246,7 @@ def _compiled_outputs(
     kernel: Kernel, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
 ) -> Floats:
     """The outputs of a loop that is compiled."""
-    from undeadzone.engine import lanes
+    from undeadzone.compile import lanes
 
     outputs, _ = lanes.run(kernel, state, exogenous, params, progress=progress, threads=1)
     return np.asarray(outputs[0])

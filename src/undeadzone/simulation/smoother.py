@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.numerics.gaussian import Gaussian

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, enclosure
 from undeadzone.errors import InputError
 from undeadzone.plants.region import Box
 from undeadzone.plants.system import System

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.jacobian_bounds import Bounds, Slopes
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.engine.interval import Interval
+from undeadzone.compile.interval import Interval
 from undeadzone.plants.region import Box
 from undeadzone.support.arrays import Floats, Integers
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import undeadzone
-from undeadzone.engine.graph import Graph, listed
+from undeadzone.compile.graph import Graph, listed
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports import wasm
 from undeadzone.exports.instructions import operations, require_known

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from undeadzone.engine.branches import Branch, gathered
-from undeadzone.engine.forms import Form, Shape
-from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, kept, once, plain
-from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Op, needed, still, used
-from undeadzone.engine.rare import RareParts
-from undeadzone.engine.schedule import ordered
+from undeadzone.compile.forms import Form, Shape
+from undeadzone.compile.ir import Names, Text, entries_of, in_lanes, kept, once, plain
+from undeadzone.compile.ops import LANES, SHARED, STEADY, STILL, Op, needed, still, used
+from undeadzone.compile.rare import RareParts
+from undeadzone.compile.schedule import Branch, gathered, ordered
 
 _ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
 _PAGE: Final = 4096  # bytes

@@ -8,10 +8,10 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import cache
-from undeadzone.engine.forms import ONE, Shape
-from undeadzone.engine.kernel import graphs, source
-from undeadzone.engine.machine import here
+from undeadzone.compile import cache
+from undeadzone.compile.forms import ONE, Shape
+from undeadzone.compile.kernel import graphs, source
+from undeadzone.compile.machine import here
 from undeadzone.support.arrays import Floats
 
 ROWS: Final = 128  # samples in a call

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.engine.ops import Op, Ops
+from undeadzone.compile.ops import Op, Ops
 
 # LLVM's types of NumPy's numbers; integers have a sign or not.
 _TYPES: Final[dict[str, tuple[str, bool]]] = {

@@ -1,14 +1,88 @@
-"""The text of what draws and colours noise in lanes, `philox` traced into LLVM's instructions."""
+"""Standard normal numbers for many runs at once, a run to a lane.
+
+They are the bits of `noise.gaussian` and `noise.coloured`.
+"""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from typing import Final
 
-from undeadzone.engine import philox, traced
-from undeadzone.engine.ir import Text, in_lanes, once
-from undeadzone.engine.ops import LANES, SHARED, STEADY, Op, Ops, used
-from undeadzone.engine.schedule import of_graph
-from undeadzone.engine.traced import KINDS, Value
+import numpy as np
+
+from undeadzone.compile import cache, philox, traced
+from undeadzone.compile.ir import Text, in_lanes, once
+from undeadzone.compile.machine import here
+from undeadzone.compile.ops import LANES, SHARED, STEADY, Op, Ops, used
+from undeadzone.compile.schedule import of_graph
+from undeadzone.compile.traced import KINDS, Value
+from undeadzone.errors import ShapeError
+from undeadzone.support.arrays import Floats, Integers, shape_text
+
+
+def fill(
+    numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Sequence[int] | Integers
+) -> None:
+    """Write standard normal numbers into an array.
+
+    Args:
+        numbers: filled (steps x channels x lanes), contiguous.
+        first: number of the first step.
+        seed: of the noise.
+        words: `noise.word` of each channel.
+        runs: the run's number in each lane.
+
+    Raises:
+        ShapeError: an array of other channels or lanes.
+    """
+    channels, lanes = len(words), len(runs)
+    if numbers.shape[1:] != (channels, lanes):
+        raise ShapeError(
+            f"numbers: expected steps x {channels} channels x {lanes} lanes, "
+            f"found {shape_text(numbers.shape)}"
+        )
+    kernel = cache.load(*_fill())
+    streams, lane_runs = np.asarray(words, np.uint32), np.asarray(runs, np.uint64)
+    kernel(*numbers.shape, numbers, first, seed, streams, lane_runs)
+
+
+def colour(
+    numbers: Floats, state: Floats, first: int, start: int, memory: float, drive: float
+) -> None:
+    """Make first-order noise of white noise, in place.
+
+    Args:
+        numbers: as `fill` left them (steps x channels x lanes).
+        state: the last numbers (coloured channels x lanes), overwritten; at step 0 it is not read.
+        first: number of the first step.
+        start: the first channel that is coloured.
+        memory, drive: `noise.colour`.
+
+    Raises:
+        ShapeError: a state of other channels or lanes.
+    """
+    steps, channels, width = numbers.shape
+    if state.shape[1:] != (width,) or not 0 <= start <= start + len(state) <= channels:
+        raise ShapeError(
+            f"state: expected at most {channels - start} channels x {width} lanes, "
+            f"found {shape_text(state.shape)}"
+        )
+    kernel = cache.load(*_colour())
+    kernel(steps, channels, len(state), width, numbers, state, first, start, memory, drive)
+
+
+@functools.cache
+def _fill() -> tuple[str, tuple[str, ...]]:
+    """Text and arguments of what draws: of 32 bits a vector holds twice as many numbers."""
+    return fill_text(2 * here().vector[0]), FILL
+
+
+@functools.cache
+def _colour() -> tuple[str, tuple[str, ...]]:
+    """Text and arguments of what colours."""
+    return colour_text(here().vector[0]), COLOUR
+
 
 # Of the arguments of `fill`: steps, channels, lanes, numbers, first, key, words, runs.
 FILL: Final = (*["int64"] * 3, "float64*", "int64", "uint64", "uint32*", "uint64*")
@@ -160,7 +234,7 @@ _COLOURED: Final = """{name}:
   br i1 %go_{name}, label %{name}, label %{then}"""
 
 
-def fill(group: int) -> str:
+def fill_text(group: int) -> str:
     """The text of what fills an array with normal numbers, a group of runs at a time."""
     ops = Ops()
     functions = traced.functions(philox, ops)
@@ -222,7 +296,7 @@ def _loop(name: str, group: int) -> dict[str, object]:
     return {"name": name, "group": group, **numbers}
 
 
-def colour(group: int) -> str:
+def colour_text(group: int) -> str:
     """The text of what makes first-order noise of white noise, a group of runs at a time."""
     vector = f"<{group} x double>"
     many = {**_loop("many", group), "vector": vector, "memory": "%m", "drive": "%d"}

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.graph import Graph, Node, steady
+from undeadzone.compile.graph import Graph, Node, steady
 
 SUMS: Final = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 TWO: Final = -1  # the factor of a double

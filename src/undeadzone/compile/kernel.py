@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine.block import Block
-from undeadzone.engine.forms import ONE, Form, Shape
-from undeadzone.engine.lowering import lowered
-from undeadzone.engine.machine import Machine
-from undeadzone.engine.ops import LANES, SHARED, STEADY, STILL, Ops
-from undeadzone.engine.promises import Promise
-from undeadzone.engine.schedule import of_graph
+from undeadzone.compile.block import Block
+from undeadzone.compile.forms import ONE, Form, Shape
+from undeadzone.compile.lowering import lowered
+from undeadzone.compile.machine import Machine
+from undeadzone.compile.ops import LANES, SHARED, STEADY, STILL, Ops
+from undeadzone.compile.promises import Promise
+from undeadzone.compile.schedule import of_graph
 
 # Of the arguments of a kernel: steps, lanes, and flat arrays.
 KINDS: Final = ("int64", "int64", *["float64*"] * 5)

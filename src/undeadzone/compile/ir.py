@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
-from undeadzone.engine.branches import Branch
-from undeadzone.engine.ops import CONSTANT, STILL, Op, needed
+from undeadzone.compile.ops import CONSTANT, STILL, Op, needed
+from undeadzone.compile.schedule import Branch
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil")
 _CONVERSIONS: Final = (

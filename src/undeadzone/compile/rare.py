@@ -7,10 +7,10 @@ import itertools
 import operator
 from typing import Final
 
-from undeadzone.engine.forms import LARGE, Form, Shape
-from undeadzone.engine.ir import Names, Text, entries_of, in_lanes, once, plain
-from undeadzone.engine.ops import SHARED, STEADY, STILL, Op, needed, still, used
-from undeadzone.engine.schedule import of_graph, ordered
+from undeadzone.compile.forms import LARGE, Form, Shape
+from undeadzone.compile.ir import Names, Text, entries_of, in_lanes, once, plain
+from undeadzone.compile.ops import SHARED, STEADY, STILL, Op, needed, still, used
+from undeadzone.compile.schedule import of_graph, ordered
 
 _POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
 

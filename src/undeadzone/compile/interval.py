@@ -1,16 +1,18 @@
-"""Interval arithmetic: what can come of operations on numbers that lie between bounds.
+"""Bounds on what a CasADi SX graph can be on boxes of its inputs (Moore 1966).
 
-Every bound is rounded outwards (Moore 1966). Functions take intervals of any shape and act entry by
-entry.
+Every bound is rounded outwards. Functions take intervals of any shape and act entry by entry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
+from undeadzone.compile.graph import Graph, listed
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
@@ -296,3 +298,113 @@ def gated(condition: Interval, value: Interval) -> Interval:
     """The value where the condition holds, else 0."""
     off = condition.low == 0
     return Interval(np.where(off, 0.0, value.low), np.where(off, 0.0, value.high))
+
+
+def _same(a: Interval) -> Interval:
+    """a itself."""
+    return a
+
+
+# Bounds on an instruction from those on its operands.
+_BOUNDS: dict[int, Callable[..., Interval]] = {
+    ca.OP_ASSIGN: _same,
+    ca.OP_ADD: add,
+    ca.OP_SUB: subtract,
+    ca.OP_NEG: negative,
+    ca.OP_TWICE: twice,
+    ca.OP_MUL: product,
+    ca.OP_DIV: quotient,
+    ca.OP_INV: inverse,
+    ca.OP_SQ: square,
+    ca.OP_FABS: absolute,
+    ca.OP_SIGN: sign,
+    ca.OP_POW: power,
+    ca.OP_CONSTPOW: power,
+    ca.OP_SQRT: sqrt,
+    ca.OP_EXP: exp,
+    ca.OP_LOG: log,
+    ca.OP_SIN: sin,
+    ca.OP_COS: cos,
+    ca.OP_TAN: tan,
+    ca.OP_ASIN: asin,
+    ca.OP_ACOS: acos,
+    ca.OP_ATAN: partial(rising, np.arctan),
+    ca.OP_SINH: partial(rising, np.sinh),
+    ca.OP_COSH: cosh,
+    ca.OP_TANH: partial(rising, np.tanh),
+    ca.OP_FMIN: minimum,
+    ca.OP_FMAX: maximum,
+    ca.OP_LT: less,
+    ca.OP_LE: at_most,
+    ca.OP_EQ: equal,
+    ca.OP_NE: unequal,
+    ca.OP_NOT: negation,
+    ca.OP_AND: both,
+    ca.OP_OR: maximum,
+    ca.OP_IF_ELSE_ZERO: gated,
+}
+
+
+def enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], list[Interval]]:
+    """Bounds on the outputs of a function, true for every point of a box of its inputs.
+
+    Args:
+        function: of SX, with dense outputs.
+
+    Returns:
+        bounds(boxes): from an interval (entries x boxes) per input to one (entries x boxes) per
+        output. It raises InputError where a condition or a kink is not decided on a whole box.
+
+    Raises:
+        InputError: an instruction without bounds.
+    """
+    graph = listed(function)
+    for node in graph.nodes:
+        if node.op not in _BOUNDS and node.op not in (ca.OP_INPUT, ca.OP_CONST):
+            raise InputError(f"no bounds are known for the function {_name(node.op)}")
+    inputs: dict[str, tuple[int, int]] = {}
+    for i in range(function.n_in()):
+        for k in range(function.nnz_in(i)):
+            inputs[f"{function.name_in(i)}{k}"] = (i, k)
+    return partial(_enclosed, graph, inputs)
+
+
+def _enclosed(
+    graph: Graph, inputs: dict[str, tuple[int, int]], boxes: Sequence[Interval]
+) -> list[Interval]:
+    """Bounds on the outputs of a graph.
+
+    Args:
+        graph: the function.
+        inputs: for the text of a node that reads an input, that input and the entry of it.
+        boxes: an interval (entries x boxes) per input.
+    """
+    shape = np.broadcast_shapes(*(box.low.shape[1:] for box in boxes))
+    values: list[Interval] = []
+    with np.errstate(all="ignore"):
+        for node in graph.nodes:
+            if node.op == ca.OP_INPUT:
+                i, k = inputs[node.text]
+                values.append(Interval(boxes[i].low[k], boxes[i].high[k]))
+            elif node.op == ca.OP_CONST:
+                constant = np.array(float(node.text))
+                values.append(Interval(constant, constant))
+            else:
+                operands = [values[operand] for operand in node.operands]
+                values.append(_BOUNDS[node.op](*operands))
+    return [_stacked([values[k] for k in entries], shape) for entries in graph.results]
+
+
+def _stacked(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
+    """Several intervals in one (entries x boxes)."""
+    low = np.stack([np.broadcast_to(entry.low, shape) for entry in entries])
+    high = np.stack([np.broadcast_to(entry.high, shape) for entry in entries])
+    return Interval(low, high)
+
+
+def _name(op: int) -> str:
+    """The name of an instruction: fmod of OP_FMOD."""
+    for name in dir(ca):
+        if name.startswith("OP_") and getattr(ca, name) == op:
+            return name.removeprefix("OP_").lower()
+    raise ValueError(op)

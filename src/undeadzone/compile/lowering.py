@@ -13,11 +13,11 @@ from typing import Any, Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.engine import elementary, promises, traced
-from undeadzone.engine.graph import CONDITIONS, Graph, Node, listed, shortened
-from undeadzone.engine.ops import Op, Ops
-from undeadzone.engine.promises import Promise
-from undeadzone.engine.terms import SUMS, Counted, Term, counted, taken_in, terms
+from undeadzone.compile import elementary, promises, traced
+from undeadzone.compile.graph import CONDITIONS, Graph, Node, listed, shortened
+from undeadzone.compile.ops import Op, Ops
+from undeadzone.compile.promises import Promise
+from undeadzone.compile.terms import SUMS, Counted, Term, counted, taken_in, terms
 from undeadzone.errors import InputError
 
 # Functions of the C library, of one number and of two.

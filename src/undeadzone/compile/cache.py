@@ -13,9 +13,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import undeadzone
-from undeadzone.engine import cache_folder
-from undeadzone.engine.machine import here, stack
-from undeadzone.engine.machine_code import NUMBERS, Compiled, Linked, compiled, linked
+from undeadzone.compile import cache_folder
+from undeadzone.compile.machine import NUMBERS, Compiled, Linked, compiled, here, linked, stack
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing

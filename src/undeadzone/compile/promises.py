@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine.ops import Op
+from undeadzone.compile.ops import Op
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
