@@ -5,8 +5,18 @@ from __future__ import annotations
 from typing import Final
 
 from undeadzone.compile.forms import Form, Shape
-from undeadzone.compile.ir import Names, Text, entries_of, in_lanes, kept, once, plain
-from undeadzone.compile.ops import LANES, SHARED, STEADY, STILL, Op, needed, still, used
+from undeadzone.compile.graph import (
+    LANES,
+    SHARED,
+    STEADY,
+    STILL,
+    Node,
+    condition,
+    needed,
+    still,
+    used,
+)
+from undeadzone.compile.print_llvm import Names, Text, entries_of, in_lanes, kept, once, plain
 from undeadzone.compile.rare import RareParts
 from undeadzone.compile.schedule import Branch, gathered, ordered
 
@@ -29,24 +39,24 @@ class _Table:
     """
 
     def __init__(self, every_use: bool) -> None:
-        self.entries: list[Op] = []
-        self._places: dict[int, int] = {}
+        self.entries: list[Node] = []
+        self._places: dict[Node, int] = {}
         self._every_use = every_use
 
-    def place(self, op: Op) -> int:
+    def place(self, node: Node) -> int:
         """Where a use of a value finds it."""
-        if self._every_use or op.number not in self._places:
-            self._places[op.number] = len(self.entries)
-            self.entries.append(op)
-        return self._places[op.number]
+        if self._every_use or node not in self._places:
+            self._places[node] = len(self.entries)
+            self.entries.append(node)
+        return self._places[node]
 
-    def fill(self, text: Text, base: str, have: dict[int, str]) -> None:
+    def fill(self, text: Text, base: str, have: dict[Node, str]) -> None:
         """Print what keeps the values."""
-        forms: dict[int, str] = {}
-        for place, op in enumerate(self.entries):
-            if op.number not in forms:
-                forms[op.number] = kept(text, op, have[op.number])
-            text.store(forms[op.number], text.at(base, place))
+        forms: dict[Node, str] = {}
+        for place, node in enumerate(self.entries):
+            if node not in forms:
+                forms[node] = kept(text, node, have[node])
+            text.store(forms[node], text.at(base, place))
 
 
 class Block:
@@ -59,11 +69,11 @@ class Block:
     """
 
     def __init__(
-        self, shape: Shape, form: Form, usual: list[list[Op]], parts: list[list[list[Op]]]
+        self, shape: Shape, form: Form, usual: list[list[Node]], parts: list[list[list[Node]]]
     ) -> None:
         self.shape, self.form = shape, form
         self.following, self.out = usual[0], usual[1]
-        self.flag = _condition(usual[2][0]) if parts else None
+        self.flag = (condition(usual[2][0]) or usual[2][0]) if parts else None
         self.declared: dict[str, str] = {}
         self.rare = RareParts(shape, form, parts)
         self.slots = form.slots and form.lanes > 1
@@ -72,7 +82,7 @@ class Block:
         self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
         self.order = ordered(self.results, form.registers)
         self.still = still(self.order, self.results)
-        self.have: dict[int, str] = {}  # steady values, plain
+        self.have: dict[Node, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
 
     def printed(self, name: str) -> str:
@@ -117,9 +127,9 @@ class Block:
     def _steady_values(self, text: Text) -> None:
         """Print what is steady, once."""
         wanted = [*used([*self.still, *self.order], self.results, STEADY), *self.rare.steady]
-        for op in needed(used(self.order, self.results, SHARED)):
-            if op.level == SHARED:
-                wanted += [arg for arg in op.args if arg.level == STEADY]
+        for node in needed(used(self.order, self.results, SHARED)):
+            if node.level == SHARED:
+                wanted += [arg for arg in node.args if arg.level == STEADY]
         once(text, wanted, self.have, entries_of(text, "params"))
 
     def _tables(self, text: Text, steps: int) -> int:
@@ -136,8 +146,8 @@ class Block:
                 text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
                 at += _rounded(count * lanes)
         self.steady.fill(text, "%steady", self.have)
-        for place, op in enumerate(self.rare.steady):
-            text.store(kept(text, op, self.have[op.number]), text.at("%rare", place))
+        for place, node in enumerate(self.rare.steady):
+            text.store(kept(text, node, self.have[node]), text.at("%rare", place))
         text.line("%none = icmp slt i64 %steps, 1")
         text.line("br i1 %none, label %end, label %chunk")
         return at
@@ -195,13 +205,13 @@ class Block:
     def _still_source(self, text: Text, u: int) -> Names:
         """What names a lane's own params, and what all lanes share, ahead of the loop over time."""
 
-        def source(op: Op) -> str:
-            if op.level == STILL:
-                return f"%p{u}_{self.shape.params.index(int(op.text[1:]))}"
+        def source(node: Node) -> str:
+            if node.level == STILL:
+                return f"%p{u}_{self.shape.params.index(int(node.text[1:]))}"
             if self.form.lanes == 1:
-                return self.have[op.number]
-            one = text.load(text.at("%steady", self.steady.place(op)))
-            return plain(text, op, text.splat(one, "double"), True)
+                return self.have[node]
+            one = text.load(text.at("%steady", self.steady.place(node)))
+            return plain(text, node, text.splat(one, "double"), True)
 
         return source
 
@@ -239,15 +249,15 @@ class Block:
         text = self._text("b")
         text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
-        order: list[Op | Branch] = list(self.order)
+        order: list[Node | Branch] = list(self.order)
         if self.form.branches and self.form.streams == 1:
             order = gathered(self.order, self.results, self.form.branches)
         names = in_lanes(text, order, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
-            for i, op in enumerate(self.out):
-                text.store(names[u](op), f"%outputs{u}_{i}", vector=True)
-        merged = [[[names[u](op) for op in self.following] for u in self.groups]]
+            for i, node in enumerate(self.out):
+                text.store(names[u](node), f"%outputs{u}_{i}", vector=True)
+        merged = [[[names[u](node) for node in self.following] for u in self.groups]]
         came = [text.block]
         if self.flag:
             last, changed = self.rare.called(text, merged[0], self._flags(text, names))
@@ -267,7 +277,7 @@ class Block:
         """The conditions of the rare parts, for each group."""
         assert self.flag is not None
         flags = [name(self.flag) for name in names]
-        if self.flag.type == "i1":
+        if self.flag.kind == "bool":
             return flags
         return [text.add(f"fcmp une {text.type('double')} {x}, {text.zero()}") for x in flags]
 
@@ -275,17 +285,17 @@ class Block:
         """What names values of lower levels and inputs of the lanes of a group."""
         shape = self.shape
 
-        def source(op: Op) -> str:
-            if op.level == STEADY and self.form.lanes == 1:
-                return self.have[op.number]
-            if op.level == STILL:
-                return self.own[u](op)
-            if op.level < LANES:
-                table, base = (self.steady, "%sp") if op.level == STEADY else (self.shared, "%sq")
-                one = text.load(text.at(base, table.place(op)))
-                return plain(text, op, text.splat(one, "double"), True)
-            place = int(op.text[1:])
-            if op.text[0] == "s":
+        def source(node: Node) -> str:
+            if node.level == STEADY and self.form.lanes == 1:
+                return self.have[node]
+            if node.level == STILL:
+                return self.own[u](node)
+            if node.level < LANES:
+                table, base = (self.steady, "%sp") if node.level == STEADY else (self.shared, "%sq")
+                one = text.load(text.at(base, table.place(node)))
+                return plain(text, node, text.splat(one, "double"), True)
+            place = int(node.text[1:])
+            if node.text[0] == "s":
                 return f"%s{u}_{place}"
             if place in shape.exogenous:
                 row = shape.exogenous.index(place)
@@ -321,13 +331,6 @@ def _rows(text: Text, base: str, first: str, name: str, count: int) -> None:
         before = f"ptr %{name}{i}, i64 %lanes"
 
 
-def _condition(op: Op) -> Op:
-    """The condition that a flag, 1 or 0, stands for; else the flag itself."""
-    texts = [arg.text for arg in op.args[1:]]
-    is_truth = op.kind == "select" and texts == ["0x3FF0000000000000", "0x0000000000000000"]
-    return op.args[0] if is_truth else op
-
-
 def _rounded(numbers: int) -> int:
-    """So many numbers, filled up to lines of the cache."""
+    """So many numbers, as whole lines of the cache."""
     return -(-numbers // 8) * 8

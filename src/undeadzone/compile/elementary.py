@@ -1,248 +1,373 @@
-"""Elementary functions as plain arithmetic, which LLVM vectorises over lanes.
+"""Elementary functions as plain arithmetic: one text for fused lanes and for exported code.
 
-They are sin, cos, exp, log, erf and tanh of a number. `traced` calls these functions with its own
-`select`, `fma`, `bits`, `number` and `polynomial`; there is no branch and no call in them, and
-every operation rounds once by IEEE 754, so that all processors and lane widths give the same
-bits. Errors stay below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and subnormal
-numbers mean what they mean in C. The polynomials are of least largest error, by Remez's exchange in
-60 digits, with the weight that is named for each.
+There is no branch in them and no loop, so that LLVM vectorises them over lanes; exported code calls
+them. Every operation rounds once by IEEE 754, so that all processors and lane widths give the same
+bits. In lanes a b + c is rounded once, which no chip without such an instruction, nor WebAssembly,
+can do at a bearable price: exported code rounds the product, too, and gives other last bits.
+
+Of fused lanes errors stay below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and
+subnormal numbers mean what they mean in C. Docstrings are the comments of the exported C.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
-import numpy as np
+from undeadzone.compile.coefficients import DOUBLE, FUSED, SINGLE, Numbers
+from undeadzone.compile.graph import LANES, Node, Nodes, uses
+from undeadzone.compile.trace import Numpy, Value
 
-if TYPE_CHECKING:  # from `traced`
 
-    def select(condition: Any, yes: Any, no: Any) -> Any:
-        """Yes where the condition holds, else no."""
+class Maths:
+    """What the functions call besides operators, in an arithmetic.
 
-    def fma(a: Any, b: Any, c: Any) -> Any:
-        """a * b + c, rounded once."""
+    Args:
+        nodes: where nodes are made.
+        numbers: of the arithmetic.
+    """
 
-    def bits(x: Any) -> Any:
+    def __init__(self, nodes: Nodes, numbers: Numbers) -> None:
+        self.nodes, self.c = nodes, numbers
+        numpy = Numpy(nodes, numbers.kind)
+        self.select, self.sqrt, self.call = numpy.where, numpy.sqrt, numpy.call
+
+    def fma(self, a: Any, b: Any, c: Any) -> Any:
+        """a b + c, rounded once if the arithmetic can do it."""
+        return self.call("fma", a, b, c) if self.c.fused else a * b + c
+
+    def bits(self, x: Any) -> Any:
         """The bits of a number, as an unsigned integer."""
+        return x.cast("view", self.c.word)
 
-    def number(x: Any) -> Any:
+    def number(self, x: Any) -> Any:
         """The number that has these bits."""
+        return x.cast("view", self.c.kind)
 
-    def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
-        """coefficients[0] + coefficients[1] x + ..."""
+    def polynomial(self, x: Any, coefficients: tuple[float, ...]) -> Any:
+        """coefficients[0] + coefficients[1] x + ...
 
-
-FUNCTIONS = ("sin", "cos", "exp", "log", "erf", "tanh")
-
-# A number to which it is added becomes an integer, in two's complement in the last bits of the sum.
-SHIFT = 1.5 * 2.0**52
-
-# Parts of a number: bits of the mantissa, the bit of the sign.
-MANTISSA = np.uint64(52)
-SIGN = np.uint64(1 << 63)
-
-# Of a count of quarter turns: the bit that swaps sine and cosine, the one that changes the sign,
-# and how far that one lies from the bit of a sign.
-ODD = np.uint64(1)
-HALF_TURN = np.uint64(2)
-TO_SIGN = np.uint64(62)
-
-# Bits of 1, of sqrt(1/2), and those of a mantissa.
-ONE = np.uint64(0x3FF << 52)
-LEAST = np.uint64(0x3FE6A09E667F3BCD)
-FRACTION = np.uint64((1 << 52) - 1)
-
-# Bits of 2^52: with an integer in its mantissa it is 2^52 more than that. COUNTED takes off 2^52
-# and the bias of an exponent.
-COUNT = np.uint64(0x433 << 52)
-COUNTED = 2.0**52 + 1023
-
-# The largest argument of sine and cosine, 2 / pi, and pi / 2 in three parts.
-FAR = 2.0**45
-TURNS = 0.6366197723675814
-QUARTER = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
-
-# (sin r - r) / r^3 by powers of r^2, |r| <= 1.005 pi/4; weight 1 / sin: 2^-58.
-SIN = (
-    -0.1666666666666663,
-    0.008333333333321867,
-    -0.00019841269829351657,
-    2.7557313527695806e-06,
-    -2.505073154586686e-08,
-    1.5895209746055687e-10,
-)
-# (cos r - 1 + r^2 / 2) / r^4 by powers of r^2, |r| <= 1.005 pi/4; weight 1 / cos: 2^-64.
-COS = (
-    0.041666666666666595,
-    -0.0013888888888873385,
-    2.480158728900059e-05,
-    -2.7557314207741605e-07,
-    2.0875702934427074e-09,
-    -1.135856184094998e-11,
-)
-
-# log 2 in two parts, and 1 / log 2.
-LN2 = (0.6931471805599453, 2.3190468138462996e-17)
-DOUBLINGS = 1.4426950408889634
-
-# (e^r - 1 - r) / r^2 by powers of r, |r| <= log(2) / 2; weight r: 2^-61.
-EXP = (
-    0.5,
-    0.16666666666666677,
-    0.0416666666666667,
-    0.008333333333321617,
-    0.0013888888888866694,
-    0.00019841269886157698,
-    2.4801587360795128e-05,
-    2.755724418270308e-06,
-    2.755724258742789e-07,
-    2.5109044640515566e-08,
-    2.0924488510003118e-09,
-)
-
-# log 2 with 11 zero bits at the end of the first part.
-LN2_SHORT = (0.6931471805598903, 5.497923018708371e-14)
-
-# (2 artanh(s) / s - 2) / s^2 by powers of s^2, s = f / (2 + f), sqrt(1/2) <= 1 + f < sqrt(2);
-# weight s^2: 2^-58.
-LOG = (
-    0.6666666666666734,
-    0.3999999999941394,
-    0.2857142874256638,
-    0.22222198553420341,
-    0.1818356542424928,
-    0.15314020709753456,
-    0.14796265152338745,
-)
-
-# Where erf rounds to 1. 2 / sqrt(pi) is the sum of HEAD and ERF[0].
-CERTAIN = 5.93
-HEAD = 1.1283791670955126
-
-# -log(1 - erf a) / a by powers of a in [0, CERTAIN]; weight a (1 - erf a) / erf a: 2^-57.
-ERF = (
-    9.76117611312222e-18,
-    0.6366197723675836,
-    0.10277260330178874,
-    -0.019128447005068803,
-    -0.00020919469486840712,
-    0.001696206385974935,
-    -0.0005901255541723382,
-    2.5878609143621217e-05,
-    6.449184749408079e-05,
-    -2.9724018709271747e-05,
-    3.407222134222892e-06,
-    2.8351939834190592e-06,
-    -1.7416005899555316e-06,
-    3.3640688952601167e-07,
-    1.3715495743723908e-07,
-    -1.417478513980929e-07,
-    6.572760629362529e-08,
-    -2.0960695130725553e-08,
-    4.997190901466319e-09,
-    -9.081181835126703e-10,
-    1.248248513746862e-10,
-    -1.2609178042862588e-11,
-    8.844158337298547e-13,
-    -3.8498487535343996e-14,
-    7.832682749273684e-16,
-)
+        Even and odd powers apart, so that half as many roundings wait for each other.
+        """
+        square, halves = x * x, []
+        for *lower, value in (coefficients[0::2], coefficients[1::2]):
+            for coefficient in reversed(lower):
+                value = self.fma(value, square, coefficient)
+            halves.append(value)
+        return self.fma(halves[1], x, halves[0])
 
 
-def turned(x: Any) -> Any:
+# --- Steps of the functions
+
+
+def turned(m: Maths, x: Any) -> Any:
     """Sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n.
 
-    Beyond 2^45 those of 0. r is found as a sum of two numbers, the first of which may be as small
-    as 2^-60.
+    Beyond the largest argument those of 0. r is found as a sum of two numbers, the first of which
+    may be as small as 2^-60.
     """
-    a = abs(x)
-    a = select(a <= FAR, a, 0.0 * a)
-    shifted = fma(a, TURNS, SHIFT)
-    n = shifted - SHIFT
-    first, second = fma(-n, QUARTER[0], a), n * QUARTER[1]
+    c, a = m.c, abs(x)
+    a = m.select(a <= c.far, a, 0.0 * a)
+    shifted = m.fma(a, 2 / math.pi, c.shift)
+    n = shifted - c.shift
+    first, second = m.fma(-n, c.quarter[0], a), n * c.quarter[1]
     r = first - second
-    lost_bits = ((first - r) - second) - fma(n, QUARTER[1], -second)
-    rest = fma(-n, QUARTER[2], lost_bits)
+    lost_bits = (first - r) - second
+    if c.fused:
+        lost_bits = lost_bits - m.fma(n, c.quarter[1], -second)
+    rest = m.fma(-n, c.quarter[2], lost_bits)
     z = r * r
-    sine = r + fma(z * r, polynomial(z, SIN), rest)
+    sine = r + m.fma(z * r, m.polynomial(z, c.sin), rest)
     half = 0.5 * z
     most = 1.0 - half  # of the cosine; what it lost by rounding comes with the smaller terms
-    cosine = most + fma(z * z, polynomial(z, COS), ((1.0 - most) - half) - r * rest)
-    return sine, cosine, bits(shifted)
+    cosine = most + m.fma(z * z, m.polynomial(z, c.cos), ((1.0 - most) - half) - r * rest)
+    return sine, cosine, m.bits(shifted)
 
 
-def sin(x: Any) -> Any:
-    """Sine; within 1 ulp up to |x| = 2^45 (1/250 between neighbouring numbers), 0 beyond."""
-    sine, cosine, n = turned(x)
-    value = select((n & ODD) != np.uint64(0), cosine, sine)
-    return number(bits(value) ^ ((n & HALF_TURN) << TO_SIGN) ^ (bits(x) & SIGN))
+def power(m: Maths, shifted: Any) -> Any:
+    """2^n of n + shift, in the normal range."""
+    return m.number((m.bits(shifted) << m.c.mantissa) + m.c.one)
 
 
-def cos(x: Any) -> Any:
-    """Cosine; within 1 ulp up to |x| = 2^45, 1 beyond."""
-    sine, cosine, n = turned(x)
-    value = select((n & ODD) != np.uint64(0), sine, cosine)
-    return number(bits(value) ^ (((n + ODD) & HALF_TURN) << TO_SIGN))
-
-
-def power(shifted: Any) -> Any:
-    """2^n of n + SHIFT, n from -1022 to 1023."""
-    return number((bits(shifted) << MANTISSA) + ONE)
-
-
-def raised(x: Any) -> Any:
+def raised(m: Maths, x: Any) -> Any:
     """n and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
-    n = fma(x, DOUBLINGS, SHIFT) - SHIFT
-    r = fma(-n, LN2[1], fma(-n, LN2[0], x))
-    return n, fma(r * r, polynomial(r, EXP), r)
+    c = m.c
+    n = m.fma(x, 1 / math.log(2), c.shift) - c.shift
+    r = m.fma(-n, c.log2[1], m.fma(-n, c.log2[0], x))
+    return n, m.fma(r * r, m.polynomial(r, c.exp), r)
 
 
-def exp(x: Any) -> Any:
+def limited(m: Maths, x: Any) -> Any:
+    """An argument of exp, not beyond what makes it infinite or 0."""
+    x = m.select(x > m.c.most, m.c.most, x)
+    return m.select(x < m.c.least, m.c.least, x)
+
+
+def lost(m: Maths, g: Any) -> Any:
+    """1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
+    n, part = raised(m, -g)
+    scale = power(m, n + m.c.shift)
+    return m.fma(-scale, part, 1.0 - scale)
+
+
+# --- The functions
+
+
+def sign(m: Maths, x: Any) -> Any:
+    """Sign: -1, 0 or 1."""
+    return m.select(x < 0.0, -1.0, m.select(x > 0.0, 1.0, x))
+
+
+def smaller(m: Maths, x: Any, y: Any) -> Any:
+    """The smaller of two numbers."""
+    return m.select((x < y) | (y != y), x, y)
+
+
+def larger(m: Maths, x: Any, y: Any) -> Any:
+    """The larger of two numbers."""
+    return m.select((y < x) | (y != y), x, y)
+
+
+def floor(m: Maths, x: Any) -> Any:
+    """The largest whole number that is not larger."""
+    a = abs(x)
+    near = m.call("copysign", (a + m.c.whole) - m.c.whole, x)
+    return m.select(a < m.c.whole, near - m.select(x < near, 1.0, 0.0 * a), x)
+
+
+def ceil(m: Maths, x: Any) -> Any:
+    """The smallest whole number that is not smaller."""
+    return -m.call("floor", -x)
+
+
+def exp(m: Maths, x: Any) -> Any:
     """Exponential; 2^n in two factors, so that the largest numbers and subnormal ones come out."""
-    x = select(x > 750.0, 750.0, x)
-    n, part = raised(select(x < -750.0, -750.0, x))
-    half = fma(n, 0.5, SHIFT)
-    scale = power(half)
-    return fma(scale, part, scale) * power(n - (half - SHIFT) + SHIFT)
+    n, part = raised(m, limited(m, x))
+    half = m.fma(n, 0.5, m.c.shift)
+    scale = power(m, half)
+    return m.fma(scale, part, scale) * power(m, n - (half - m.c.shift) + m.c.shift)
 
 
-def log(x: Any) -> Any:
-    """Natural logarithm n log 2 + log(1 + f); -inf of 0, NaN of negative numbers."""
-    small = x < 2.0**-1022
-    word = bits(select(small, x * 2.0**54, x)) + (ONE - LEAST)
-    n = number((word >> MANTISSA) | COUNT) - select(small, COUNTED + 54.0, COUNTED)
-    f = number((word & FRACTION) + LEAST) - 1.0
+def expm1(m: Maths, x: Any) -> Any:
+    """e^x - 1, from half of it."""
+    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > m.c.most, m.c.most, x)))
+    half = power(m, n + (m.c.shift - 1.0))
+    return 2.0 * m.fma(half, part, half - 0.5)
+
+
+def log(m: Maths, x: Any) -> Any:
+    """Natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+    c = m.c
+    lift, counted = c.mantissa + 2, c.whole + c.bias
+    small = x < 2.0 ** (1 - c.bias)
+    word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one - c.half)
+    count = (c.bias + c.mantissa) << c.mantissa  # the bits of `whole`, to which n is added
+    n = m.number((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
+    f = m.number((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    whole = n * LN2_SHORT[0]
+    whole = n * c.log2_short[0]
     high = whole + f
-    smaller = fma(n, LN2_SHORT[1], -s * fma(-z, polynomial(z, LOG), f))
+    smaller = m.fma(n, c.log2_short[1], -s * m.fma(-z, m.polynomial(z, c.log), f))
     value = high + ((f - (high - whole)) + smaller)
-    value = select(x > 0.0, value, select(x == 0.0, -np.inf, np.nan))
-    return select(x < np.inf, value, x)
+    edge = m.select(x == 0.0, -math.inf, math.nan)
+    return m.select(x <= c.largest, m.select(x > 0.0, value, edge), x)
 
 
-def lost(g: Any) -> Any:
-    """1 - e^-g of 0 <= g <= 700."""
-    n, part = raised(-g)
-    scale = power(n + SHIFT)
-    return fma(-scale, part, 1.0 - scale)
+def log1p(m: Maths, x: Any) -> Any:
+    """log(1 + x)."""
+    u = 1.0 + x
+    gap = u - 1.0
+    zero = gap == 0.0
+    return m.select(zero, x, m.call("log", u) * (x / m.select(zero, 1.0, gap)))
 
 
-def signed(value: Any, x: Any) -> Any:
-    """A number that is not negative, with the sign of x."""
-    return number(bits(value) | (bits(x) & SIGN))
-
-
-def erf(x: Any) -> Any:
+def erf(m: Maths, x: Any) -> Any:
     """Error function, as 1 - e^-g(|x|)."""
+    c, a = m.c, abs(x)
+    a = m.select(a > c.certain, c.certain, a)
+    value = lost(m, m.fma(a, c.head, a * m.polynomial(a, c.erf)))
+    return m.call("copysign", value, x)
+
+
+def sin(m: Maths, x: Any) -> Any:
+    """Sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    sine, cosine, n = turned(m, x)
+    value = m.select((n & 1) != 0, cosine, sine)
+    return m.number(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
+
+
+def cos(m: Maths, x: Any) -> Any:
+    """Cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    sine, cosine, n = turned(m, x)
+    value = m.select((n & 1) != 0, sine, cosine)
+    return m.number(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
+
+
+def tan(m: Maths, x: Any) -> Any:
+    """Tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    sine, cosine, n = turned(m, x)
+    odd = (n & 1) != 0
+    value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)
+    return m.number(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
+
+
+def atan(m: Maths, x: Any) -> Any:
+    """Arc tangent."""
+    c, a = m.c, abs(x)
+    far, middle = a > math.tan(3 * math.pi / 8), a > math.tan(math.pi / 8)
+    above, below = m.select(far, -1.0, a - 1.0), m.select(far, a, a + 1.0)
+    r = m.select(middle, above, a) / m.select(middle, below, 1.0)
+    z = r * r
+    base = m.select(far, c.pi2[0], m.select(middle, c.pi4[0], 0.0 * z))
+    rest = m.select(far, c.pi2[1], m.select(middle, c.pi4[1], 0.0 * z))
+    return m.call("copysign", base + ((r * z * m.polynomial(z, c.atan) + rest) + r), x)
+
+
+def atan2(m: Maths, y: Any, x: Any) -> Any:
+    """Angle of (y, x)."""
+    right, zero = m.c.pi2[0], x == 0.0
+    quotient = m.call("atan", y / m.select(zero, 1.0, x))
+    turned = m.select(y < 0.0, quotient - 2 * right, quotient + 2 * right)
+    upright = m.select(y < 0.0, -right, m.select(y > 0.0, right, 0.0 * y))
+    return m.select(zero, upright, m.select(x < 0.0, turned, quotient))
+
+
+def asin(m: Maths, x: Any) -> Any:
+    """Arc sine."""
+    return m.call("atan2", x, m.sqrt((1.0 - x) * (1.0 + x)))
+
+
+def acos(m: Maths, x: Any) -> Any:
+    """Arc cosine."""
+    return m.call("atan2", m.sqrt((1.0 - x) * (1.0 + x)), x)
+
+
+def sinh(m: Maths, x: Any) -> Any:
+    """Hyperbolic sine."""
     a = abs(x)
-    a = select(a > CERTAIN, CERTAIN, a)
-    return signed(lost(fma(a, HEAD, a * polynomial(a, ERF))), x)
+    t, half = m.call("expm1", a), m.call("exp", a * 0.5)
+    near = 0.5 * (t + t / (t + 1.0))
+    return m.call("copysign", m.select(a < 20.0, near, (0.5 * half) * half), x)
 
 
-def tanh(x: Any) -> Any:
+def cosh(m: Maths, x: Any) -> Any:
+    """Hyperbolic cosine."""
+    a = abs(x)
+    e, half = m.call("exp", a), m.call("exp", a * 0.5)
+    return m.select(a < 20.0, 0.5 * (e + 1.0 / e), (0.5 * half) * half)
+
+
+def tanh(m: Maths, x: Any) -> Any:
     """Hyperbolic tangent, as q / (2 - q), q = 1 - e^-2|x|."""
     a = abs(x)
-    q = lost(2.0 * select(a > 20.0, 20.0, a))
-    return signed(q / (2.0 - q), x)
+    q = lost(m, 2.0 * m.select(a > 20.0, 20.0, a))
+    return m.call("copysign", q / (2.0 - q), x)
+
+
+def asinh(m: Maths, x: Any) -> Any:
+    """Inverse of sinh."""
+    a = abs(x)
+    far = a > 1e8
+    b = m.select(far, 1.0, a)
+    near = m.call("log1p", b + b * b / (1.0 + m.sqrt(b * b + 1.0)))
+    return m.call("copysign", m.select(far, m.call("log", a) + math.log(2), near), x)
+
+
+def acosh(m: Maths, x: Any) -> Any:
+    """Inverse of cosh."""
+    far = x > 1e8
+    t = m.select(far, 1.0, x - 1.0)
+    near = m.call("log1p", t + m.sqrt(2.0 * t + t * t))
+    return m.select(far, m.call("log", x) + math.log(2), near)
+
+
+def atanh(m: Maths, x: Any) -> Any:
+    """Inverse of tanh."""
+    a = abs(x)
+    return m.call("copysign", 0.5 * m.call("log1p", 2.0 * a / (1.0 - a)), x)
+
+
+def raised_to(m: Maths, x: Any, y: Any) -> Any:
+    """x^y as e^(y log x): its relative error grows with |y log x|."""
+    half = y * 0.5
+    size = m.call("exp", y * m.call("log", abs(x)))
+    signed = m.select(m.call("floor", half) == half, size, -size)
+    negative = m.select(m.call("floor", y) == y, signed, math.nan)
+    one = (y == 0.0) | (x == 1.0)
+    return m.select(one, 1.0, m.select(x < 0.0, negative, size))
+
+
+def hypot(m: Maths, x: Any, y: Any) -> Any:
+    """sqrt(x^2 + y^2)."""
+    a, b = abs(x), abs(y)
+    more, less = m.select(b < a, a, b), m.select(b < a, b, a)
+    ratio = less / m.select(more == 0.0, 1.0, more)
+    return more * m.sqrt(1.0 + ratio * ratio)
+
+
+# --- As graphs
+
+_OWN: Final = (
+    *(sign, floor, ceil, exp, expm1, log, log1p, erf, sin, cos, tan, atan, atan2, asin, acos),
+    *(sinh, cosh, tanh, asinh, acosh, atanh, hypot),
+)
+FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
+    "fmin": smaller,
+    "fmax": larger,
+    **{function.__name__: function for function in _OWN},
+    "pow": raised_to,
+}
+"""By C's names, in an order in which each calls earlier ones only."""
+
+LANES_OWN: Final = ("sin", "cos", "exp", "log", "erf", "tanh")
+"""Those that take the C library's place in fused lanes."""
+
+
+class Formula(NamedTuple):
+    """A function as a graph.
+
+    Attributes:
+        inputs: names of its arguments.
+        result: its value.
+        calls: the functions that it calls.
+    """
+
+    inputs: list[str]
+    result: Node
+    calls: set[str]
+
+
+@functools.cache
+def formula(name: str, kind: str) -> Formula:
+    """A function in float32 or float64, without fused operations."""
+    function, nodes = FUNCTIONS[name], Nodes()
+    inputs = list(inspect.signature(function).parameters)[1:]
+    arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
+    numbers = SINGLE if kind == SINGLE.kind else DOUBLE
+    result: Node = function(Maths(nodes, numbers), *arguments).node
+    called = {node.text for node in uses([[result]]) if node.op == "call"}
+    return Formula(inputs, result, called & FUNCTIONS.keys())
+
+
+def fused(nodes: Nodes) -> dict[str, Callable[[Node], Node]]:
+    """The functions of fused lanes, by name."""
+    maths = Maths(nodes, FUSED)
+
+    def traced(function: Callable[..., Any]) -> Callable[[Node], Node]:
+        return lambda x: function(maths, Value(nodes, x)).node
+
+    return {name: traced(FUNCTIONS[name]) for name in LANES_OWN}
+
+
+def needed(names: set[str], kind: str = DOUBLE.kind) -> list[str]:
+    """The functions and those that they call, each after those that it calls."""
+    closed = names & FUNCTIONS.keys()
+    while True:
+        more = closed.union(*[formula(name, kind).calls for name in closed])
+        if more == closed:
+            return [name for name in FUNCTIONS if name in closed]
+        closed = more

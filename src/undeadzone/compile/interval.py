@@ -12,7 +12,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compile.graph import Graph, listed
+from undeadzone.compile.listing import Program, evaluated, program
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
@@ -306,42 +306,42 @@ def _same(a: Interval) -> Interval:
 
 
 # Bounds on an instruction from those on its operands.
-_BOUNDS: dict[int, Callable[..., Interval]] = {
-    ca.OP_ASSIGN: _same,
-    ca.OP_ADD: add,
-    ca.OP_SUB: subtract,
-    ca.OP_NEG: negative,
-    ca.OP_TWICE: twice,
-    ca.OP_MUL: product,
-    ca.OP_DIV: quotient,
-    ca.OP_INV: inverse,
-    ca.OP_SQ: square,
-    ca.OP_FABS: absolute,
-    ca.OP_SIGN: sign,
-    ca.OP_POW: power,
-    ca.OP_CONSTPOW: power,
-    ca.OP_SQRT: sqrt,
-    ca.OP_EXP: exp,
-    ca.OP_LOG: log,
-    ca.OP_SIN: sin,
-    ca.OP_COS: cos,
-    ca.OP_TAN: tan,
-    ca.OP_ASIN: asin,
-    ca.OP_ACOS: acos,
-    ca.OP_ATAN: partial(rising, np.arctan),
-    ca.OP_SINH: partial(rising, np.sinh),
-    ca.OP_COSH: cosh,
-    ca.OP_TANH: partial(rising, np.tanh),
-    ca.OP_FMIN: minimum,
-    ca.OP_FMAX: maximum,
-    ca.OP_LT: less,
-    ca.OP_LE: at_most,
-    ca.OP_EQ: equal,
-    ca.OP_NE: unequal,
-    ca.OP_NOT: negation,
-    ca.OP_AND: both,
-    ca.OP_OR: maximum,
-    ca.OP_IF_ELSE_ZERO: gated,
+_BOUNDS: dict[str, Callable[..., Interval]] = {
+    "assign": _same,
+    "add": add,
+    "sub": subtract,
+    "neg": negative,
+    "twice": twice,
+    "mul": product,
+    "div": quotient,
+    "inv": inverse,
+    "sq": square,
+    "fabs": absolute,
+    "sign": sign,
+    "pow": power,
+    "constpow": power,
+    "sqrt": sqrt,
+    "exp": exp,
+    "log": log,
+    "sin": sin,
+    "cos": cos,
+    "tan": tan,
+    "asin": asin,
+    "acos": acos,
+    "atan": partial(rising, np.arctan),
+    "sinh": partial(rising, np.sinh),
+    "cosh": cosh,
+    "tanh": partial(rising, np.tanh),
+    "fmin": minimum,
+    "fmax": maximum,
+    "lt": less,
+    "le": at_most,
+    "eq": equal,
+    "ne": unequal,
+    "not": negation,
+    "and": both,
+    "or": maximum,
+    "if_else_zero": gated,
 }
 
 
@@ -358,41 +358,30 @@ def enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], list[Inte
     Raises:
         InputError: an instruction without bounds.
     """
-    graph = listed(function)
-    for node in graph.nodes:
-        if node.op not in _BOUNDS and node.op not in (ca.OP_INPUT, ca.OP_CONST):
-            raise InputError(f"no bounds are known for the function {_name(node.op)}")
-    inputs: dict[str, tuple[int, int]] = {}
-    for i in range(function.n_in()):
-        for k in range(function.nnz_in(i)):
-            inputs[f"{function.name_in(i)}{k}"] = (i, k)
-    return partial(_enclosed, graph, inputs)
+    lines = program(function)
+    for line in lines.lines:
+        if line.word not in (*_BOUNDS, "input", "const"):
+            raise InputError(f"no bounds are known for the function {line.word}")
+    return partial(_enclosed, lines, function.name_in())
 
 
-def _enclosed(
-    graph: Graph, inputs: dict[str, tuple[int, int]], boxes: Sequence[Interval]
-) -> list[Interval]:
-    """Bounds on the outputs of a graph.
-
-    Args:
-        graph: the function.
-        inputs: for the text of a node that reads an input, that input and the entry of it.
-        boxes: an interval (entries x boxes) per input.
-    """
+def _enclosed(lines: Program, names: Sequence[str], boxes: Sequence[Interval]) -> list[Interval]:
+    """Bounds on the outputs of a function, given its inputs' names and boxes."""
     shape = np.broadcast_shapes(*(box.low.shape[1:] for box in boxes))
-    values: list[Interval] = []
+
+    def read(name: str, entry: int) -> Interval:
+        box = boxes[names.index(name)]
+        return Interval(box.low[entry], box.high[entry])
+
+    def constant(value: float) -> Interval:
+        return Interval(np.array(value), np.array(value))
+
+    def apply(word: str, *operands: Interval) -> Interval:
+        return _BOUNDS[word](*operands)
+
     with np.errstate(all="ignore"):
-        for node in graph.nodes:
-            if node.op == ca.OP_INPUT:
-                i, k = inputs[node.text]
-                values.append(Interval(boxes[i].low[k], boxes[i].high[k]))
-            elif node.op == ca.OP_CONST:
-                constant = np.array(float(node.text))
-                values.append(Interval(constant, constant))
-            else:
-                operands = [values[operand] for operand in node.operands]
-                values.append(_BOUNDS[node.op](*operands))
-    return [_stacked([values[k] for k in entries], shape) for entries in graph.results]
+        results = evaluated(lines, read, constant, apply)
+    return [_stacked(entries, shape) for entries in results]
 
 
 def _stacked(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
@@ -400,11 +389,3 @@ def _stacked(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
     low = np.stack([np.broadcast_to(entry.low, shape) for entry in entries])
     high = np.stack([np.broadcast_to(entry.high, shape) for entry in entries])
     return Interval(low, high)
-
-
-def _name(op: int) -> str:
-    """The name of an instruction: fmod of OP_FMOD."""
-    for name in dir(ca):
-        if name.startswith("OP_") and getattr(ca, name) == op:
-            return name.removeprefix("OP_").lower()
-    raise ValueError(op)

@@ -15,9 +15,9 @@ import casadi as ca
 
 from undeadzone.compile.block import Block
 from undeadzone.compile.forms import ONE, Form, Shape
-from undeadzone.compile.lowering import lowered
+from undeadzone.compile.graph import LANES, SHARED, STEADY, STILL, Nodes
+from undeadzone.compile.lower import lowered
 from undeadzone.compile.machine import Machine
-from undeadzone.compile.ops import LANES, SHARED, STEADY, STILL, Ops
 from undeadzone.compile.promises import Promise
 from undeadzone.compile.schedule import of_graph
 
@@ -95,7 +95,7 @@ def source(
         form: how lanes are computed; default: as suits machine, graph and width.
         name: of the function that the text defines.
     """
-    ops = Ops()
+    nodes = Nodes()
     if form is None and width == 1:
         form = ONE
     one = form is not None and form.lanes == 1
@@ -108,8 +108,8 @@ def source(
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[Promise, None] = {}
-    usual = lowered(functions.usual, ops, level, fused, promises)
-    parts = [lowered(part, ops, level, fused, promises) for part in functions.rare]
+    usual = lowered(functions.usual, nodes, level, fused, promises)
+    parts = [lowered(part, nodes, level, fused, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.form(len(of_graph(results)), width)

@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile import cache, philox, traced
-from undeadzone.compile.ir import Text, in_lanes, once
+from undeadzone.compile import cache, philox
+from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, used
 from undeadzone.compile.machine import here
-from undeadzone.compile.ops import LANES, SHARED, STEADY, Op, Ops, used
+from undeadzone.compile.print_llvm import TYPES, Text, in_lanes, once
 from undeadzone.compile.schedule import of_graph
-from undeadzone.compile.traced import KINDS, Value
+from undeadzone.compile.trace import Numpy, Value
 from undeadzone.errors import ShapeError
 from undeadzone.support.arrays import Floats, Integers, shape_text
 
@@ -236,22 +236,22 @@ _COLOURED: Final = """{name}:
 
 def fill_text(group: int) -> str:
     """The text of what fills an array with normal numbers, a group of runs at a time."""
-    ops = Ops()
-    functions = traced.functions(philox, ops)
-    unsigned = KINDS["uint64"]
-    run = Value(ops, ops.input("run", LANES, "i64"), False)
-    low, high = unsigned(run & philox.LOW), unsigned(run >> philox.HALF)
-    counter = Value(ops, ops.input("counter", SHARED, "i64"), False)
-    word = Value(ops, ops.input("word", SHARED, "i64"), False)
-    key = Value(ops, ops.input("key", STEADY, "i64"), False)
-    a, b, c, d = functions["philox"](counter, word, low, high, key)
-    numbers = [*functions["box_muller"](a, b), *functions["box_muller"](c, d)]
-    results = [KINDS["float64"](number).op for number in numbers]
+    nodes = Nodes()
+    m = Numpy(nodes)
+
+    def given(name: str, level: int) -> Value:
+        return Value(nodes, nodes.input(name, level, "uint64"))
+
+    run, key = given("run", LANES), given("key", STEADY)
+    low, high = run & philox.LOW, run >> philox.HALF
+    words = philox.philox(given("counter", SHARED), given("word", SHARED), low, high, key, m)
+    numbers = [*philox.box_muller(words[0], words[1], m), *philox.box_muller(words[2], words[3], m)]
+    results = [m.float64(number).node for number in numbers]
     declared: dict[str, str] = {}
-    shared, have = Text(1, declared, "once"), dict[int, str]()
+    shared, have = Text(1, declared, "once"), dict[Node, str]()
     order = of_graph(results)
     below = [*used(order, results, STEADY), *used(order, results, SHARED)]
-    once(shared, below, have, lambda op: f"%{op.text}")
+    once(shared, below, have, lambda node: f"%{node.text}")
     loops = [
         _groups("many", group, results, have, declared),
         _groups("few", 1, results, have, declared),
@@ -267,21 +267,21 @@ def fill_text(group: int) -> str:
 
 
 def _groups(
-    name: str, group: int, results: list[Op], have: dict[int, str], declared: dict[str, str]
+    name: str, group: int, results: list[Node], have: dict[Node, str], declared: dict[str, str]
 ) -> str:
     """The loop over whole groups, or over the runs that are left."""
     text = Text(group, declared, name)
 
-    def source(op: Op) -> str:
-        if op.level == LANES:
+    def source(node: Node) -> str:
+        if node.level == LANES:
             return text.load(f"%run_{name}", "i64", vector=True)
-        return text.splat(have[op.number], op.type)
+        return text.splat(have[node], TYPES[node.kind])
 
     (names,) = in_lanes(text, of_graph(results), [source], False)
     stores = []
-    for i, op in enumerate(results):
+    for i, node in enumerate(results):
         following = f"{i + 1}" if i < 3 else "end"
-        store = {"name": name, "i": i, "following": following, "value": names(op)}
+        store = {"name": name, "i": i, "following": following, "value": names(node)}
         stores.append(_STORE.format(**store, vector=text.type("double")))
     return _GROUPS.format(
         **_loop(name, group), body="\n".join(text.lines), stores="\n".join(stores)

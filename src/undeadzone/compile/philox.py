@@ -1,8 +1,8 @@
 """Standard normal numbers from counters: the same bits from NumPy arrays and from compiled lanes.
 
 Only sums, products, square roots, selections and operations on bits, each rounded once by IEEE 754:
-no elementary function of a library. Numbers are arrays, or values of `traced` with another
-`select`.
+no elementary function of a library. Numbers are NumPy's, or values of `trace` with other functions
+than NumPy's.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
-select = np.where
 
 # Of a word of 64 bits: its lower half, and how far the upper one is shifted.
 LOW, HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -56,22 +54,23 @@ COS = (
 )
 
 
-def philox(a: Any, b: Any, c: Any, d: Any, key: Any) -> Any:
+def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
     """Four random words of 32 bits: Philox4x32-10 of Salmon et al. (2011).
 
     Args:
         a, b, c, d: the counter, four words of 32 bits (uint64).
         key: 64 bits (uint64).
+        m: where functions come from: NumPy, or `trace.Numpy`.
     """
     low, high = key & LOW, key >> HALF
     for _ in range(ROUNDS):
         x, y = MULTIPLY_A * a, MULTIPLY_C * c
         a, b, c, d = (y >> HALF) ^ b ^ low, y & LOW, (x >> HALF) ^ d ^ high, x & LOW
         low, high = (low + RAISE_LOW) & LOW, (high + RAISE_HIGH) & LOW
-    return np.uint32(a), np.uint32(b), np.uint32(c), np.uint32(d)
+    return m.uint32(a), m.uint32(b), m.uint32(c), m.uint32(d)
 
 
-def box_muller(a: Any, b: Any) -> Any:
+def box_muller(a: Any, b: Any, m: Any = np) -> Any:
     """Two independent standard normal numbers (float32): radius sqrt(-2 log u), angle from b.
 
     u = (a + 1/2) / 2^32; from 3/4 on it is taken as 1 - v, v as precise as a small u, so that small
@@ -80,22 +79,23 @@ def box_muller(a: Any, b: Any) -> Any:
 
     Args:
         a, b: two random words (uint32).
+        m: where functions come from: NumPy, or `trace.Numpy`.
     """
     # u = 2^e (1 + f), e = 0 where u is 1 - v.
     upper = a >= UPPER
-    x = np.float32((np.float32(select(upper, np.uint32(~a), a)) + HALVE) * UNIT)
-    exponent = select(upper, np.int32(0), np.int32(x.view(np.int32) - THREE_QUARTERS) & EXPONENT)
-    f = select(upper, -x, np.int32(x.view(np.int32) - exponent).view(np.float32) - ONE)
+    x = m.float32((m.float32(m.where(upper, m.uint32(~a), a)) + HALVE) * UNIT)
+    exponent = m.where(upper, np.int32(0), m.int32(x.view(m.int32) - THREE_QUARTERS) & EXPONENT)
+    f = m.where(upper, -x, m.int32(x.view(m.int32) - exponent).view(m.float32) - ONE)
     log = (LOG[7] * f + LOG[6]) * f + LOG[5]
     log = (log * f + LOG[4]) * f + LOG[3]
     log = (log * f + LOG[2]) * f + LOG[1]
     log = log * f + LOG[0]
-    radius = np.sqrt(log * f + DOUBLING * np.float32(exponent))
+    radius = m.sqrt(log * f + DOUBLING * m.float32(exponent))
     # t in (-1/2, 1/2), in quarter turns from an axis.
-    t = np.float32(np.uint32((b << np.uint32(2)) | np.uint32(2)).view(np.int32)) * UNIT
+    t = m.float32(m.uint32((b << np.uint32(2)) | np.uint32(2)).view(m.int32)) * UNIT
     q = t * t
     sine = radius * ((((SIN[3] * q + SIN[2]) * q + SIN[1]) * q + SIN[0]) * t)
-    positive = np.float32(radius * (((COS[3] * q + COS[2]) * q + COS[1]) * q + COS[0]))
-    cosine = np.uint32(positive.view(np.uint32) ^ (b & SIGN)).view(np.float32)
+    positive = m.float32(radius * (((COS[3] * q + COS[2]) * q + COS[1]) * q + COS[0]))
+    cosine = m.uint32(positive.view(m.uint32) ^ (b & SIGN)).view(m.float32)
     swap = (b & SWAP) != np.uint32(0)
-    return select(swap, sine, cosine), select(swap, cosine, sine)
+    return m.where(swap, sine, cosine), m.where(swap, cosine, sine)

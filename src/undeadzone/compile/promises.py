@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.ops import Op
+from undeadzone.compile.graph import Node
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 
@@ -41,27 +41,40 @@ class Promise(NamedTuple):
     low: Edge
     high: Edge
 
+    @property
+    def is_evident(self) -> bool:
+        """Whether it is kept by numbers, or by -a and a of a threshold a."""
+        low, high = self
+        if low.param is None and high.param is None:
+            return low.factor <= high.factor
+        return low.param == high.param and low.factor == -high.factor == -1.0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether params decide it."""
+        return self.low.param is not None or self.high.param is not None
+
 
 def read(numbers: list[list[tuple[int | None, float]]]) -> tuple[Promise, ...]:
     """Promises that were kept as lists."""
     return tuple(Promise(Edge(*low), Edge(*high)) for low, high in numbers)
 
 
-def edge(op: Op) -> Edge | None:
-    """What an instruction is, if it is an edge."""
-    if op.kind == "const":
-        return Edge(None, _number(op.text))
-    if op.kind == "input" and op.text.startswith("p"):
-        return Edge(int(op.text[1:]), 1.0)
-    if op.kind != "fneg":
+def edge(node: Node) -> Edge | None:
+    """What a node is, if it is an edge."""
+    if node.value is not None:
+        return Edge(None, node.value)
+    if node.op == "input" and node.text.startswith("p"):
+        return Edge(int(node.text[1:]), 1.0)
+    if node.op != "neg":
         return None
-    inner = edge(op.args[0])
+    inner = edge(node.args[0])
     return None if inner is None else inner._replace(factor=-inner.factor)
 
 
-def apart(more: Op, less: Op) -> Promise | None:
+def apart(more: Node, less: Node) -> Promise | None:
     """The promise under which high < y and y < low exclude each other; None if they are others."""
-    if more.kind != "fcmp olt" or less.kind != "fcmp olt" or more.args[1] is not less.args[0]:
+    if more.op != "lt" or less.op != "lt" or more.args[1] is not less.args[0]:
         return None
     high, low = edge(more.args[0]), edge(less.args[1])
     return None if high is None or low is None else Promise(low, high)
@@ -91,8 +104,3 @@ def require(
                 f"params: lane {lane}: expected edges of a zone that do not cross, "
                 f"found the right one at {right:g} and the left one at {left:g}"
             )
-
-
-def _number(text: str) -> float:
-    """A constant of LLVM's text."""
-    return float(np.array([int(text, 16)], np.uint64).view(np.float64)[0])

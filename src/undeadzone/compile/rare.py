@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
-import operator
 from typing import Final
 
 from undeadzone.compile.forms import LARGE, Form, Shape
-from undeadzone.compile.ir import Names, Text, entries_of, in_lanes, once, plain
-from undeadzone.compile.ops import SHARED, STEADY, STILL, Op, needed, still, used
+from undeadzone.compile.graph import SHARED, STEADY, STILL, Node, needed, still, used
+from undeadzone.compile.print_llvm import TYPES, Names, Text, entries_of, in_lanes, once, plain
 from undeadzone.compile.schedule import of_graph, ordered
 
 _POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
@@ -26,29 +24,27 @@ class RareParts:
         parts: next, flag of each.
     """
 
-    def __init__(self, shape: Shape, form: Form, parts: list[list[list[Op]]]) -> None:
+    def __init__(self, shape: Shape, form: Form, parts: list[list[list[Node]]]) -> None:
         self._shape, self._form = shape, form
         self._results = [[*following, *flag] for following, flag in parts]
         self._orders = [_order(results, form) for results in self._results]
         self._written = len(parts[0][0]) if parts else 0
         everything = needed(itertools.chain(*self._results))
-        inputs = [op.text for op in everything if op.kind == "input"]
+        inputs = [node.text for node in everything if node.op == "input"]
         self._read = sorted(int(text[1:]) for text in inputs if text[0] == "s")
         self._uses = [self._steady(part) for part in range(len(parts))]
-        merged: dict[int, Op] = functools.reduce(operator.or_, self._uses, {})
-        self.steady = list(merged.values())
+        self.steady = list(dict.fromkeys(itertools.chain(*self._uses)))
 
     @property
     def arrays(self) -> list[tuple[str, int]]:
         """The arrays that each group needs, and their vectors."""
         return [("before", len(self._read)), ("next", self._written), ("flag", 1)]
 
-    def _steady(self, part: int) -> dict[int, Op]:
-        """The steady values that a part uses, by number."""
+    def _steady(self, part: int) -> list[Node]:
+        """The steady values that a part uses."""
         order, results = self._orders[part], self._results[part]
-        shared = [op for op in needed(used(order, results, SHARED)) if op.level == SHARED]
-        both = [*used(order, results, STEADY), *used(shared, [], STEADY)]
-        return {op.number: op for op in both}
+        shared = [node for node in needed(used(order, results, SHARED)) if node.level == SHARED]
+        return [*used(order, results, STEADY), *used(shared, [], STEADY)]
 
     def called(
         self, text: Text, following: list[list[str]], flags: list[str]
@@ -113,18 +109,18 @@ class RareParts:
         """A part: the states where the flag is set, and a new flag; then the next part."""
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
-        have: dict[int, str] = {}
-        for place, op in enumerate(self.steady):
-            if op.number in self._uses[part]:
-                have[op.number] = plain(text, op, text.load(text.at("%rare", place)))
+        have: dict[Node, str] = {}
+        for place, node in enumerate(self.steady):
+            if node in self._uses[part]:
+                have[node] = plain(text, node, text.load(text.at("%rare", place)))
         once(text, used(order, results, SHARED), have, entries_of(text, "w"))
         (names,) = in_lanes(text, order, [self._source(text, have)], False)
         old = text.load("%flag", vector=True)
         flagged = text.add(f"fcmp une {vector} {old}, {text.zero()}")
-        for i, op in enumerate(results[:-1]):
+        for i, node in enumerate(results[:-1]):
             address = self._at(text, "%next", i)
             usual = text.load(address, vector=True)
-            choice = f"{text.type('i1')} {flagged}, {vector} {names(op)}, {vector} {usual}"
+            choice = f"{text.type('i1')} {flagged}, {vector} {names(node)}, {vector} {usual}"
             text.store(text.add(f"select {choice}"), address, vector=True)
         if part + 1 < len(self._results):
             choice = f"{text.type('i1')} {flagged}, {vector} {names(results[-1])}, {vector}"
@@ -142,16 +138,16 @@ class RareParts:
         head = f"define internal void @rare{part}(i64 %lanes, {pointers}) noinline #0 {{"
         return "\n".join([head, *text.lines, "}"])
 
-    def _source(self, text: Text, have: dict[int, str]) -> Names:
+    def _source(self, text: Text, have: dict[Node, str]) -> Names:
         """What names values of lower levels and inputs of the lanes."""
 
-        def source(op: Op) -> str:
-            if op.level < STILL:
-                return text.splat(have[op.number], op.type)
-            place = int(op.text[1:])
-            if op.text[0] == "s":
+        def source(node: Node) -> str:
+            if node.level < STILL:
+                return text.splat(have[node], TYPES[node.kind])
+            place = int(node.text[1:])
+            if node.text[0] == "s":
                 return text.load(self._at(text, "%before", self._read.index(place)), vector=True)
-            if op.text[0] == "p":
+            if node.text[0] == "p":
                 row = self._shape.sizes[0] + self._shape.params.index(place)
                 return text.load(_row(text, "%row", row), vector=True)
             if place in self._shape.exogenous:
@@ -163,7 +159,7 @@ class RareParts:
         return source
 
 
-def _order(results: list[Op], form: Form) -> list[Op]:
+def _order(results: list[Node], form: Form) -> list[Node]:
     """The instructions of a part; one group goes alone, so that it has all registers."""
     small = len(of_graph(results)) <= LARGE
     order = ordered(results, form.registers * form.streams if small else 0)

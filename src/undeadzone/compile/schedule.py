@@ -1,37 +1,54 @@
-"""The order of a lane's instructions: as many at once as registers hold."""
+"""The order of a lane's instructions, and which of them are skipped.
+
+As many go at once as registers hold. What only one truth needs is gathered: it is skipped where no
+lane of a group needs it.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from undeadzone.compile.ops import LANES, Op, needed
+from undeadzone.compile.graph import LANES, Node, needed
 
-# Cycles until a result is there; 4 where nothing stands.
-_LATENCY: Final = {"fdiv": 13, "sqrt": 20, "fneg": 0, "and": 1, "or": 1, "xor": 1, "select": 2}
+# Cycles until a result is there, by instruction or function; 4 where nothing stands.
+_LATENCY: Final = {
+    **{"div": 13, "sqrt": 20, "neg": 0, "and": 1, "or": 1, "xor": 1, "not": 1, "select": 2},
+}
 _USUAL: Final = 4
 
+Users = dict[Node, list[Node]]
 
-def ordered(results: list[Op], registers: int) -> list[Op]:
+
+def ordered(results: list[Node], registers: int) -> list[Node]:
     """The lanes' instructions, scheduled if registers are counted."""
     return by_height(results, registers) if registers else of_graph(results)
 
 
-def of_graph(results: list[Op]) -> list[Op]:
+def of_graph(results: Iterable[Node]) -> list[Node]:
     """The lanes' instructions in the order in which they were made."""
-    return [op for op in needed(results) if op.level == LANES and op.kind != "input"]
+    return [node for node in needed(results) if node.level == LANES and node.op != "input"]
 
 
-def by_height(results: list[Op], registers: int) -> list[Op]:
+def _users(order: list[Node]) -> Users:
+    """The instructions that use each value."""
+    users: Users = defaultdict(list)
+    for node in order:
+        for arg in set(node.args):
+            users[arg].append(node)
+    return users
+
+
+def by_height(results: list[Node], registers: int) -> list[Node]:
     """List scheduling of the lanes' instructions.
 
     First comes what is farthest from the end, until that many numbers are waiting for their use;
     then what makes a register free.
     """
-    ops = of_graph(results)
-    state = _started(ops, results)
-    order: list[Op] = []
+    state = _started(of_graph(results), results)
+    order: list[Node] = []
     while state.ready:
         best = state.best(len(order), registers)
         order.append(best)
@@ -52,96 +69,89 @@ class _State(NamedTuple):
         ready: what can be placed.
     """
 
-    users: dict[int, list[Op]]
-    height: dict[int, int]
-    waiting: dict[int, int]
-    at: dict[int, int]
-    left: Counter[int]
-    live: set[int]
-    ready: list[Op]
+    users: Users
+    height: dict[Node, int]
+    waiting: dict[Node, int]
+    at: dict[Node, int]
+    left: Counter[Node]
+    live: set[Node]
+    ready: list[Node]
 
-    def best(self, clock: int, registers: int) -> Op:
+    def best(self, clock: int, registers: int) -> Node:
         """What to place in a cycle."""
         if len(self.live) >= registers:
-            return max(self.ready, key=lambda op: (self._frees(op), *self._urgency(op)))
-        now = [op for op in self.ready if self.at[op.number] <= clock] or self.ready
-        return max(now, key=lambda op: (self.height[op.number], self._frees(op), -op.number))
+            return max(self.ready, key=lambda node: (self._frees(node), *self._urgency(node)))
+        now = [node for node in self.ready if self.at[node] <= clock] or self.ready
+        return max(now, key=lambda node: (self.height[node], self._frees(node), -node.number))
 
-    def place(self, op: Op, clock: int) -> None:
+    def place(self, node: Node, clock: int) -> None:
         """Take an instruction for placed; `clock` cycles have passed."""
-        self.ready.remove(op)
-        for number in {arg.number for arg in op.args}:
-            self.left[number] -= 1
-            if self.left[number] == 0:
-                self.live.discard(number)
-        if op.type != "i1" and self.left[op.number]:
-            self.live.add(op.number)
-        for user in self.users[op.number]:
-            self.waiting[user.number] -= 1
-            begin = clock + _latency(op) - 1
-            self.at[user.number] = max(self.at.get(user.number, 0), begin)
-            if self.waiting[user.number] == 0:
+        self.ready.remove(node)
+        for arg in set(node.args):
+            self.left[arg] -= 1
+            if self.left[arg] == 0:
+                self.live.discard(arg)
+        if node.kind != "bool" and self.left[node]:
+            self.live.add(node)
+        for user in self.users[node]:
+            self.waiting[user] -= 1
+            self.at[user] = max(self.at.get(user, 0), clock + _latency(node) - 1)
+            if self.waiting[user] == 0:
                 self.ready.append(user)
 
-    def _urgency(self, op: Op) -> tuple[int, int]:
+    def _urgency(self, node: Node) -> tuple[int, int]:
         """How far from the end it is, earlier ones first."""
-        return self.height[op.number], -op.number
+        return self.height[node], -node.number
 
-    def _frees(self, op: Op) -> int:
+    def _frees(self, node: Node) -> int:
         """How many registers more are free after an instruction."""
         ended = 0
-        for arg in {arg.number: arg for arg in op.args}.values():
-            last = arg.level == LANES and self.left[arg.number] == 1
-            ended += last and arg.type != "i1"
-        return ended - (op.type != "i1")
+        for arg in set(node.args):
+            last = arg.level == LANES and self.left[arg] == 1
+            ended += last and arg.kind != "bool"
+        return ended - (node.kind != "bool")
 
 
-def _started(ops: list[Op], results: list[Op]) -> _State:
+def _started(order: list[Node], results: list[Node]) -> _State:
     """A schedule in which nothing is placed."""
-    inside = {op.number for op in ops}
-    users: dict[int, list[Op]] = defaultdict(list)
-    waiting = {}
-    left: Counter[int] = Counter({op.number: 1 for op in results})
-    for op in ops:
-        numbers = {arg.number for arg in op.args}
-        left.update(numbers)
-        waiting[op.number] = len(numbers & inside)
-        for number in numbers:
-            users[number].append(op)
-    height: dict[int, int] = {}
-    for op in reversed(ops):
-        beyond = [height[user.number] for user in users[op.number]]
-        height[op.number] = _latency(op) + max(beyond, default=0)
-    ready = [op for op in ops if waiting[op.number] == 0]
-    at = {op.number: 0 for op in ready}
-    return _State(users, height, waiting, at, left, set(), ready)
+    inside, users = set(order), _users(order)
+    waiting = {node: len(inside.intersection(node.args)) for node in order}
+    left = Counter(set(results))
+    height: dict[Node, int] = {}
+    for node in order:
+        left.update(set(node.args))
+    for node in reversed(order):
+        height[node] = _latency(node) + max((height[user] for user in users[node]), default=0)
+    ready = [node for node in order if waiting[node] == 0]
+    return _State(users, height, waiting, dict.fromkeys(ready, 0), left, set(), ready)
 
 
-def _latency(op: Op) -> int:
+def _latency(node: Node) -> int:
     """Cycles until the result of an instruction is there."""
-    return _LATENCY.get(op.kind, _USUAL)
-
-
-_NOTHING: Final[frozenset[tuple[int, bool]]] = frozenset()
+    is_xor = node.op == "ne" and node.args[0].kind == "bool"
+    return 1 if is_xor else _LATENCY.get(node.text or node.op, _USUAL)
 
 
 class Branch(NamedTuple):
-    """Instructions that count only where a condition holds, or only where it does not.
+    """Instructions that count only where a truth holds, or only where it does not.
 
     Attributes:
-        condition: whose truth is asked of all lanes of a group.
+        truth: which is asked of all lanes of a group.
         holds: whether they count where it holds.
-        ops: the instructions, in order.
+        nodes: the instructions, in order.
         leaving: those whose values are used after it.
     """
 
-    condition: Op
+    truth: Node
     holds: bool
-    ops: list[Op]
-    leaving: list[Op]
+    nodes: list[Node]
+    leaving: list[Node]
 
 
-def gathered(order: list[Op], results: list[Op], least: int) -> list[Op | Branch]:
+Guard = tuple[Node, bool]  # a truth, and its value on which an instruction counts
+
+
+def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | Branch]:
     """The same instructions with branches.
 
     Args:
@@ -149,48 +159,40 @@ def gathered(order: list[Op], results: list[Op], least: int) -> list[Op | Branch
         results: what is wanted of them.
         least: instructions that are worth a branch.
     """
-    users: dict[int, list[Op]] = defaultdict(list)
-    for op in order:
-        for number in {arg.number for arg in op.args}:
-            users[number].append(op)
-    kept = _kept(order, results, users, least)
-    if not kept:
-        return list(order)
-    return _Gathering(order, results, users, kept).all()
+    users = _users(order)
+    kept = _kept(order, set(results), users, least)
+    return _Gathering(order, set(results), users, kept).all() if kept else list(order)
 
 
-def _kept(
-    order: list[Op], results: list[Op], users: dict[int, list[Op]], least: int
-) -> dict[int, tuple[int, bool]]:
-    """The condition, and its value, on which each instruction of a branch counts, by number."""
-    wanted = {op.number for op in results}
-    guards: dict[int, frozenset[tuple[int, bool]]] = {}
-    for op in reversed(order):
-        if op.number in wanted:
-            guards[op.number] = _NOTHING
-            continue
-        all_of = [_guards_of_use(op, user, guards[user.number]) for user in users[op.number]]
-        guards[op.number] = frozenset.intersection(*all_of) if all_of else _NOTHING
+def _kept(order: list[Node], results: set[Node], users: Users, least: int) -> dict[Node, Guard]:
+    """The guard of each instruction of a branch."""
+    nothing: frozenset[Guard] = frozenset()
+    guards: dict[Node, frozenset[Guard]] = {}
+    for node in reversed(order):
+        all_of = [_guards_of_use(node, user, guards[user]) for user in users[node]]
+        needless = node in results or not all_of
+        guards[node] = nothing if needless else frozenset.intersection(*all_of)
     counts = Counter(itertools.chain.from_iterable(guards.values()))
     worth = {guard for guard, count in counts.items() if count >= least}
     kept = {}
-    for number, each in guards.items():
+    for node, each in guards.items():
         possible = each & worth
         if possible:
-            kept[number] = max(possible, key=lambda guard: (counts[guard], guard))
+            kept[node] = max(possible, key=lambda guard: (counts[guard], _rank(guard)))
     return kept
 
 
-def _guards_of_use(
-    op: Op, user: Op, guards: frozenset[tuple[int, bool]]
-) -> frozenset[tuple[int, bool]]:
+def _rank(guard: Guard) -> tuple[int, bool]:
+    """What decides between equal guards."""
+    return guard[0].number, guard[1]
+
+
+def _guards_of_use(node: Node, user: Node, guards: frozenset[Guard]) -> frozenset[Guard]:
     """On what a use of a value counts, given on what its user does."""
-    if user.kind != "select" or user.args[0] is op or user.args[0].level < LANES:
+    if user.op != "select" or user.args[0] is node or user.args[0].level < LANES:
         return guards
-    places = [arg is op for arg in user.args[1:]]
-    if all(places):
-        return guards
-    return guards | {(user.args[0].number, places[0])}
+    places = [arg is node for arg in user.args[1:]]
+    return guards if all(places) else guards | {(user.args[0], places[0])}
 
 
 class _Gathering:
@@ -201,71 +203,58 @@ class _Gathering:
     """
 
     def __init__(
-        self,
-        order: list[Op],
-        results: list[Op],
-        users: dict[int, list[Op]],
-        kept: dict[int, tuple[int, bool]],
+        self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
     ) -> None:
-        self._users, self._kept = users, kept
-        self._wanted = {op.number for op in results}
-        self._by_number = {op.number: op for op in order}
-        self._waiting: dict[int, int] = {}
-        self._free: list[Op] = []
-        self._held: dict[tuple[int, bool], list[Op]] = defaultdict(list)
-        self._placed: set[int] = set()
-        for op in order:
-            inside = {arg.number for arg in op.args} & self._by_number.keys()
-            guard = kept.get(op.number)
-            if guard is not None:
-                inside.add(guard[0])  # the condition comes before its branch
-            self._waiting[op.number] = len(inside)
-            if guard is not None and guard[0] not in {arg.number for arg in op.args}:
-                users[guard[0]].append(op)
-        for op in order:
-            if self._waiting[op.number] == 0:
-                self._ready(op)
+        self._results, self._users, self._kept = results, users, kept
+        self._waiting: dict[Node, int] = {}
+        self._free: list[Node] = []
+        self._held: dict[Guard, list[Node]] = defaultdict(list)
+        inside = set(order)
+        for node in order:
+            before = inside.intersection(node.args)
+            if node in kept and kept[node][0] not in node.args:
+                users[kept[node][0]].append(node)  # the truth comes before its branch
+                before.add(kept[node][0])
+            self._waiting[node] = len(before)
+        for node in order:
+            if self._waiting[node] == 0:
+                self._ready(node)
 
-    def all(self) -> list[Op | Branch]:
+    def all(self) -> list[Node | Branch]:
         """All instructions."""
-        found: list[Op | Branch] = []
+        found: list[Node | Branch] = []
         while self._free or any(self._held.values()):
             while self._free:
-                op = self._free.pop(0)
-                found.append(op)
-                self._place(op)
+                node = self._free.pop(0)
+                found.append(node)
+                self._place(node)
             if any(self._held.values()):
                 found.append(self._branch())
         return found
 
-    def _ready(self, op: Op) -> None:
+    def _ready(self, node: Node) -> None:
         """Let an instruction be placed."""
-        guard = self._kept.get(op.number)
-        (self._free if guard is None else self._held[guard]).append(op)
+        (self._held[self._kept[node]] if node in self._kept else self._free).append(node)
 
-    def _place(self, op: Op) -> None:
+    def _place(self, node: Node) -> None:
         """Take an instruction for placed."""
-        self._placed.add(op.number)
-        for user in self._users[op.number]:
-            self._waiting[user.number] -= 1
-            if self._waiting[user.number] == 0:
+        for user in self._users[node]:
+            self._waiting[user] -= 1
+            if self._waiting[user] == 0:
                 self._ready(user)
 
     def _branch(self) -> Branch:
         """The branch of which most is ready, with all of it that becomes ready on the way."""
-        guard = max(self._held, key=lambda guard: (len(self._held[guard]), guard))
-        ops = []
+        guard = max(self._held, key=lambda guard: (len(self._held[guard]), _rank(guard)))
+        nodes = []
         while self._held[guard]:
-            op = self._held[guard].pop(0)
-            ops.append(op)
-            self._place(op)
-        inside = {op.number for op in ops}
-        leaving = [op for op in ops if self._is_used_outside(op, inside)]
-        return Branch(self._by_number[guard[0]], guard[1], ops, leaving)
+            nodes.append(self._held[guard].pop(0))
+            self._place(nodes[-1])
+        leaving = [node for node in nodes if self._is_used_outside(node, set(nodes))]
+        return Branch(*guard, nodes, leaving)
 
-    def _is_used_outside(self, op: Op, inside: set[int]) -> bool:
+    def _is_used_outside(self, node: Node, inside: set[Node]) -> bool:
         """Whether a value is used after its branch."""
-        if op.number in self._wanted:
+        if node in self._results:
             return True
-        args = [user for user in self._users[op.number] if op in user.args]
-        return any(user.number not in inside for user in args)
+        return any(node in user.args and user not in inside for user in self._users[node])
