@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from undeadzone.compile.coefficients import DOUBLE, FUSED, SINGLE, Numbers
-from undeadzone.compile.graph import LANES, Node, Nodes, uses
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, uses
 from undeadzone.compile.trace import Numpy, Value
 
 
@@ -79,6 +79,9 @@ def turned(m: Maths, x: Any) -> Any:
     if c.fused:
         lost_bits = lost_bits - m.fma(n, c.quarter[1], -second)
     rest = m.fma(-n, c.quarter[2], lost_bits)
+    if not c.fused:  # parts are short, and so the rest is not small
+        whole = r + rest
+        r, rest = whole, (r - whole) + rest
     z = r * r
     sine = r + m.fma(z * r, m.polynomial(z, c.sin), rest)
     half = 0.5 * z
@@ -349,8 +352,12 @@ def formula(name: str, kind: str) -> Formula:
     arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
     result: Node = function(Maths(nodes, numbers), *arguments).node
-    called = {node.text for node in uses([[result]]) if node.op == "call"}
-    return Formula(inputs, result, called & FUNCTIONS.keys())
+    return Formula(inputs, result, called([[result]]) & FUNCTIONS.keys())
+
+
+def called(results: Results) -> set[str]:
+    """The functions that results call, those of the C library among them."""
+    return {node.text for node in uses(results) if node.op == "call"}
 
 
 def fused(nodes: Nodes) -> dict[str, Callable[[Node], Node]]:

@@ -18,7 +18,7 @@ from undeadzone.compile import elementary
 from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, Results, condition, uses
 from undeadzone.compile.listing import listed
 from undeadzone.compile.promises import Promise
-from undeadzone.compile.simplify import Exact, Gathered
+from undeadzone.compile.simplify import Exact, Gathered, Plain
 
 SUMS: Final = ("add", "sub", "neg")
 
@@ -52,6 +52,19 @@ def lowered(
         if node not in taken:
             lowering.values[node] = lowering.lower(node)
     return [[lowering.values[node] for node in result] for result in results]
+
+
+def portable(function: ca.Function, kind: str) -> Results:
+    """The results of a function for printers of code that runs without this package.
+
+    Args:
+        function: with dense outputs.
+        kind: NumPy's name of the type of numbers: float32 or float64.
+
+    Raises:
+        InputError: an instruction that no code can be made of; it names it.
+    """
+    return listed(function, Plain(Nodes(), kind), _level_of_graph)
 
 
 def _level_of_graph(name: str) -> int:

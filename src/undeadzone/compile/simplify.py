@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 import operator
-import sys
 from collections.abc import Callable
 from typing import Final
+
+import numpy as np
 
 from undeadzone.compile import promises
 from undeadzone.compile.graph import SHARED, Node, Nodes, condition
 from undeadzone.compile.listing import ARITHMETIC
 from undeadzone.compile.promises import Promise
 
-LARGEST: Final = sys.float_info.max  # in place of infinity, with which exported code cannot compute
 _COMPARED: Final = {"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne}
 
 
@@ -185,7 +185,7 @@ class Plain:
 
     def __init__(self, nodes: Nodes, real: str) -> None:
         self.nodes, self.real, self.exact = nodes, real, Exact(nodes, real)
-        self.nan = nodes.constant(math.nan, real)
+        self.nan, self.largest = nodes.constant(math.nan, real), held(math.inf, real)
 
     def made(self, word: str, *args: Node) -> Node:
         """The number that an instruction gives, where truths are 1 or 0."""
@@ -208,8 +208,8 @@ class Plain:
         return self.exact.number(self.exact.both(both, plain))
 
     def constant(self, value: float) -> Node:
-        """A number that is written down; the largest one in place of infinity."""
-        return self.nodes.constant(min(max(value, -LARGEST), LARGEST), self.real)
+        """A number that is written down."""
+        return self.nodes.constant(held(value, self.real), self.real)
 
     def _parts(self, node: Node) -> tuple[Node, Node]:
         """A number, and the truth without which it is NaN."""
@@ -291,11 +291,24 @@ class Plain:
         for number, bound in ((a, b), (b, a)):
             if bound.value is None:
                 continue
-            if bound.value == (LARGEST if word == "fmin" else -LARGEST):
+            if bound.value == (self.largest if word == "fmin" else -self.largest):
                 return number
             compared = (number, bound) if word == "fmin" else (bound, number)
             return self._selected(self.exact.compared("lt", *compared), number, bound)
         return self.exact.made(word, a, b)
+
+
+def held(value: float, real: str) -> float:
+    """A number as a type holds it: beyond it the largest one, of float the least normal one."""
+    if math.isnan(value):
+        return value
+    limits, size = np.finfo(real), abs(value)
+    most, least = float(limits.max), float(limits.tiny)
+    if size > most:
+        return math.copysign(most, value)
+    if real == "float32" and 0 < size < least:
+        return math.copysign(least, value)
+    return float(np.dtype(real).type(value))
 
 
 class Gathered:

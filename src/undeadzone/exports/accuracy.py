@@ -91,7 +91,7 @@ class Compiled:
     """
 
     def __init__(self, code: Code, folder: Path) -> None:
-        prefix = f"run_{'single' if code.single else 'double'}"
+        prefix = f"run_{code.kind}"
         text = source(code, Labels(prefix, "accuracy", "replica"))
         params = f"    {prefix}_params params;\n    {prefix}_params_default(&params);\n"
         runner = _RUNNER.format(
@@ -107,7 +107,7 @@ class Compiled:
         library = ctypes.CDLL(str(shared_library(files, folder / f"{prefix}.so")))
         self._run = library.run
         self.stack = stack_bytes(folder, prefix)
-        self.real: Any = np.float32 if code.single else np.float64
+        self.real = code.kind
         carried = 0 if code.phases is None else code.phases.carried
         self.memory = code.step.start.size
         self.state = np.zeros(self.memory + carried, self.real)

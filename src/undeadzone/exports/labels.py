@@ -1,68 +1,62 @@
-"""Names for locals whose meaning shows in the graph: is there a reading, which side it shows."""
+"""Names for locals whose meaning shows in the nodes: is there a reading, which side it shows."""
 
 from __future__ import annotations
 
-import casadi as ca
+import itertools
 
-from undeadzone.compile.graph import Graph
+from undeadzone.compile.graph import Node, Results, condition, needed
 from undeadzone.exports.fields import members
-from undeadzone.exports.instructions import is_condition
 from undeadzone.exports.parts import Step
 
-HUGE = 1e299  # what `sensor.present` compares with is larger
+HUGE = 1e38  # what `sensor.present` compares with is larger, and so is what float holds of it
 
 
-def meanings(graph: Graph, step: Step, out: int | None) -> dict[int, str]:
-    """Names of locals, by their places.
+def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
+    """Names of locals.
 
     Args:
-        graph: the graph.
+        results: the nodes.
         step: the step, for the names of its inputs and outputs.
-        out: which result of the graph is the output; None: none of them.
+        out: which of the results is the output; None: none of them.
     """
-    names = _present(graph, step)
+    order = needed(itertools.chain(*results))
+    names = _present(order, step)
     if out is not None:
-        for (name, k), place in zip(members(step.outputs), graph.results[out], strict=True):
-            node = graph.nodes[place]
-            sides = [operand for operand in node.operands if is_condition(graph.nodes[operand])]
-            if name == "side" and node.op == ca.OP_SUB and len(sides) == 2:
-                names[sides[0]] = f"is_right_{k}"
-                names[sides[1]] = f"is_left_{k}"
-                names |= _either(graph, set(sides), f"is_active_{k}")
+        for (name, k), node in zip(members(step.outputs), results[out], strict=True):
+            sides = [truth for truth in map(condition, node.args) if truth is not None]
+            if name == "side" and node.op == "sub" and len(sides) == 2:
+                names |= {sides[0]: f"is_right_{k}", sides[1]: f"is_left_{k}"}
+                names |= _either(order, set(sides), f"is_active_{k}")
     return names
 
 
-def _either(graph: Graph, conditions: set[int], name: str) -> dict[int, str]:
-    """The name of the node that holds where one of two conditions does."""
-    for place, node in enumerate(graph.nodes):
-        if node.op == ca.OP_OR and set(node.operands) == conditions:
-            return {place: name}
+def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
+    """The name of the node that holds where one of two truths does."""
+    for node in order:
+        if node.op == "or" and set(node.args) == truths:
+            return {node: name}
     return {}
 
 
-def _present(graph: Graph, step: Step) -> dict[int, str]:
-    """The conditions that an input is a finite number: -1e300 < w and w < 1e300."""
+def _present(order: list[Node], step: Step) -> dict[Node, str]:
+    """The truths that an input is a finite number: -1e300 < w and w < 1e300."""
     inputs = {f"w{entry}": f"{name}_{k}" for entry, (name, k) in enumerate(members(step.inputs))}
-    names: dict[int, str] = {}
-    for place, node in enumerate(graph.nodes):
-        if node.op != ca.OP_AND:
+    names: dict[Node, str] = {}
+    for node in order:
+        if node.op != "and":
             continue
-        compared = set()
-        for operand in node.operands:
-            compared.add(_bounded_input(graph, operand))
+        compared = {_bounded_input(arg) for arg in node.args}
         text = compared.pop()
         if not compared and text in inputs:
-            names[place] = f"has_{inputs[text]}"
+            names[node] = f"has_{inputs[text]}"
     return names
 
 
-def _bounded_input(graph: Graph, place: int) -> str:
-    """The text of the input that a node compares with a huge number; empty: it does not."""
-    node = graph.nodes[place]
-    if node.op != ca.OP_LT:
+def _bounded_input(node: Node) -> str:
+    """The name of the input that a node compares with a huge number; empty: it does not."""
+    if node.op != "lt":
         return ""
-    for bound, value in (node.operands, node.operands[::-1]):
-        number, other = graph.nodes[bound], graph.nodes[value]
-        if number.op == ca.OP_CONST and abs(float(number.text)) > HUGE and other.op == ca.OP_INPUT:
-            return other.text
+    for bound, value in (node.args, node.args[::-1]):
+        if abs(bound.value or 0.0) > HUGE and value.op == "input":
+            return value.text
     return ""

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import undeadzone
-from undeadzone.compile.graph import Graph, listed
+from undeadzone.compile import print_wasm
+from undeadzone.compile.graph import Results, needed
+from undeadzone.compile.lower import portable
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports import wasm
-from undeadzone.exports.instructions import operations, require_known
+from undeadzone.exports.code import operations
 from undeadzone.exports.page import signals, sliders
 from undeadzone.exports.page.frame import MARK, framed
 from undeadzone.exports.page.slider import as_data
-from undeadzone.exports.rewrite import rewritten
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous
@@ -96,7 +97,7 @@ def build(scenario: Scenario) -> Page:
     problem = resolve_scenario(scenario)
     _require_shown(problem)
     loop = closed(problem)
-    _require_quick(problem, len(_graph(loop).nodes))
+    _require_quick(problem, len(needed(itertools.chain(*_results(loop)))))
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
@@ -107,7 +108,7 @@ def build(scenario: Scenario) -> Page:
         "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
         "steps": data["rows"],
         "sizes": {"wasm": len(code), "page": len(text.encode())},
-        "operations": operations(_graph(loop)),
+        "operations": operations(_results(loop)),
         "sliders": [slider["key"] for slider in data["sliders"]],
         "refusals": [],
     }
@@ -148,10 +149,9 @@ def _require_quick(problem: Problem, size: int) -> None:
         )
 
 
-def _graph(loop: Loop) -> Graph:
+def _results(loop: Loop) -> Results:
     """What a step computes as a rule."""
-    function = loop.step if loop.parts is None else loop.parts.usual
-    return rewritten(listed(function))
+    return portable(loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND)
 
 
 def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
@@ -169,7 +169,7 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
     inputs = {}
     for part in "swp":
         for k in range(sizes[part]):
-            inputs[f"{part}{k}"] = wasm.REAL * (places[part] + k)
+            inputs[f"{part}{k}"] = print_wasm.REAL * (places[part] + k)
     functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
     if loop.parts is not None:
         functions = [
@@ -178,16 +178,15 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
         ]
     printed = []
     for name, function, results in functions:
-        graph = listed(function)
-        require_known("export", graph)
+        nodes = portable(function, print_wasm.KIND)
         targets = [_addresses(places[part], sizes[part]) for part in results]
-        printed.append(wasm.Function(name, rewritten(graph), inputs, targets))
-    return wasm.module(printed, wasm.REAL * sum(sizes.values())), places
+        printed.append(print_wasm.Function(name, nodes, inputs, targets))
+    return print_wasm.module(printed, print_wasm.REAL * sum(sizes.values())), places
 
 
 def _addresses(start: int, size: int) -> list[int]:
     """Where the numbers of a part stand [bytes]."""
-    return [wasm.REAL * (start + k) for k in range(size)]
+    return [print_wasm.REAL * (start + k) for k in range(size)]
 
 
 def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any]:
