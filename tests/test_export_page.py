@@ -272,7 +272,7 @@ def test_elementary_functions_have_the_bits_of_the_replica(page: Browser) -> Non
     edges = [0.0, -0.0, 1.0, -1.0, 2.0, 1e300, 1e-310, np.inf, -np.inf, np.nan]
     points = np.vstack([points, [[a, b] for a in edges for b in edges]])
     found = _computed(page, code, points, len(names))
-    functions = elementary("float64")
+    functions = elementary("float64") | {"fabs": np.abs}
     with np.errstate(all="ignore"):
         for k, name in enumerate(names):
             arguments = points.T if k >= len(names) - 5 else points.T[:1]

@@ -159,9 +159,8 @@ class _Writer:
 
     def filled(self) -> bytes:
         """The instructions that fill the locals, each after those that it needs."""
-        numbers = {
-            node: self._first + k for k, node in enumerate(itertools.chain(*self._kept.values()))
-        }
+        kept = itertools.chain(*self._kept.values())
+        numbers = {node: self._first + k for k, node in enumerate(kept)}
         code = b""
         for node in sorted(numbers, key=lambda node: node.number):
             code += self.code(node) + b"\x21" + _unsigned(numbers[node])

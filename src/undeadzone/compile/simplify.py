@@ -215,9 +215,12 @@ class Plain:
         """A number, and the truth without which it is NaN."""
         if node is self.nan:
             return self.exact.zero, self.exact.no
-        if node.op == "select" and node.args[2] is self.nan:
-            return node.args[1], node.args[0]
-        return node, self.exact.yes
+        if node.op != "select" or node.args[2] is not self.nan:
+            return node, self.exact.yes
+        truth, number, _ = node.args
+        if number.op == "input":  # nothing is computed with one that is absent
+            number = self.exact.selected(truth, number, self.exact.zero)
+        return number, truth
 
     def _where(self, truth: Node, number: Node) -> Node:
         """A number where a truth holds, else NaN."""

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from undeadzone.compile.graph import LANES, Node, Nodes, Results, needed
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
 from undeadzone.compile.lower import portable
 from undeadzone.exports.parts import Step
 
@@ -123,6 +123,6 @@ def operations(results: Results) -> dict[str, int]:
     """How many operations of each kind one evaluation takes, by their names."""
     counts: Counter[str] = Counter()
     for node in needed(itertools.chain(*results)):
-        if node.args:
+        if node.args and condition(node) is None:  # a truth as a number is the truth itself
             counts[node.text or _COUNTED[node.op]] += 1
     return dict(sorted(counts.items()))
