@@ -14,10 +14,10 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 
-from undeadzone.compile.coefficients import DOUBLE, FUSED, SINGLE, Numbers
+from undeadzone.compile.coefficients import DOUBLE, SINGLE, Numbers
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, uses
 from undeadzone.compile.trace import Numpy, Value
 
@@ -28,12 +28,19 @@ class Maths:
     Args:
         nodes: where nodes are made.
         numbers: of the arithmetic.
+        inline: whether the functions here stand in each other's place, and are not called.
     """
 
-    def __init__(self, nodes: Nodes, numbers: Numbers) -> None:
-        self.nodes, self.c = nodes, numbers
-        numpy = Numpy(nodes, numbers.kind)
-        self.select, self.sqrt, self.call = numpy.where, numpy.sqrt, numpy.call
+    def __init__(self, nodes: Nodes, numbers: Numbers, inline: bool = False) -> None:
+        self.nodes, self.c, self._inline = nodes, numbers, inline
+        self._numpy = Numpy(nodes, numbers.kind)
+        self.select, self.sqrt = self._numpy.where, self._numpy.sqrt
+
+    def call(self, name: str, *args: Any) -> Any:
+        """A function by its name."""
+        if self._inline and name in FUNCTIONS:
+            return FUNCTIONS[name](self, *args)
+        return self._numpy.call(name, *args)
 
     def fma(self, a: Any, b: Any, c: Any) -> Any:
         """a b + c, rounded once if the arithmetic can do it."""
@@ -360,14 +367,14 @@ def called(results: Results) -> set[str]:
     return {node.text for node in uses(results) if node.op == "call"}
 
 
-def fused(nodes: Nodes) -> dict[str, Callable[[Node], Node]]:
-    """The functions of fused lanes, by name."""
-    maths = Maths(nodes, FUSED)
+def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, Callable[..., Node]]:
+    """What writes functions down where they are called, by name."""
+    maths = Maths(nodes, numbers, inline=True)
 
-    def traced(function: Callable[..., Any]) -> Callable[[Node], Node]:
-        return lambda x: function(maths, Value(nodes, x)).node
+    def written(name: str) -> Callable[..., Node]:
+        return lambda *args: maths.call(name, *[Value(nodes, arg) for arg in args]).node
 
-    return {name: traced(FUNCTIONS[name]) for name in LANES_OWN}
+    return {name: written(name) for name in names}
 
 
 def needed(names: set[str], kind: str = DOUBLE.kind) -> list[str]:

@@ -16,7 +16,7 @@ import casadi as ca
 from undeadzone.compile.block import Block
 from undeadzone.compile.forms import ONE, Form, Shape
 from undeadzone.compile.graph import LANES, SHARED, STEADY, STILL, Nodes
-from undeadzone.compile.lower import lowered
+from undeadzone.compile.lower import Arithmetic, lowered
 from undeadzone.compile.machine import Machine
 from undeadzone.compile.promises import Promise
 from undeadzone.compile.schedule import of_graph
@@ -79,7 +79,7 @@ def source(
     functions: Graphs,
     shape: Shape,
     machine: Machine,
-    fused: bool,
+    arithmetic: Arithmetic,
     width: int,
     form: Form | None = None,
     name: str = "block",
@@ -90,7 +90,7 @@ def source(
         functions: what it computes.
         shape: what it is compiled for.
         machine: for which form is chosen.
-        fused: as for `lanes.build`.
+        arithmetic: how it rounds.
         width: lanes of a block, at most.
         form: how lanes are computed; default: as suits machine, graph and width.
         name: of the function that the text defines.
@@ -108,8 +108,8 @@ def source(
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[Promise, None] = {}
-    usual = lowered(functions.usual, nodes, level, fused, promises)
-    parts = [lowered(part, nodes, level, fused, promises) for part in functions.rare]
+    usual = lowered(functions.usual, nodes, level, arithmetic, promises)
+    parts = [lowered(part, nodes, level, arithmetic, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.form(len(of_graph(results)), width)

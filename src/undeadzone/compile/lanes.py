@@ -22,6 +22,7 @@ import numpy as np
 from undeadzone.compile import cache, promises
 from undeadzone.compile.forms import Form, Shape
 from undeadzone.compile.kernel import KINDS, graphs, source
+from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import here
 from undeadzone.compile.promises import Promise
 from undeadzone.errors import InputError, ShapeError
@@ -83,6 +84,7 @@ def build(
     known_params: Mapping[int, float] = MappingProxyType({}),
     width: int | None = None,
     fused: bool = False,
+    portable: bool = False,
     form: Form | None = None,
     hurry: bool = True,
 ) -> Kernel:
@@ -101,6 +103,8 @@ def build(
         fused: multiply and add with one rounding: faster, within rounding of CasADi's virtual
             machine where otherwise every bit agrees. Right and left edges given by params are taken
             not to cross.
+        portable: elementary functions of exported code in place of the C library's: with neither
+            exceptions nor zeros of the other sign in its numbers, the bits of exported C.
         form: how lanes are computed; default: as suits this machine.
         hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
             once; the best one takes its place when a thread has it.
@@ -109,7 +113,7 @@ def build(
         InputError: an entry that is not there, or an instruction that cannot be compiled.
     """
     wanted = _Wanted(tuple(exogenous), tuple(params), record, known_exogenous, known_params)
-    recipe, shape, width = _recipe(step, rare, wanted, width, fused, form)
+    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(fused, portable), form)
     return _kernel(cache.made(recipe, KINDS, hurry), shape, width)
 
 
@@ -117,7 +121,8 @@ def kept(
     step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
 ) -> Kernel | None:
     """The kernel that `build` would give with no other options, if it is on disk."""
-    recipe, shape, width = _recipe(step, rare, _Wanted((), (), None, {}, {}), width, False, None)
+    wanted = _Wanted((), (), None, {}, {})
+    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(), None)
     block = cache.kept(recipe, KINDS)
     return None if block is None else _kernel(block, shape, width)
 
@@ -137,7 +142,7 @@ def _recipe(
     rare: Sequence[ca.Function],
     wanted: _Wanted,
     width: int | None,
-    fused: bool,
+    arithmetic: Arithmetic,
     form: Form | None,
 ) -> tuple[cache.Recipe, Shape, int]:
     """How to make a kernel, what it is compiled for, and the lanes of a block."""
@@ -151,10 +156,10 @@ def _recipe(
     chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
     functions = graphs(step, rare, shape, wanted.known_exogenous, wanted.known_params)
     texts = [part.serialize() for part in (functions.usual, *functions.rare)]
-    key = "\n".join([*texts, repr((shape, fused, chosen, form))])
+    key = "\n".join([*texts, repr((shape, arithmetic, chosen, form))])
 
     def make() -> cache.Made:
-        made = source(functions, shape, here(), fused, chosen, form)
+        made = source(functions, shape, here(), arithmetic, chosen, form)
         return cache.Made(made.text, json.dumps([made.form, made.promises]))
 
     return cache.Recipe(key, make), shape, chosen

@@ -11,6 +11,7 @@ import numpy as np
 from undeadzone.compile import cache
 from undeadzone.compile.forms import ONE, Shape
 from undeadzone.compile.kernel import graphs, source
+from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import here
 from undeadzone.support.arrays import Floats
 
@@ -87,6 +88,6 @@ def _source(step: ca.Function, starts: list[int]) -> str:
     """The text of `block`, whose memory has parts that begin there."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
-    made = source(graphs(step, (), shape, {}, {}), shape, here(), False, 1, ONE, "steps")
+    made = source(graphs(step, (), shape, {}, {}), shape, here(), Arithmetic(), 1, ONE, "steps")
     _, p, s, w, out, _ = starts
     return made.text + _BLOCK.format(p=p, s=s, w=w, out=out)

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import casadi as ca
 
 from undeadzone.compile import elementary
+from undeadzone.compile.coefficients import DOUBLE, FUSED
 from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, Results, condition, uses
 from undeadzone.compile.listing import listed
 from undeadzone.compile.promises import Promise
@@ -25,8 +26,25 @@ SUMS: Final = ("add", "sub", "neg")
 Levels = Callable[[str], int]  # how often an input, such as s3, is new
 
 
+class Arithmetic(NamedTuple):
+    """How a kernel rounds.
+
+    Attributes:
+        fused: gather what is steady, sums of products with one rounding per product (`fma`), and
+            functions of `elementary`: faster, and rounded otherwise than on the virtual machine.
+        portable: functions of `elementary` as exported code has them, without `fma`.
+    """
+
+    fused: bool = False
+    portable: bool = False
+
+
 def lowered(
-    function: ca.Function, nodes: Nodes, levels: Levels, fused: bool, granted: dict[Promise, None]
+    function: ca.Function,
+    nodes: Nodes,
+    levels: Levels,
+    arithmetic: Arithmetic,
+    granted: dict[Promise, None],
 ) -> Results:
     """The results of a function as instructions.
 
@@ -34,24 +52,32 @@ def lowered(
         function: with dense outputs; its inputs named p are finite numbers.
         nodes: where instructions are made.
         levels: of its inputs.
-        fused: gather what is steady, sums of products with one rounding per product (`fma`), and
-            functions of `elementary`: faster, and rounded otherwise than on the virtual machine.
+        arithmetic: how it rounds.
         granted: promises that are taken for granted, which fused lanes do; grows.
 
     Raises:
         InputError: an instruction that the engine lacks; it names it.
     """
+    fused = arithmetic.fused
     rules = Gathered(Nodes(), granted) if fused else Exact(Nodes())
     results = listed(function, rules, _level_of_graph)
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
     taken = _taken_in(order, counts) if fused else set()
-    ours = elementary.fused(nodes) if fused else {}
-    lowering = _Lowering(nodes, levels, taken, ours, {})
+    lowering = _Lowering(nodes, levels, taken, fused, _own(nodes, arithmetic), {})
     for node in order:
         if node not in taken:
             lowering.values[node] = lowering.lower(node)
     return [[lowering.values[node] for node in result] for result in results]
+
+
+def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
+    """The functions that take the C library's place."""
+    if arithmetic.fused:
+        return elementary.inlined(nodes, FUSED, elementary.LANES_OWN)
+    if arithmetic.portable:
+        return elementary.inlined(nodes, DOUBLE, elementary.FUNCTIONS)
+    return {}
 
 
 def portable(function: ca.Function, kind: str) -> Results:
@@ -147,14 +173,16 @@ class _Lowering(NamedTuple):
         nodes: where instructions are made.
         levels: of inputs.
         taken: nodes that are a part of the one sum that uses them.
-        ours: functions that take the C library's place, by name; none where nothing is fused.
+        fused: whether sums of products round once per product.
+        ours: functions that take the C library's place, by name.
         values: what each node is.
     """
 
     nodes: Nodes
     levels: Levels
     taken: set[Node]
-    ours: dict[str, Callable[[Node], Node]]
+    fused: bool
+    ours: dict[str, Callable[..., Node]]
     values: dict[Node, Node]
 
     def lower(self, node: Node) -> Node:
@@ -162,14 +190,14 @@ class _Lowering(NamedTuple):
         args = [self.values[arg] for arg in node.args if arg in self.values]
         if node.op == "input":
             return self.nodes.input(node.text, self.levels(node.text), node.kind)
-        if self.ours and node.op in SUMS:
+        if self.fused and node.op in SUMS:
             return self._sum(node)
         if node.text in ("fmin", "fmax"):
             return self._extreme(node.text, *args)
         if node.text == "sign":
             return self._sign(args[0])
         if node.text in self.ours:
-            return self.ours[node.text](args[0])
+            return self.ours[node.text](*args)
         return self.nodes.made(node.op, *args, text=node.text, kind=node.kind)
 
     def _sign(self, x: Node) -> Node:
@@ -184,7 +212,7 @@ class _Lowering(NamedTuple):
         made, op = self.nodes.made, "least" if word == "fmin" else "most"
         if _is_number(a):
             return made(op, b, a)
-        if _is_number(b) and (self.ours or b.value):
+        if _is_number(b) and (self.fused or b.value):
             return made(op, a, b)  # the sign of zero apart
         better = made("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
         if not _is_number(b):
