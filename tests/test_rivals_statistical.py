@@ -17,27 +17,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+import undeadzone_arena.unscented as unscented
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
 from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import COLUMNS, Estimate
-from undeadzone.numerics import unscented
+from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
-from undeadzone.observers import (
-    EKF,
-    UKF,
-    Kalman,
-    MovingHorizon,
-    NumericObserver,
-    ParticleFilter,
-    Reading,
-    particle,
-)
-from undeadzone.observers.particle import reweighted, systematic
-from undeadzone.observers.parts import window as horizon
+from undeadzone.observers import Kalman
 from undeadzone.observers.parts.augmented_state import agitation, quarter_period
 from undeadzone.observers.parts.even_states import even_units
-from undeadzone.observers.parts.window import Affine, Weights, Window
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -48,6 +36,11 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter
+from undeadzone_arena.observers import particle
+from undeadzone_arena.observers.particle import reweighted, systematic
+from undeadzone_arena.observers.parts import window as horizon
+from undeadzone_arena.observers.parts.window import Affine, Weights, Window
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
@@ -72,14 +65,14 @@ def full(column: Floats, size: int) -> Floats:
     return np.asarray(ca.DM(ca.triu2symm(ca.DM(ca.Sparsity.upper(size), column))).full())
 
 
-def follow(
-    observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0
-) -> list[Any]:
+def follow(observer: Observer, ys: Floats, us: Floats, sides: Floats, seed: int = 0) -> list[Any]:
     """The estimates along readings and inputs."""
-    state, estimates = observer.start(seed), []
+    how = observer.python
+    assert how is not None
+    state, estimates = how.start(seed), []
     for y, u, side in zip(ys, us, sides, strict=True):
-        state, estimate = observer.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
-        state = observer.predict(state, np.atleast_1d(u))
+        state, estimate = how.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
+        state = how.predict(state, np.atleast_1d(u))
         estimates.append(estimate)
     return estimates
 
@@ -566,14 +559,14 @@ def test_the_live_loop_is_the_loop() -> None:
     def correct(s: Any, reading: Reading) -> Any:
         return (s, reading), step(s, np.zeros(1), reading.y, reading.side)[1]
 
-    wrapped = NumericObserver(
-        None,
+    how = InPython(
         lambda seed: graph.init(graph.params),
         correct,
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
+    wrapped = problem._replace(observer=in_python(how, problem.plant.p, Traits()))
     ticks: list[int] = []
-    outcome = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
+    outcome = live.run_sample_by_sample(wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
     for name in ("x", "z", "y", "u"):
         signal, same = getattr(outcome, name), getattr(expected, name)

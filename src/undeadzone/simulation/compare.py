@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 
 from undeadzone.errors import InputError
-from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate, steps
@@ -47,7 +46,7 @@ def compare(
     return _labelled(first, one), _labelled(second, other)
 
 
-def labels(first: ObserverOptions, second: ObserverOptions) -> tuple[str, str]:
+def labels(first: Any, second: Any) -> tuple[str, str]:
     """Names that tell two observers apart.
 
     These are their methods, and, where the methods are the same, one option that differs: a switch

@@ -12,7 +12,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from undeadzone.interfaces import NumericObserver
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -75,10 +74,9 @@ def _known(share: float) -> float | None:
 
 def _signals(problem: Problem, progress: Progress | None) -> Outputs:
     """The signals of a run."""
-    observer = problem.observer
-    if isinstance(observer, NumericObserver):
+    if problem.observer.python is not None:
         exogenous = inputs.exogenous(problem)
-        return live.run_sample_by_sample(problem, observer, exogenous, progress)
+        return live.run_sample_by_sample(problem, exogenous, progress)
     return run_loop(*prepare(problem), progress)
 
 

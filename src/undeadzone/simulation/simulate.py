@@ -16,7 +16,7 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
-from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.interfaces import graph_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
@@ -87,7 +87,7 @@ def steps(scenario: Scenario, check_step: bool = True) -> int:
 def _run_under(law: live.ControlLaw, problem: Problem, progress: Progress, began: float) -> Run:
     """The run of a problem whose controller is a control law in Python."""
     exogenous = inputs.exogenous(problem)
-    signal = live.run_sample_by_sample(problem, problem.observer, exogenous, progress, law)
+    signal = live.run_sample_by_sample(problem, exogenous, progress, law)
     run = collect(problem, signal, None, began)
     # No text says what the function is.
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, scenario=""))
@@ -113,10 +113,9 @@ def _signals(
     problem: Problem, check_step: bool, progress: Progress | None, engine: Engine
 ) -> tuple[Outputs, IntegrationError | None]:
     """The signals of a run, and the error of its integration where that is measured."""
-    observer = problem.observer
-    if isinstance(observer, NumericObserver) and engine != "lanes":
+    if problem.observer.python is not None and engine != "lanes":
         exogenous = inputs.exogenous(problem)
-        return live.run_sample_by_sample(problem, observer, exogenous, progress), None
+        return live.run_sample_by_sample(problem, exogenous, progress), None
     loop, state, exogenous = prepare(problem)
     twin = check_step and problem.plant.Ts is None
     run = engine_for(loop, engine, len(exogenous) * (3 if twin else 1))
