@@ -24,7 +24,7 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.observers.parts.augmented_state import agitation, joint_prior, quarter_period
 from undeadzone.observers.parts.even_states import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -37,7 +37,7 @@ from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter
-from undeadzone_arena.observers import particle
+from undeadzone_arena.observers import moving_horizon, particle
 from undeadzone_arena.observers.particle import reweighted, systematic
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.window import Affine, Weights, Window
@@ -267,7 +267,8 @@ def test_systematic_resampling_copies_each_particle_as_often_as_it_weighs(
 
 
 def test_particles_follow_from_the_seed_alone_and_states_are_values() -> None:
-    observer = ParticleFilter(right=[0.5, 2.0], particles=50).build(MODEL, zone())
+    observer = ParticleFilter(right=[0.5, 2.0], particles=50).build(MODEL, zone()).python
+    assert observer is not None
     state = observer.start(4)
     y = Reading(np.array([1.5]), np.array([1.0]))
     first, again = (observer.predict(observer.correct(state, y)[0], np.ones(1)) for _ in range(2))
@@ -412,7 +413,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
     )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
-    gate = float(options.build(MODEL, zone()).params.gate[0])
+    gate = float(joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
     bends: list[float] = []
 
     def cost(v: Floats) -> tuple[float, Floats]:
@@ -537,7 +538,7 @@ def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_in
 
 @pytest.mark.parametrize("method", [ParticleFilter, MovingHorizon])
 def test_a_missing_sample_leaves_the_python_observers_to_the_model(method: Any) -> None:
-    observer = method(right=[0.5, 2.0]).build(MODEL, zone())
+    observer = method(right=[0.5, 2.0]).build(MODEL, zone()).python
     state = observer.start(0)
     state, before = observer.correct(state, Reading(np.array([np.nan]), np.array([0.0])))
     assert before.innovation == 0.0
