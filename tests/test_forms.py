@@ -25,9 +25,8 @@ from test_engines import (
     stateless,
 )
 from undeadzone.compile import cache, kernel, lanes
-from undeadzone.compile.forms import Form, Shape
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import Machine, compiled, here, stack
+from undeadzone.compile.machine import Form, Machine, Shape, compiled, here, stack
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare

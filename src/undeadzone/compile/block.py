@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from undeadzone.compile.forms import Form, Shape
 from undeadzone.compile.graph import (
     LANES,
     SHARED,
@@ -16,6 +15,7 @@ from undeadzone.compile.graph import (
     still,
     used,
 )
+from undeadzone.compile.machine import Form, Shape
 from undeadzone.compile.print_llvm import Names, Text, entries_of, in_lanes, kept, once, plain
 from undeadzone.compile.rare import RareParts
 from undeadzone.compile.schedule import Branch, gathered, ordered

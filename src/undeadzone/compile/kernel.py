@@ -14,10 +14,9 @@ from typing import Final, NamedTuple
 import casadi as ca
 
 from undeadzone.compile.block import Block
-from undeadzone.compile.forms import ONE, Form, Shape
 from undeadzone.compile.graph import LANES, SHARED, STEADY, STILL, Nodes
 from undeadzone.compile.lower import Arithmetic, lowered
-from undeadzone.compile.machine import Machine
+from undeadzone.compile.machine import ONE, Form, Machine, Shape
 from undeadzone.compile.promises import Promise
 from undeadzone.compile.schedule import of_graph
 

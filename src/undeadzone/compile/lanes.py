@@ -20,10 +20,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache, promises
-from undeadzone.compile.forms import Form, Shape
 from undeadzone.compile.kernel import KINDS, graphs, source
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import here
+from undeadzone.compile.machine import Form, Shape, here
 from undeadzone.compile.promises import Promise
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Floats, Integers, shape_text

@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache
-from undeadzone.compile.forms import ONE, Shape
 from undeadzone.compile.kernel import graphs, source
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import here
+from undeadzone.compile.machine import ONE, Shape, here
 from undeadzone.support.arrays import Floats
 
 ROWS: Final = 128  # samples in a call

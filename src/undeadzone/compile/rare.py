@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from typing import Final
 
-from undeadzone.compile.forms import LARGE, Form, Shape
 from undeadzone.compile.graph import SHARED, STEADY, STILL, Node, needed, still, used
+from undeadzone.compile.machine import LARGE, Form, Shape
 from undeadzone.compile.print_llvm import TYPES, Names, Text, entries_of, in_lanes, once, plain
 from undeadzone.compile.schedule import of_graph, ordered
 

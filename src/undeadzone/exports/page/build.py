@@ -5,6 +5,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import itertools
+import json
+import re
+from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +21,6 @@ from undeadzone.compile.lower import portable
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.code import operations
 from undeadzone.exports.page import signals, sliders
-from undeadzone.exports.page.frame import MARK, framed
-from undeadzone.exports.page.slider import as_data
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous
@@ -232,7 +234,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
         "reference": signals.reference(problem),
         "disturbance": signals.disturbance(problem),
-        "sliders": [as_data(slider) for slider in made],
+        "sliders": [slider._asdict() for slider in made],
         "learns": any(slider.key == "gamma" for slider in made),
     }
 
@@ -280,3 +282,40 @@ def _require_replaceable(out: Path) -> None:
             f"{out}: is no page of `undeadzone export`, so it is not replaced; "
             "give another file or remove this one"
         )
+
+
+# --- The HTML around the data: its own script and style, and a policy that allows nothing else
+
+
+MARK = '<meta name="generator" content="undeadzone export">'
+
+
+def framed(title: str, data: dict[str, Any]) -> str:
+    """The page.
+
+    Args:
+        title: its title.
+        data: what its script reads.
+    """
+    folder = files("undeadzone.exports.page")
+    text, style, script = (
+        (folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    )
+    policy = (
+        f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
+        f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    content = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    parts = {
+        "__POLICY__": policy,
+        "__TITLE__": escape(printable(title)),
+        "__STYLE__": style,
+        "__SCRIPT__": script,
+        "__DATA__": content.replace("<", "\\u003c"),
+    }
+    return re.sub("__[A-Z]+__", lambda mark: parts[mark[0]], text)
+
+
+def _digest(text: str) -> str:
+    """The hash by which the page's policy allows a text, and no other."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

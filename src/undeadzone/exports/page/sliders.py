@@ -6,19 +6,79 @@ building the scenario with other values of the key, and checked at the scenario'
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from undeadzone.exports.page.slider import Range, Slider, nice, slider_of
-from undeadzone.exports.page.variation import varied
-from undeadzone.scenario.problem import Problem
+from undeadzone.errors import UndeadzoneError
+from undeadzone.interfaces import graph_of
+from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
+from undeadzone.simulation.close import close, numbers
 from undeadzone.simulation.loop import Loop
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+
+ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+TICKS = 60  # steps of a slider, about
+
+
+class Slider(NamedTuple):
+    """A slider of the page.
+
+    Attributes:
+        key: its name in the link.
+        label: its name on the page.
+        unit: of its value.
+        value: the scenario's own value.
+        least, most, grid: the range, and the step in it.
+        moves: (entry of the loop's params, factors of the changes of the value and its square).
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float
+    least: float
+    most: float
+    grid: float
+    moves: list[tuple[int, float, float]]
+
+
+class Range(NamedTuple):
+    """What a slider may take.
+
+    Attributes:
+        key, label, unit, value, least, most: as of `Slider`.
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float
+    least: float
+    most: float
+
+
+def slider_of(wanted: Range, moves: list[tuple[int, float, float]]) -> Slider:
+    """A slider of a range, with steps of a round size."""
+    grid = nice((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
+    most = max(wanted.most, wanted.value)
+    least = min(wanted.least, wanted.value)
+    return Slider(wanted.key, wanted.label, wanted.unit, wanted.value, least, most, grid, moves)
+
+
+def nice(value: float, factors: tuple[float, ...] = ROUND) -> float:
+    """The nearest round number that is not smaller: a factor times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    for factor in factors:
+        if factor * power >= value * (1 - 1e-9):
+            return float(f"{factor * power:.12g}")
+    return float(f"{10 * power:.12g}")
+
 
 RESOLVED = 40  # steps of the run in a period, at least
 
@@ -163,3 +223,110 @@ def _apart(made: list[Slider]) -> list[Slider]:
             kept.append(slider)
             taken |= places
     return kept
+
+
+# --- Which numbers of the loop a key moves, found by building it with other values
+
+EXACT = 1e-9  # relative error of the polynomial at a further value
+HALVINGS = 4  # of a slider's range, where its end is refused
+
+Change = Callable[[Scenario, float], Scenario]
+
+
+def varied(problem: Problem, loop: Loop, wanted: Range, change: Change) -> list[Slider]:
+    """The slider of a key, its range cut to where the scenario is accepted; none if it fits none.
+
+    Args:
+        problem: the checked parts of the scenario.
+        loop: its closed loop.
+        wanted: what the slider may take.
+        change: (scenario, value) -> the scenario with that value.
+    """
+    for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
+        made = _fitted(
+            problem, loop, _accepted(problem, wanted._replace(least=least), change), change
+        )
+        if made is not None:
+            return [made]
+    return []
+
+
+def _accepted(problem: Problem, wanted: Range, change: Change) -> Range:
+    """The range with its upper end brought down to where the scenario is accepted."""
+    for _ in range(HALVINGS):
+        if _numbers(problem, change, wanted.most) is not None:
+            break
+        wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
+    return wanted
+
+
+def _fitted(problem: Problem, loop: Loop, wanted: Range, change: Change) -> Slider | None:
+    """The slider of a range; None where its key does more than move numbers by polynomials."""
+    between = 0.37 * wanted.least + 0.63 * wanted.most
+    points = [wanted.least, wanted.most, between]
+    known = [_numbers(problem, change, value) for value in points]
+    if any(each is None for each in known) or wanted.most <= wanted.value:
+        return None
+    moves = _polynomials(np.array(points), np.array(known), wanted.value, tree.pack(loop.params))
+    if moves is None or not _same_graph(problem, change, points[:2]):
+        return None
+    return slider_of(wanted, moves)
+
+
+def _numbers(problem: Problem, change: Change, value: float) -> Floats | None:
+    """The numbers of the loop with another value of a key; None where it is refused."""
+    try:
+        other = resolve_scenario(change(problem.scenario, value))
+        observer = graph_of(other.observer)
+    except UndeadzoneError:
+        return None
+    step = other.scenario.simulation.step
+    parts = (other.plant, other.sensor, observer, other.controller, step)
+    return tree.pack(numbers(*parts, other.compensator, other.actuator))
+
+
+def _same_graph(problem: Problem, change: Change, values: list[float]) -> bool:
+    """Whether the loop's graph is the same with other values of a key."""
+    same = _graph(problem)
+    return all(_graph(resolve_scenario(change(problem.scenario, each))) == same for each in values)
+
+
+def _graph(problem: Problem) -> str:
+    """The loop's graph as text; without located switching, which says nothing more of its parts."""
+    observer, step = graph_of(problem.observer), problem.scenario.simulation.step
+    tracked = len(problem.tracked)
+    loop = close(
+        problem.plant,
+        problem.sensor,
+        observer,
+        problem.controller,
+        tracked,
+        step,
+        located=False,
+        compensator=problem.compensator,
+        actuator=problem.actuator,
+    )
+    return str(loop.step.serialize())
+
+
+def _polynomials(
+    points: Floats, known: Floats, value: float, own: Floats
+) -> list[tuple[int, float, float]] | None:
+    """How each number changes with the value; None where it is no polynomial of degree two.
+
+    Args:
+        points: three values of the slider.
+        known: the numbers there (3 x numbers).
+        value: the scenario's own value.
+        own: the numbers there.
+    """
+    moves = []
+    matrix = np.vander(points, 3, increasing=True)
+    for place in np.flatnonzero((known != own).any(axis=0)):
+        a, b, c = np.linalg.solve(matrix, known[:, place])
+        size = float(np.abs(known[:, place]).max())
+        if abs(a + b * value + c * value**2 - own[place]) > EXACT * size:
+            return None
+        square = 0.0 if abs(c) * points.max() ** 2 < 1e-12 * size else float(c)
+        moves.append((int(place), float(b), square))
+    return moves
