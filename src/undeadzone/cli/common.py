@@ -116,7 +116,17 @@ def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
     """
     if out is None and no_figures:
         return None
-    return writable(Path(default) if out is None else out)
+    folder = writable(Path(default) if out is None else out)
+    if not no_figures:
+        prepare_figures()
+    return folder
+
+
+def prepare_figures() -> None:
+    """Let figures look the same in every folder; called before the first is drawn."""
+    from undeadzone.report.style import own_settings
+
+    own_settings()
 
 
 def writable(folder: Path) -> Path:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +19,14 @@ from undeadzone.support.files import (
     require_plain,
     require_unpacked,
 )
+
+LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
+COMPRESSED: Final = 15  # type of an element of a .mat file
+PIECE: Final = 1 << 20  # [bytes] unpacked at once
+_CLASSES = """
+double single logical int8 uint8 int16 uint16 int32 uint32 int64 uint64
+"""
+NUMERIC: Final = frozenset(_CLASSES.split())
 
 
 def of_frame(frame: Any) -> list[Column]:
@@ -52,20 +62,52 @@ def of_npz(path: Path) -> list[Column]:
 
 def of_mat(path: Path) -> list[Column]:
     """The variables of a .mat file as columns. Raises FileError."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
     from scipy.io.matlab import MatReadError
 
     try:
         require_plain(path, LARGEST_TABLE)
-        arrays = loadmat(path, mat_dtype=True)
+        _require_small(path.read_bytes())
+        declared = [entry for entry in whosmat(path) if entry[2] in NUMERIC]
+        if sum(math.prod(shape) for _, shape, _ in declared) > LARGEST_MATRICES:
+            raise ValueError("its matrices are larger than any log")
+        names = [name for name, _, _ in declared]
+        arrays = loadmat(path, mat_dtype=True, variable_names=names) if names else {}
     except NotImplementedError:
         raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None
-    except (OSError, MatReadError) as error:
+    except (OSError, ValueError, MatReadError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except Exception as error:  # damaged files raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     named = {name: array for name, array in arrays.items() if not name.startswith("__")}
     return _columns_of(named, path)
+
+
+def _require_small(content: bytes) -> None:
+    """Raise ValueError for a .mat file whose compressed elements unpack to more than any log.
+
+    A file of version 5 has a head of 128 bytes and then elements: four bytes say the type, four the
+    length. The lengths inside of an element may lie, so what it unpacks to is counted.
+    """
+    order = "little" if content[126:128] == b"IM" else "big"
+    at, left = 128, LARGEST_MATRICES
+    while at + 8 <= len(content):
+        kind = int.from_bytes(content[at : at + 4], order)
+        length = int.from_bytes(content[at + 4 : at + 8], order)
+        if kind == COMPRESSED:
+            left -= _unpacked(content[at + 8 : at + 8 + length], left)
+        at += 8 + length
+        if left <= 0:
+            raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
+
+
+def _unpacked(packed: bytes, most: int) -> int:
+    """How many bytes a stream unpacks to; counting ends at `most`."""
+    reader, count = zlib.decompressobj(), 0
+    while packed and count < most and not reader.eof:
+        count += len(reader.decompress(packed, PIECE))
+        packed = reader.unconsumed_tail
+    return count
 
 
 def _columns_of(arrays: dict[str, Any], path: Path) -> list[Column]:

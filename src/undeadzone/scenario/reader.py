@@ -191,6 +191,8 @@ def confined(scenario: Scenario, folder: Path) -> Scenario:
     root = Path(os.path.realpath(folder))
 
     def inside(key: str, path: str) -> str:
+        if "\0" in path:
+            raise InputError(f"{key}: no path: it holds a NUL character; take it out")
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(root):
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
