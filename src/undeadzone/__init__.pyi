@@ -113,8 +113,8 @@ from .synthesis.check import check as check
 from .synthesis.design import design as design
 from .synthesis.gain_search import Weights as Weights
 from .tuning.result import Tuned as Tuned
-from .tuning.sweep import Sweep as Sweep
-from .tuning.sweep import sweep as sweep
+from .tuning.tune import Sweep as Sweep
+from .tuning.tune import sweep as sweep
 from .tuning.tune import tune as tune
 
 __version__: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import re
 import typing
@@ -15,6 +16,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
+from undeadzone.scenario.address import child, with_entry
 from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.support.arrays import decode
 from undeadzone.support.toml import tables
@@ -35,12 +37,13 @@ def with_value(scenario: S, address: str, value: Any) -> S:
     Raises:
         InputError: no such key, or a value that it cannot take.
     """
-    match = re.fullmatch(r"([\w.]+)(?:\[([\d, ]+)\])?", address.strip())
+    match = re.fullmatch(r"([\w.]+)(?:\[(\s*\d+\s*(?:,\s*\d+\s*)*)\])?", address.strip())
     if match is None:
         raise InputError(f"{address!r}: expected a key such as sensor.right or plant.A[1,0]")
     key, index = match.groups()
     if index is not None:
-        value = _with_entry(scenario, key, tuple(map(int, index.split(","))), value)
+        present = functools.reduce(child, key.split("."), scenario)
+        value = with_entry(key, present, index, value).tolist()
     *tables_above, last = key.split(".")
     change: Any = {last: value}
     for name in reversed(tables_above):
@@ -69,11 +72,11 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
         if isinstance(change, msgspec.Struct) or change is None:
             fields[name] = change
         elif name == LAST and isinstance(change, Mapping) and "like" in change:
-            observer: Any = fields.get("observer", _child(scenario, "observer"))
+            observer: Any = fields.get("observer", child(scenario, "observer"))
             whole = alike(change, tables(observer))
             fields[name] = _converted(None, name, whole, hints[name], type(scenario))
         else:
-            before = _child(scenario, name)
+            before = child(scenario, name)
             fields[name] = _converted(before, name, change, hints[name], type(scenario))
     return msgspec.structs.replace(scenario, **fields)
 
@@ -117,29 +120,6 @@ def require_finite(value: Any, key: str) -> None:
         raise InputError(f"{key}: must be a finite number, found {value}")
     elif isinstance(value, int) and abs(value) >= 2**63:
         raise InputError(f"{key}: the whole number is too large")
-
-
-def _with_entry(scenario: Any, key: str, index: tuple[int, ...], value: Any) -> Any:
-    """The array at a key with another entry. Raises InputError."""
-    present = scenario
-    for name in key.split("."):
-        present = _child(present, name)
-    array = np.array(0.0 if present is None else present, float)
-    if present is None or array.ndim != len(index):
-        raise InputError(f"{key}: has no entry [{','.join(map(str, index))}]")
-    try:
-        array[index] = value
-    except (IndexError, ValueError, TypeError):
-        listed = ",".join(map(str, index))
-        raise InputError(f"{key}[{listed}]: no such entry, or {value!r:.40} is no number") from None
-    return array.tolist()
-
-
-def _child(parent: Any, name: str) -> Any:
-    """What stands under a name; None where nothing does."""
-    if isinstance(parent, Mapping):
-        return parent.get(name)
-    return getattr(parent, name, None)
 
 
 def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
