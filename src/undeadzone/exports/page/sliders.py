@@ -47,9 +47,8 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
         noise = float(problem.sensor.noise[0])
         most = nice(max(4 * noise, 0.05 * float(sizes.max())))
         wanted = Range("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
-        made += _varied(
-            problem, loop, wanted, lambda value: scenario.replace("sensor.noise", value)
-        )
+        noisy = functools.partial(scenario.replace, "sensor.noise")
+        made += _varied(problem, loop, wanted, noisy)
     made += _mismatch(problem, loop)
     return _apart(made)
 
