@@ -13,11 +13,12 @@ from scipy import stats
 
 from scenes import random_plant, scene, table
 from undeadzone.engine import interpret
-from undeadzone.ensemble.addresses import matching, sizes
 from undeadzone.ensemble.binding import Binding, bind, initial_copies
+from undeadzone.ensemble.varied import sizes
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linear import batched_hold
 from undeadzone.plants.system import sampled
+from undeadzone.scenario.address import matching
 from undeadzone.scenario.ensemble_table import Distribution, Vary, decoded, spread
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse

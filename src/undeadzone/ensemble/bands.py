@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.ensemble.addresses import matching
+from undeadzone.scenario.address import matching
 from undeadzone.support.arrays import Floats
 
 LEVELS: Final = (0.01, 0.05, 0.5, 0.95, 0.99)

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ensemble.addresses import quantities
-from undeadzone.ensemble.uncertain import UncertainNumber, uncertain_numbers
+from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NumericObserver, graph_of
 from undeadzone.linear import batched_hold
@@ -163,13 +162,16 @@ def bind(problem: Problem, loop: Loop) -> Binding:
             '"sensor.right" = { uniform = [0.3, 2.0] }'
         )
     seed = _checked(vary, problem)
-    columns = uncertain_numbers(vary.entries, quantities(problem, loop), problem)
-    params = tree.pack(loop.params)
+    params, held = tree.pack(loop.params), _sampled(problem, loop)
+    nominal = params.copy()
+    for system in held:
+        nominal[list(system.slots)] = system.AB.ravel(order="F")
+    columns = uncertain_numbers(vary.entries, quantities(problem, loop, nominal), problem)
     state = tree.pack(loop.state._replace(plant=problem.x0))
     varied: set[int] = set()
     for column in columns:
         varied |= {slot for slot, _ in column.slots if slot < params.size}
-    sampled = tuple(system for system in _sampled(problem, loop) if varied & set(system.slots))
+    sampled = tuple(system for system in held if varied & set(system.slots))
     varied = varied.union(*(system.slots for system in sampled))
     copies = tuple(pair for pair in initial_copies(problem, loop) if pair[1] in varied)
     indices = tuple(sorted(varied))
