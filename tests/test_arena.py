@@ -35,8 +35,7 @@ from undeadzone.arena.scenario_sets import Kind, from_files, scenarios
 from undeadzone.arena.traces import traced
 from undeadzone.arena.trials import score, trial
 from undeadzone.cli import group
-from undeadzone.ensemble.binding import bind
-from undeadzone.ensemble.run_noise import drawn
+from undeadzone.ensemble.binding import bind, drawn
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import ObserverOptions
 from undeadzone.report.arena_page import arena_page, figures

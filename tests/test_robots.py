@@ -23,7 +23,7 @@ from test_ensemble import table
 from test_report import Auditor
 from undeadzone.engine import interpret
 from undeadzone.ensemble.batch import prepare
-from undeadzone.ensemble.replay import replay
+from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import json_text, print_blocks
-from undeadzone.ensemble.blocks import journal, table_file
-from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble import journal, saved
+from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.source import _plain as commented
 from undeadzone.identification.readers import read_log
@@ -189,7 +189,7 @@ READERS = {
     "design": Design.load,
     "run": Run.load,
     "log": read_log,
-    "ensemble": table_file.load,
+    "ensemble": saved.load,
     "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
 }
 

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    common,
-    confined,
-    origin,
-    print_blocks,
-    print_json,
-    writable,
-)
+from undeadzone.cli.common import common, confined, origin, print_blocks, print_json, writable
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

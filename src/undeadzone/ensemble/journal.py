@@ -23,7 +23,7 @@ import numpy.typing as npt
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason, require_plain
+from undeadzone.support.files import open_kept, reason
 from undeadzone.support.stopped import lock
 from undeadzone.support.versions import versions
 
@@ -122,11 +122,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         InputError: where it holds another problem
     """
     header = _header(layout)
-    with _writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            require_plain(path)
-        file = io.FileIO(path, "r+", opener=_open_or_create)
+    file = open_kept(path, "r+")
     try:
         lock(path, file)
         there = _read(file, 0, len(header) + OTHER_HEADER)
@@ -142,11 +138,6 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
     except BaseException:
         file.close()
         raise
-
-
-def _open_or_create(name: str, flags: int) -> int:
-    """Open a file, which is made where there is none; nothing is cut off."""
-    return os.open(name, flags | os.O_CREAT, 0o666)
 
 
 def _header(layout: Layout) -> bytes:

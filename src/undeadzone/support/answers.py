@@ -7,7 +7,6 @@ nothing that was torn is believed, and ends where the next one begins.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.support.files import LARGEST_TABLE, reason, require_plain
+from undeadzone.support.files import LARGEST_TABLE, open_kept, reason
 from undeadzone.support.stopped import keeping, lock
 from undeadzone.support.versions import versions
 
@@ -43,11 +42,7 @@ class Answers:
     ) -> None:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
-        with _writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if path.exists():
-                require_plain(path, LARGEST_TABLE)
-            self._file = io.FileIO(path, "a+")
+        self._file = open_kept(path, "a+", LARGEST_TABLE)
         try:
             lock(path, self._file)
             self._open({"answers": unit, **problem, **versions()}, resume)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 import tempfile
@@ -82,6 +83,48 @@ def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> N
         largest: number of bytes that it may have; None: any.
     """
     _require_plain(os.stat(path), largest)
+
+
+def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
+    """A file that a computation keeps its results in, made where there is none.
+
+    Nobody else may read it, and nothing is written through a link that someone put in its place.
+
+    Args:
+        path: of the file; its folder is made too.
+        mode: `r+` or `a+`.
+        largest: number of bytes that it may have; None: any.
+
+    Raises:
+        FileError: it cannot be written, is no plain file, or has another name besides.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():
+            raise OSError(_other_name("it is a symbolic link"))
+        file = io.FileIO(path, mode, opener=_open_or_create)
+        try:
+            _require_plain(status := os.fstat(file.fileno()), largest)
+            if status.st_nlink > 1:
+                raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
+        except OSError:
+            file.close()
+            raise
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None
+    return file
+
+
+def _open_or_create(name: str, flags: int) -> int:
+    """Open a file, which is made where there is none; nothing is cut off, no link is followed."""
+    for flag in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
+        flags |= getattr(os, flag, 0)
+    return os.open(name, flags | os.O_CREAT, 0o600)
+
+
+def _other_name(found: str) -> str:
+    """Why a file that has other names is refused."""
+    return f"{found}, and what it leads to would be overwritten; delete it, or choose another name"
 
 
 def require_unpacked(path: str | os.PathLike[str], largest: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from undeadzone.support.shown import Block
 from undeadzone.synthesis.assessment import Assessment, Gains, assess
 from undeadzone.synthesis.knowledge import determined
 from undeadzone.synthesis.words import in_words
-
-if TYPE_CHECKING:
-    pass
 
 
 class Bounds(NamedTuple):

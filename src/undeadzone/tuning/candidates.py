@@ -14,9 +14,9 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.bands import EDGES, true_width
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
+from undeadzone.ensemble.metrics import EDGES, true_width
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import NumericObserver, graph_of
 from undeadzone.scenario.address import with_numbers

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,9 +17,6 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
-
-if TYPE_CHECKING:
-    pass
 
 Matrix = list[list[float]]
 
