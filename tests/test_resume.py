@@ -71,7 +71,7 @@ def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
     if link == "hardlink_to":
         outside.write_bytes(b"")
     getattr(path, link)(outside)
-    with pytest.raises(FileError, match="kept: cannot write: it is .* delete it, or"):
+    with pytest.raises(FileError, match=r"kept: cannot write: it is .* delete it, or"):
         squares(path)
     assert not outside.exists() or outside.read_bytes() == b""
 
