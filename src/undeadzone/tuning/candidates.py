@@ -18,7 +18,7 @@ from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
 from undeadzone.ensemble.metrics import EDGES, true_width
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.interfaces import graph_of
 from undeadzone.scenario.address import with_numbers
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
@@ -187,12 +187,10 @@ class OneByOne(NamedTuple):
 
     def _rows_of(self, candidate: Problem) -> Floats:
         """The metrics (runs x columns) of one candidate."""
-        observer = candidate.observer
-        assert isinstance(observer, NumericObserver)
         rows = []
         for run in range(self.runs):
             inputs = exogenous(candidate, run=run, seed=self.seed)
-            rows.append(row(candidate, run_sample_by_sample(candidate, observer, inputs)))
+            rows.append(row(candidate, run_sample_by_sample(candidate, inputs)))
         return np.concatenate(rows)
 
 
@@ -349,7 +347,7 @@ def _test_runs(
     """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
     first = resolve_scenario(on.scenario(index, probes[0]))
     _check_metric(on.what.metric, first)
-    if not isinstance(first.observer, NumericObserver):
+    if first.observer.python is None:
         others = [on.problem(index, probe) for probe in probes[1:]]
         near = [problem for problem in others if problem is not None]
         return prepare_test_runs(first.scenario, near, runs, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -119,7 +120,8 @@ def _fastest(problem: Problem) -> float:
 
 def _learning(problem: Problem, loop: Loop) -> list[Slider]:
     """The slider of the observer's gain of adaptation, if it has one and takes it as a number."""
-    options, traits = problem.scenario.observer, problem.observer.traits
+    options: Any = problem.scenario.observer
+    traits = problem.observer.traits
     gamma = getattr(options, "gamma", None)
     if gamma is None and hasattr(options, "gamma") and traits.gamma is not None:
         gamma = traits.gamma / (problem.model.Ts or 1.0)
