@@ -30,7 +30,7 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.exports import parts as export_parts
 from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.unknown_actuator import Zones, entering
+from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
 from undeadzone.report.figures import overview
 from undeadzone.report.run_page import run_page

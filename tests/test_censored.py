@@ -29,12 +29,13 @@ from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
-from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances
 from undeadzone.observers.parts.shown_belief import ambiguous
 from undeadzone.observers.parts.unknown_inputs import (
     SMALL,
     coloured,
     rest_under_bias,
+    sampled_slopes,
+    tolerances,
     unknowns,
 )
 from undeadzone.plants.build import system

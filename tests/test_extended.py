@@ -20,7 +20,7 @@ from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.observers import Censored, Extended, Kalman
-from undeadzone.observers.parts.even_states import even_units
+from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import OneLink, TwoLink

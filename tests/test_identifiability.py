@@ -20,9 +20,10 @@ from undeadzone.analysis.identifiability.linear import (
     Verdict,
     cures,
     invisible,
+    kernel,
+    unobservable,
     verdicts,
 )
-from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule, planned
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices

@@ -31,7 +31,7 @@ from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.limits import Limits
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.observers.parts import measured_side
-from undeadzone.observers.parts.limited_reading import Ends, surely_exact
+from undeadzone.observers.parts.measured_reading import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled

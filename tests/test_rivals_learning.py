@@ -23,8 +23,8 @@ from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import fast_gain
 from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole

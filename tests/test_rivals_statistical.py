@@ -24,8 +24,12 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import agitation, joint_prior, quarter_period
-from undeadzone.observers.parts.even_states import even_units
+from undeadzone.observers.parts.augmented_state import (
+    agitation,
+    even_units,
+    joint_prior,
+    quarter_period,
+)
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled

@@ -20,11 +20,11 @@ from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.source import _plain as commented
 from undeadzone.identification.readers import read_log
-from undeadzone.plants.robots import urdf_file
+from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
 from undeadzone.scenario.reader import confined, parse, read
-from undeadzone.signals.csv_file import read_csv
+from undeadzone.signals.exosystem import read_csv
 from undeadzone.simulation.compare import compare
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
@@ -185,7 +185,7 @@ def special(folder: Path) -> dict[Path, str]:
 READERS = {
     "scenario": read,
     "signal": lambda path: read_csv("reference", str(path), 1),
-    "urdf": urdf_file.read,
+    "urdf": urdf_elements.read,
     "design": Design.load,
     "run": Run.load,
     "log": read_log,

@@ -11,7 +11,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.riccati import paper_riccati, weight
 from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.widths import pairs
+from undeadzone.observers.parts.width_laws import pairs
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, indicators, saturation
 from undeadzone.support.arrays import Array, Floats, scalar

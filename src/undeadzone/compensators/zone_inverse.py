@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from undeadzone.actuator import Belief, Drive
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import beyond, inverted, known_drive
+from undeadzone.compensators.parts.coasting import (
+    Coasts,
+    beyond,
+    coasted,
+    coasting,
+    inverted,
+    known_drive,
+)
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System

@@ -12,7 +12,7 @@ from undeadzone.engine.lane_inputs import Source, Supply
 from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
 from undeadzone.errors import InputError
 from undeadzone.interfaces import graph_of
-from undeadzone.linear import batched_hold
+from undeadzone.linear.hold import zoh_of_each
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -64,7 +64,7 @@ class Sampled(NamedTuple):
         for i, slot in enumerate(self.slots):
             row, column = i % rows, i // rows
             AB[row, column] = own.get(slot, self.AB[row, column])
-        held = batched_hold.zoh(AB, self.Ts)
+        held = zoh_of_each(AB, self.Ts)
         return {slot: held[i % rows, i // rows] for i, slot in enumerate(self.slots)}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from undeadzone.actuator import Drive
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Observer
-from undeadzone.numerics.event_location import StepAttempt
+from undeadzone.numerics.dense_output import StepAttempt
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.simulation.loop import (

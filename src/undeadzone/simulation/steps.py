@@ -11,8 +11,16 @@ from typing import Any
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.numerics.dense_output import DenseStep, runge_kutta, taylor
-from undeadzone.numerics.event_location import Crossing, Levels, StepAttempt, located_step, met
+from undeadzone.numerics.dense_output import (
+    Crossing,
+    DenseStep,
+    Levels,
+    StepAttempt,
+    located_step,
+    met,
+    runge_kutta,
+    taylor,
+)
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, Exogenous, State
 from undeadzone.simulation.wiring import Mode, Wiring

@@ -10,7 +10,7 @@ from undeadzone.actuator import through_zone, within_limits, within_rate
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Observer, Reading
 from undeadzone.limits import at_limit
-from undeadzone.numerics.event_location import Levels
+from undeadzone.numerics.dense_output import Levels
 from undeadzone.plants.system import System
 from undeadzone.play import contact, held
 from undeadzone.sensor import branch, edges, quantised, side, zone

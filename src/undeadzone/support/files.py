@@ -102,6 +102,8 @@ def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_symlink():
             raise OSError(_other_name("it is a symbolic link"))
+        if path.exists():
+            require_plain(path, largest)
         file = io.FileIO(path, mode, opener=_open_or_create)
         try:
             _require_plain(status := os.fstat(file.fileno()), largest)

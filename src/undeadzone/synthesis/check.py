@@ -22,8 +22,7 @@ from undeadzone.simulation.run_columns import output_names
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
-from undeadzone.synthesis.assessment import Assessment, Gains, assess
-from undeadzone.synthesis.knowledge import determined
+from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
 from undeadzone.synthesis.words import in_words
 
 

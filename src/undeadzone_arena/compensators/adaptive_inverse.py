@@ -10,8 +10,7 @@ import numpy as np
 
 from undeadzone.actuator import Actuator as Plain
 from undeadzone.actuator import Belief, Drive, resolve_actuator
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import inverted
+from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting, inverted
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System

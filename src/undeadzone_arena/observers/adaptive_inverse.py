@@ -14,7 +14,7 @@ from undeadzone.catalogue import Options
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.motion import heard_by_motion
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import in_poles
 from undeadzone.sensor import Zone

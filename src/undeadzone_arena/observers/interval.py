@@ -10,8 +10,7 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.prior import FLOOR, width_ranges
 from undeadzone.plants.system import System

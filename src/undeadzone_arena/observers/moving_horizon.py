@@ -21,7 +21,7 @@ from undeadzone.interfaces import (
     in_python,
     numeric_estimate,
 )
-from undeadzone.numerics.doubtful import CLIP
+from undeadzone.numerics.gaussian import CLIP
 from undeadzone.observers.parts.augmented_state import (
     Defaults,
     JointClaims,
@@ -29,7 +29,7 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     quarter_period,
 )
-from undeadzone.observers.parts.doubt import Doubt, doubt_numbers, glitch_chance, glitch_share
+from undeadzone.observers.parts.claims import Doubt, doubt_numbers, glitch_chance, glitch_share
 from undeadzone.observers.parts.prior import sample_time
 from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System

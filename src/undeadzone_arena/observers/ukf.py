@@ -11,8 +11,7 @@ import casadi as ca
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.numerics.doubtful import Weighed, settle
-from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
 from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System

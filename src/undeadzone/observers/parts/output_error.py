@@ -21,7 +21,7 @@ from undeadzone.interfaces import (
     estimate,
     no_further,
 )
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone, deadzone, jump, present
 from undeadzone.support.arrays import Array, Floats, nonnegative
