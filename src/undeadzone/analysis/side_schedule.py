@@ -1,8 +1,7 @@
 """Schedules say which side the sensor shows when, along a planned reference or a recorded run.
 
-docs/rates.md says what they are for. A reference is the output Q w of an exosystem w' = S w.
-
-Levels of z between the sides that a noise-free sensor reads, and the sides on given outputs.
+docs/rates.md says what they are for. A reference is the output Q w of an exosystem w' = S w. Sides
+change where z crosses the levels between those that a noise-free sensor reads.
 """
 
 from __future__ import annotations

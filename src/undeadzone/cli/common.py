@@ -1,7 +1,4 @@
-"""What the commands share: their common options, the progress bar, printing of numbers.
-
-What `watch` and `estimate` share.
-"""
+"""What the commands share: options, the progress bar, printing of numbers, tables of logs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """From a path of an arm's tip to the path of its joints (inverse kinematics).
 
-The equations that the joints of an arm must meet so that its tip is where it should be.
+The joints meet the equations that put the tip where it should be.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """From continuous to sampled time, exactly: zero-order hold, its slopes, and the noise of a step.
 
 Matrices are balanced first: a plant in an odd unit of time has entries that are far apart, and the
-exponential of such a matrix loses digits, its derivative all of them.
-
-The exact zero-order hold of many linear plants at once.
-
-Each plant gets the same bits whatever the others are.
+exponential of such a matrix loses digits, its derivative all of them. Of many plants at once each
+gets the same bits whatever the others are.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Linear systems as matrices: x' = A x + B u, z = C x.
+"""Linear systems as matrices: x' = A x + B u, z = C x; and the scale of each state.
 
-The scale of each state, which tells what is small from what is in a small unit.
+The scale tells what is small from what is in a small unit.
 """
 
 from __future__ import annotations

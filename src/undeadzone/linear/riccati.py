@@ -1,6 +1,6 @@
 """The Riccati equation (34), as printed and for control, and the Lyapunov equations beside it.
 
-The least gain that makes A - L C as fast as asked; by duality, A - B K.
+They give the least gain that makes A - L C as fast as asked; by duality, A - B K.
 """
 
 from __future__ import annotations

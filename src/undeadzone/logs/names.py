@@ -1,6 +1,6 @@
-"""Which column is which: by the names that a user gives, else by the usual names of t, y and u.
+"""Columns of a log, and which is which: by names that a user gives, else by usual ones of t, y, u.
 
-A column of a log: its name, its unit, and how long a unit of time is.
+A title holds a name and a unit, which says how long a unit of time is.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Samples from the lines of a CSV log, as they come in.
+"""Samples from the lines of a CSV log, as they come in, put on the steps of a scenario.
 
-Samples put on the steps of a scenario: other steps are refused, gaps become missing samples.
+Other steps are refused, gaps become missing samples.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Bytes as they come in, cut into lines of text.
+"""A CSV log's bytes as they come in, cut into lines of text, and the dialect of these.
 
-The dialect of a CSV text: its separator, its decimal comma, its remarks, its header.
+That is its separator, its decimal comma, its remarks, its header.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A whole log at once: from .npz, .mat, a DataFrame, or arrays.
 
-Columns from .npz and .mat files and from DataFrames; nothing in a file is ever executed.
+Nothing in a file is ever executed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Solutions over a step on one branch of the sensor, with dense output.
+"""Solutions over a step with dense output, and steps that find where the sensor changes side.
 
-A step that finds where the sensor changes side inside it: its order survives the kink.
+On one branch of the sensor a step is smooth; where the side changes inside it the branch is
+followed up to there, so that the order survives the kink.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
 """Gaussian beliefs on CasADi expressions: predict, correct by a reading, truncate at a bound.
 
-docs/filters.md derives them.
-
-Readings that may be wrong, and silences that may be fake, by matching mean and covariance.
-
+Readings that may be wrong, and silences that may be fake, are used by matching mean and covariance.
 docs/filters.md derives the formulas.
 """
 

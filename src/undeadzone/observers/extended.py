@@ -1,10 +1,8 @@
 """Extended Kalman filter on the measured side, for nonlinear models of several outputs.
 
-Robot arms are among them (docs/methods/extended.md).
-
-An arm's joints are filtered each for itself: one covariance of [q_i; q_i'; d_ri; d_li; a_i].
-
-What a joint does not know of the others is an unknown acceleration a_i.
+Robot arms are among them (docs/methods/extended.md): their joints are filtered each for itself,
+with one covariance of [q_i; q_i'; d_ri; d_li; a_i]. What a joint does not know of the others is an
+unknown acceleration a_i.
 """
 
 from __future__ import annotations

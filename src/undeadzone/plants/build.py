@@ -1,11 +1,8 @@
 """From a plant in words to a `System`.
 
 Plants are x' = f(x, u), z = h(x): linear ones (14), (15), (37)-(39) and known nonlinear ones share
-one shape.
-
-Formulas in a scenario file, read safely into CasADi expressions.
-
-An example is "-g / l * sin(angle) + torque".
+one shape. Formulas in a scenario file, such as "-g / l * sin(angle) + torque", are read safely into
+CasADi expressions.
 """
 
 from __future__ import annotations

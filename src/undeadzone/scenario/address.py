@@ -1,8 +1,7 @@
 """Addresses: the key of a value in a scenario and, of an array, its entry, as `plant.A[1,0]`.
 
-They are read here, and the numbers that they stand for are looked up and replaced.
-
-A scenario with other values at some of its keys.
+They are read here, and the values that they stand for are looked up and replaced: numbers of the
+options one by one, anything else with the checks that a file's words meet.
 """
 
 from __future__ import annotations

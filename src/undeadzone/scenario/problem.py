@@ -1,8 +1,6 @@
 """From a scenario's words to checked parts: what is wrong is said here, by key, before a run.
 
-The path of a robot's joints that a reference asks for, checked before anything runs.
-
-The units of a scenario of an arm that names none: SI.
+That includes the path of an arm's joints that a reference asks for, and an arm's units: SI.
 """
 
 from __future__ import annotations

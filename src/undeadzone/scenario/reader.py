@@ -1,6 +1,6 @@
 """Scenarios from TOML: read, checked, with the files that they name found.
 
-What is wrong with a text that is no TOML: the line, and what to write instead.
+Of a text that is no TOML the line is said, and what to write instead.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The problem as a value: read from TOML, or built in Python from the same words.
 
-Whether the parts of a scenario that is made in Python are what they should be.
-
-The observer and the controller of a scenario that names none (docs/decisions.md).
+Parts that are made in Python are checked as those of a file are; a scenario that names no observer
+or controller has the usual one (docs/decisions.md).
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
 """References and disturbances as outputs of a linear exosystem w' = S w, r = Q w.
 
-The exosystem is linear in pieces where the signal has corners.
-
-The period of a sum of sines.
-
-Curves in pieces, each as a function of time: a trapezoid, straight lines, a spline.
-
-Such a function `derivatives(t)` gives the value and its derivatives (len(t) x order x channels).
-
-Signals in CSV files: time first, then one column per channel.
+The exosystem is linear in pieces where the signal has corners: a trapezoid, straight lines, a
+spline, also through the samples of a CSV file (time first, then one column per channel). A piece is
+a function `derivatives(t)` of the value and its derivatives (len(t) x order x channels).
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
-"""All that a report shows of a scenario's gains.
+"""All that a report shows of a scenario's gains, and what its readings can tell.
 
-That is their certificate, their rate, attempts to break them, and what can be known.
-
-What the readings of a scenario can tell.
-
-That is the sides along its reference or its run, verdicts, expected deviations, and cures.
+Of the gains: their certificate, their rate, attempts to break them. Of the readings: the sides
+along the reference or a run, verdicts, expected deviations, and cures.
 """
 
 from __future__ import annotations

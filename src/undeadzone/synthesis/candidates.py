@@ -1,8 +1,7 @@
-"""Gains as points of a search: a box of numbers, each of whose points is certified gains.
+"""Gains as points of a search, and what they are worth in a design task (docs/rates.md).
 
-What gains are worth in a design task (docs/rates.md).
-
-That is the rate, gains from disturbance, model error and noise, and the margin of the certificate.
+A search takes place in a box of numbers, each of whose points is certified gains. Their worth is
+the rate, gains from disturbance, model error and noise.
 """
 
 from __future__ import annotations

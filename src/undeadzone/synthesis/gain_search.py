@@ -1,9 +1,7 @@
-"""Gains L, gamma by optimisation under the certificate: the fastest, or a weighted trade.
+"""Gains L, gamma by optimisation under the certificate: the fastest, a weighted trade, the knee.
 
-Every candidate is certified by construction (`criteria.certified`), so that the search is free; the
-result is proved anew.
-
-The Pareto front of rate, disturbance and noise under the certificate, and its knee.
+Every candidate is certified by construction (`candidates.certified`), so that the search is free;
+the result is proved anew. The knee is that of the Pareto front of rate, disturbance and noise.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A design is a value: gains, their proof, what they are worth; kept in TOML, proved on load.
 
-A design in words: its gains, their proof, their trade.
+It is also said in words.
 """
 
 from __future__ import annotations

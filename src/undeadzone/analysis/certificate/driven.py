@@ -1,8 +1,7 @@
 """Error dynamics that outside signals drive: their inequality, and the search for its proof.
 
-The ultimate bound says where the errors end under disturbance, noise and leakage.
-
-Proofs are in docs/certificate.md.
+The ultimate bound says where the errors end under disturbance, noise and leakage. Proofs are in
+docs/certificate.md.
 """
 
 from __future__ import annotations

@@ -4,9 +4,8 @@ Proofs are in docs/certificate.md. V = x~'P x~ + d~'R d~ with R = W Gamma^-1 (W 
 Continuous: [[A'P + PA, C'W - PL], [., -2W]] < 0.
 Sampled, in delta form with A = (Ad - I)/Ts and L, Gamma per second:
 [[A'P + PA, C'W - PL, sqrt(Ts) A'P], [., Ts W S Gamma S' - 2W, -sqrt(Ts) L'P], [., ., -P]] < 0.
-For one output P exists iff the margin below is positive.
-
-Models that are not stable have no certificate; here is why, in words.
+For one output P exists iff the margin below is positive. Models that are not stable have none; why
+not is said in words.
 """
 
 from __future__ import annotations

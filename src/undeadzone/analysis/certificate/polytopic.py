@@ -3,15 +3,9 @@
 Proofs are in docs/certificate.md. By the mean value theorem the error obeys x~' = A(t) x~ - L e,
 A(t) in the convex hull of df/dx over the box, as long as x, x^ and u stay in it. V is sought at
 some of these Jacobians, the vertices, and then proved for all: interval arithmetic bounds df/dx on
-parts of the box, which are halved until the bound suffices or a Jacobian is found that V misses
-(`subdivision`).
-
-A box is halved until interval bounds prove V on all of its parts, or a Jacobian is missed.
-
-On a part, A lies within the bound at the centre plus the bound on its derivatives times the way to
-the part's edge.
-
-The Jacobian of a model, and true bounds on it, on boxes of states and inputs.
+parts of the box, which are halved until the bound suffices or a Jacobian is found that V misses. On
+a part, A lies within the bound at the centre plus the bound on its derivatives times the way to the
+part's edge.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""How fast the error dies along a schedule of sides: Floquet multipliers of (x~, d~).
+"""How fast the error dies along a schedule of sides, and what disturbances leave of it.
 
-The derivation is in docs/rates.md.
-
-What noise, disturbance and model error become in the estimate: mean squares along the reference.
-
-docs/rates.md derives them. Every function takes many candidate gains at once, along the first axes
-of F (..., K, N, N).
+The former are Floquet multipliers of (x~, d~), the latter mean squares of what noise, disturbance
+and model error become in the estimate. docs/rates.md derives both. Mean squares take many candidate
+gains at once, along the first axes of F (..., K, N, N).
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 """What readings tell of x, d_r, d_l along a schedule of sides, and what would tell more.
 
 Proofs are in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per
-output, beta a constant input bias.
-
-Subspaces as orthonormal bases: the kernel of a matrix, what outputs do not observe.
-
-What can be known of an output, in words.
+output, beta a constant input bias. What stays unknown is a subspace, kept as an orthonormal basis.
 """
 
 from __future__ import annotations

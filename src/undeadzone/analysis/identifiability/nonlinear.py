@@ -1,17 +1,9 @@
 """Honest verdicts for nonlinear plants: which widths the readings along one run tell, and why not.
 
-docs/identifiability.md says how.
-
-What readings along one run tell of x(0) and the widths of a nonlinear plant.
-
-The plant is linearised along the run, and the observability Gramian kept as a square root;
-docs/identifiability.md says why. The unknowns are [x(0); d; beta; theta]: d = [right, left] per
-output, beta a constant input bias, theta uncertain parameters.
-
-The information that a run's readings hold, as a square root: no product of readings is formed.
-
-The unknowns are [x(0); d; beta; theta]: d = [right, left] per output, beta a constant input bias,
-theta uncertain parameters.
+The plant is linearised along the run. The information that the readings hold of the unknowns
+[x(0); d; beta; theta] is kept as a square root: no product of readings is formed. d = [right, left]
+per output, beta a constant input bias, theta uncertain parameters. docs/identifiability.md says how
+and why.
 """
 
 from __future__ import annotations

@@ -2,9 +2,7 @@
 
 A perfect inverse never lets the actuator fall silent, and then one combination of the four widths
 cannot be seen (docs/actuator.md). So coast where the output is well visible and the widths are not
-yet known.
-
-The inverse of a dead zone of the actuator, and which widths it uses.
+yet known. The inverse, and which widths it uses, stands here too.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Joint filters see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l].
 
-A filter counts the states in units that make them alike, and shows them in the plant's.
-
-In the plant's own units of time, states and their variances may be too far apart for numbers of
-single precision. The units are powers of two, so that nothing is rounded.
+They count the states in units that make them alike, and show them in the plant's: in those of time,
+states and their variances may be too far apart for numbers of single precision. The units are
+powers of two, so that nothing is rounded.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """What is claimed of a plant and its sensor: options that several observers share.
 
-How far a filter doubts its readings: a share of them is wrong, whatever the sensor promises.
-
-The mathematics is in docs/filters.md.
+A doubt says how far a filter believes its readings: a share of them is wrong, whatever the sensor
+promises. The mathematics is in docs/filters.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Further unknowns of a filter that never change: widths of an actuator, friction of a load.
+"""Further unknowns of a filter that hardly change: gaps ahead, widths of an actuator, friction.
 
 The play ahead of a dead zone in a filter: what its gaps take off z (docs/play.md).
 

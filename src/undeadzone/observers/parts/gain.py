@@ -1,8 +1,7 @@
-"""The gain L of an observer: as it is given, by poles, or by a speed.
+"""The gain L of an observer: as it is given, by poles, or by a speed; else the default gains.
 
-Default gains of `Certified`: certified for every stable model, and loud enough to be heard.
-
-docs/observer.md says where the two numbers come from.
+Those are certified for every stable model, and loud enough to be heard; docs/observer.md says where
+the two numbers come from.
 """
 
 from __future__ import annotations

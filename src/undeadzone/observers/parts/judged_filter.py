@@ -1,12 +1,8 @@
 """A filter that says whether the readings fit its claims, and shows wider intervals if not.
 
-The mathematics is in docs/filters.md.
-
-Sums of normalised innovations: too large where something lasts that nobody claimed.
-
-The mathematics is in docs/filters.md.
-
-A filter as banks and watches take it: beside its estimate it says how well it foretold.
+Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
+estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
+in docs/filters.md.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """The Kalman filter on the measured side estimates [x; d_r; d_l] and further unknowns.
 
-The mathematics is in docs/filters.md.
-
-How far z can move from one reading to the next: what comes out of silence beyond that is wrong.
-
-The mathematics is in docs/filters.md, "Readings that are wrong".
+What comes out of silence beyond how far z can move from one reading to the next is wrong. The
+mathematics is in docs/filters.md, of the latter in "Readings that are wrong".
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """What a reading, or a silence, says to the filter on the measured side.
 
-What a reading at a limit of its range says to the filter on the measured side.
-
-There it only bounds what the sensor reads; near it, noise selects what is read. The mathematics is
-in docs/filters.md.
+A reading at a limit of its range only bounds what the sensor reads; near it, noise selects what is
+read. The mathematics is in docs/filters.md.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """A filter's states for what may be wrong besides the widths: disturbance, bias, model tolerance.
 
-The mathematics is in docs/filters.md.
-
-What of a model is uncertain is a constant unknown of a filter: an entry, a parameter.
+What of a model is uncertain, an entry or a parameter, is a constant unknown. The mathematics is in
+docs/filters.md.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Adaptation laws say what the drive of an edge does to its width (docs/adaptation.md).
 
 The drive is -e on the right and +e on the left. Each law says what becomes of the certificate:
-V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md).
-
-Initial widths and their bound, as every adaptive observer takes them.
+V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md). Initial widths and their
+bound are as every adaptive observer takes them.
 """
 
 from __future__ import annotations

@@ -1,15 +1,9 @@
 """From `plant.arm` to a plant.
 
 Its states are x = [q; v], its inputs the joints' torques, its outputs their positions or
-velocities.
-
-Arms in the plane x-y with one and two links.
-
-Source: Spong, Hutchinson, Vidyasagar: Robot Modeling and Control, 2006, section 7.4.
-
-An elastic joint: a motor moves a link through a spring (Spong 1987).
-
-A sensor sees one of the two.
+velocities. There are arms in the plane x-y with one and two links (Spong, Hutchinson, Vidyasagar:
+Robot Modeling and Control, 2006, section 7.4), elastic joints, where a motor moves a link through a
+spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The moving joints of a tree and the bodies between them, as `Frames`.
 
-The frames are chosen so that the expressions of the dynamics are short.
-
-The straightened chain of a file in the words of adam-robotics, which computes its dynamics.
+The frames are chosen so that the expressions of the dynamics are short. They are then said in the
+words of adam-robotics, which computes the dynamics.
 """
 
 from __future__ import annotations

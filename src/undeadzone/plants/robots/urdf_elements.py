@@ -1,9 +1,6 @@
-"""The elements of a URDF file: a <joint>, a <link>, their numbers, each checked.
+"""URDF files: joints and links of a tree, their numbers, each checked.
 
-The functions here raise ValueError, which names the element; `urdf_file.read` adds the key and the
-file.
-
-URDF files: links and joints of a tree, each number checked.
+What reads an element raises ValueError, which names it; `read` adds the key and the file.
 """
 
 from __future__ import annotations
