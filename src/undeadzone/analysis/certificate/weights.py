@@ -1,10 +1,9 @@
 """The weights of the outputs under which error dynamics have the largest margin.
 
-For one A the margin of a W is a least eigenvalue over frequencies, that of
-D + Herm C (jw - A)^-1 L, found by level sets: no grid, no solver. Every worst frequency and direction
-bounds it for all W, by a ratio of linear functions of W: cutting planes, in which no P occurs,
-however far apart the plant's time constants are. For several A one P must do, so that W and P are
-searched together.
+For one A the margin of a W is a least eigenvalue over frequencies, that of D + Herm C (jw - A)^-1
+L, found by level sets: no grid, no solver. Every worst frequency and direction bounds it for all W,
+by a ratio of linear functions of W: cutting planes, in which no P occurs, however far apart the
+plant's time constants are. For several A one P must do, so that W and P are searched together.
 """
 
 from __future__ import annotations
