@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT, scene
 from test_engines import distance, parts, small
-from undeadzone.actuator import (
+from undeadzone.analysis.identifiability.both_ends import both_ends
+from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.ends.actuator import (
     Actuator,
     ActuatorModel,
     believed,
@@ -22,8 +24,6 @@ from undeadzone.actuator import (
     through_zone,
     within_rate,
 )
-from undeadzone.analysis.identifiability.both_ends import both_ends
-from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError

@@ -25,6 +25,7 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.side_schedule import Schedule, planned
+from undeadzone.ends.sensor import deadzone
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.build import matrices
@@ -32,7 +33,6 @@ from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import deadzone
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check

@@ -22,12 +22,12 @@ from undeadzone.analysis.identifiability.nonlinear import (
     verdicts_along,
 )
 from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import convert
-from undeadzone.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.signals.exosystem import Step
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats

@@ -24,7 +24,7 @@ from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.measured_side import measured_side
 from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
+from undeadzone.ends.sensor import Zone
 from undeadzone.support.arrays import Array
 
 

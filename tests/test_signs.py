@@ -23,6 +23,7 @@ from undeadzone.analysis.identifiability.edges import reaching
 from undeadzone.analysis.identifiability.linear import unknown_bias
 from undeadzone.analysis.identifiability.linearised_run import _run
 from undeadzone.analysis.side_schedule import _samples, arriving
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati
@@ -35,7 +36,6 @@ from undeadzone.observers.parts.prior import build_prior
 from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.signals.exosystem import Random
 from undeadzone_arena.observers.parts import interval_step
 

@@ -1,5 +1,3 @@
-from .actuator import Actuator as Actuator
-from .actuator import ActuatorModel as ActuatorModel
 from .analysis.certificate.design_file import Design as Design
 from .analysis.certificate.driven import Ultimate as Ultimate
 from .analysis.certificate.driven import ultimate_bound as ultimate_bound
@@ -23,6 +21,9 @@ from .controllers import ComputedTorque as ComputedTorque
 from .controllers import LinearController as LinearController
 from .controllers import Robust as Robust
 from .controllers import StateFeedback as StateFeedback
+from .ends.actuator import Actuator as Actuator
+from .ends.actuator import ActuatorModel as ActuatorModel
+from .ends.sensor import Sensor as Sensor
 from .ensemble.result import Ensemble as Ensemble
 from .ensemble.run_ensemble import replay_run as replay_run
 from .ensemble.run_ensemble import run_ensemble as run_ensemble
@@ -82,7 +83,6 @@ from .scenario.schema import Simulation as Simulation
 from .scenario.schema import Units as Units
 from .scenario.tune_table import Range as Range
 from .scenario.tune_table import Tune as Tune
-from .sensor import Sensor as Sensor
 from .signals.exosystem import Random as Random
 from .signals.exosystem import Samples as Samples
 from .signals.exosystem import Sine as Sine

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.play import contacts, levels
+from undeadzone.ends.sensor import Zone, edges, zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.plants.system import System
-from undeadzone.play import contacts, levels
-from undeadzone.sensor import Zone, edges, zone
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief, Drive
 from undeadzone.compensators.parts.coasting import (
     Coasts,
     beyond,
@@ -16,6 +15,7 @@ from undeadzone.compensators.parts.coasting import (
     inverted,
     known_drive,
 )
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive

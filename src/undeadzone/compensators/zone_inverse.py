@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from undeadzone.actuator import Belief, Drive
 from undeadzone.compensators.parts.coasting import (
     Coasts,
     beyond,
@@ -13,6 +12,7 @@ from undeadzone.compensators.parts.coasting import (
     inverted,
     known_drive,
 )
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 import undeadzone
+from undeadzone.ends.sensor import Zone
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare
@@ -27,7 +28,6 @@ from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.reader import anchored, parse
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import Zone
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
 from undeadzone.simulation.run import Run

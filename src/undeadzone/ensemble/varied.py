@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from undeadzone.ends.sensor import resolve
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.actuated import built
 from undeadzone.plants.robots.arm import signless
@@ -26,7 +27,6 @@ from undeadzone.scenario.ensemble_table import (
     spread,
 )
 from undeadzone.scenario.problem import Problem, known_sensor
-from undeadzone.sensor import resolve
 from undeadzone.signals.exosystem import Random, Signal, Sine, Step, Trapezoid
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.packed import packed

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import (
@@ -31,7 +32,6 @@ from undeadzone.observers.parts.unknown_inputs import (
 )
 from undeadzone.plants.system import System, in_units
 from undeadzone.plants.time_scales import arrival
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import (
@@ -36,7 +37,6 @@ from undeadzone.observers.parts.unknown_inputs import (
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
 

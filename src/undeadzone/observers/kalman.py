@@ -6,6 +6,7 @@ The mathematics is in docs/filters.md.
 from __future__ import annotations
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import (
@@ -22,7 +23,6 @@ from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
 
 SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief
+from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices, similar

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
+from undeadzone.ends.gaps import gaps_of
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
-from undeadzone.gaps import gaps_of
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
 from undeadzone.observers.parts.actuated import built
@@ -35,7 +36,6 @@ from undeadzone.scenario.time_step import (
     require_resolved,
     sampled_within_limits,
 )
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar

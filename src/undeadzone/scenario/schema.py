@@ -14,7 +14,6 @@ from typing import Any, Final, Literal
 import msgspec
 import numpy as np
 
-from undeadzone.actuator import Actuator, ActuatorModel
 from undeadzone.catalogue import (
     CONTROLLERS,
     OBSERVERS,
@@ -22,6 +21,8 @@ from undeadzone.catalogue import (
     ControllerOptions,
     ObserverOptions,
 )
+from undeadzone.ends.actuator import Actuator, ActuatorModel
+from undeadzone.ends.sensor import Sensor
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
@@ -30,7 +31,6 @@ from undeadzone.plants.robots.options import ElasticJoint
 from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Array, array

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.actuator import Belief
+from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices

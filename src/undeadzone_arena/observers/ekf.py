@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone, branch, zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, linearise, predict, update_unless_glitch
@@ -21,7 +22,6 @@ from undeadzone.observers.parts.augmented_state import (
 )
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone, branch, zone
 from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
 
 DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)

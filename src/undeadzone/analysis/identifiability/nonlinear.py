@@ -30,8 +30,8 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
+from undeadzone.ends.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats, Integers
 
 LIMIT = 1e9  # beyond this a state has diverged

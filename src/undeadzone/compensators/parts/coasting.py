@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief, Drive
 from undeadzone.catalogue import Options
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.plants.system import System

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.numerics.gaussian import CLIP, TAIL
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import time_scale
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, scalar
 
 GLITCHES = 0.05  # share of the readings that are wrong, unless it is claimed

@@ -30,11 +30,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief
+from undeadzone.ends.actuator import Belief
+from undeadzone.ends.sensor import Zone, offset
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.gaussian_filter import Augmentation
-from undeadzone.sensor import Zone, offset
 from undeadzone.support.arrays import Floats
 
 SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more

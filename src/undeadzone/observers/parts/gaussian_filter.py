@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Reading, estimate
 from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System, held
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import LEFT, RIGHT, Zone, present
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
 from undeadzone.observers.parts.claims import doubt_numbers
@@ -61,7 +62,6 @@ from undeadzone.observers.parts.smoothing import (
     slope_at,
 )
 from undeadzone.plants.system import System
-from undeadzone.sensor import LEFT, RIGHT, Zone, present
 
 
 class State(NamedTuple):

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.play import readings_of_motion
+from undeadzone.ends.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import (
     Gaussian,
@@ -30,8 +32,6 @@ from undeadzone.observers.parts.prior import HELD, SILENT, Prior
 from undeadzone.observers.parts.shown_belief import Setup
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
-from undeadzone.play import readings_of_motion
-from undeadzone.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.support.arrays import Floats
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
 from undeadzone.observers.parts.augmented_state import (
@@ -30,7 +31,6 @@ from undeadzone.observers.parts.judged_filter import Member, Step, judged
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import clipped
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone, present
 
 Sight = Callable[[Any], Any]
 """From [x; d_r; d_l] to the reading y_i / m_i without noise."""
