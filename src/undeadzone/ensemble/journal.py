@@ -11,8 +11,6 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +21,7 @@ import numpy.typing as npt
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import open_kept, reason
+from undeadzone.support.files import open_kept, writing
 from undeadzone.support.stopped import lock
 from undeadzone.support.versions import versions
 
@@ -77,7 +75,7 @@ class Store(NamedTuple):
         if not os.fstat(self.file.fileno()).st_nlink:
             raise FileError(f"{self.path}: cannot write: it was removed")
         checksums = _start_of_checksums(self.start, self.layout)
-        with _writing(self.path):
+        with writing(self.path):
             for index, column in enumerate(columns):
                 offset = _start_of_rows(self.start, self.layout, index, block)
                 _write(self.file, offset, column.tobytes())
@@ -103,7 +101,7 @@ class Store(NamedTuple):
 
     def remove(self) -> None:
         """Delete the file, its results being kept elsewhere."""
-        with _writing(self.path):
+        with writing(self.path):
             self.path.unlink(missing_ok=True)
         self.close()
 
@@ -130,7 +128,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         if not fresh:
             _check(path, there, header, resume)
         size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
-        with _writing(path):
+        with writing(path):
             _allocate(path, file, size, fresh)
             if fresh:
                 _write(file, 0, header)
@@ -254,12 +252,3 @@ def _read(file: io.FileIO, offset: int, size: int) -> bytes:
     """Some bytes, or as many as there are."""
     file.seek(offset)
     return file.read(size)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Failures to write as FileError."""
-    try:
-        yield
-    except (OSError, OverflowError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None

@@ -12,6 +12,7 @@ from undeadzone.ensemble.job import Job, results
 from undeadzone.errors import InputError
 from undeadzone.support import stopped
 from undeadzone.support.arrays import Floats
+from undeadzone.support.progress import silent
 
 
 def run(
@@ -46,7 +47,7 @@ def run(
     _require_one(workers, cluster)
     job = prepare()
     store = journal.start(path, job.layout, resume)
-    report = progress or _silent
+    report = progress or silent
     with keeping(store):
         if store.runs_done:
             report(store.runs_done)
@@ -65,10 +66,6 @@ def keeping(store: journal.Store) -> Iterator[None]:
     """
     with stopped.keeping(functools.partial(_leave, store)):
         yield
-
-
-def _silent(runs: int) -> None:
-    """Progress that nobody asked for."""
 
 
 def _require_one(workers: int | None, cluster: str | None) -> None:

@@ -20,6 +20,17 @@ LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 
 
 @contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Failures to write at a path as FileError."""
+    try:
+        yield
+    except FileError:
+        raise
+    except (OSError, OverflowError, ValueError) as error:
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name once written.
 
@@ -28,14 +39,12 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         FileError: the file cannot be written.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
             dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
         )
         os.close(handle)
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None
     try:
         yield Path(name)
         os.chmod(name, 0o666 & ~_umask())
@@ -98,7 +107,7 @@ def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
     Raises:
         FileError: it cannot be written, is no plain file, or has another name besides.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_symlink():
             raise OSError(_other_name("it is a symbolic link"))
@@ -106,14 +115,10 @@ def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
             require_plain(path, largest)
         file = io.FileIO(path, mode, opener=_open_or_create)
         try:
-            _require_plain(status := os.fstat(file.fileno()), largest)
-            if status.st_nlink > 1:
-                raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
+            _require_one_name(os.fstat(file.fileno()), largest)
         except OSError:
             file.close()
             raise
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None
     return file
 
 
@@ -122,6 +127,13 @@ def _open_or_create(name: str, flags: int) -> int:
     for flag in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
         flags |= getattr(os, flag, 0)
     return os.open(name, flags | os.O_CREAT, 0o600)
+
+
+def _require_one_name(status: os.stat_result, largest: int | None) -> None:
+    """Raise OSError for an open file that is not plain, too large, or has other names."""
+    _require_plain(status, largest)
+    if status.st_nlink > 1:
+        raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
 
 
 def _other_name(found: str) -> str:
@@ -162,14 +174,13 @@ def require_folder(folder: Path) -> None:
     """
     made: list[Path] = []
     try:
-        for place in reversed([folder, *folder.parents]):
-            if not place.exists():
-                place.mkdir()
-                made.append(place)
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
-            pass
-    except (OSError, ValueError) as error:
-        raise FileError(f"{folder}: cannot write: {reason(error)}") from None
+        with writing(folder):
+            for place in reversed([folder, *folder.parents]):
+                if not place.exists():
+                    place.mkdir()
+                    made.append(place)
+            with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
+                pass
     finally:
         for place in reversed(made):
             with suppress(OSError):  # another process uses it already
