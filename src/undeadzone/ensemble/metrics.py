@@ -221,7 +221,7 @@ def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Float
     Args:
         name: the edge, such as `right[0]`
         nominal: its width in the scenario
-        varied: columns by the names of `uncertain.UncertainNumber`, in whatever words they name the
+        varied: columns by the names of `varied.UncertainNumber`, in whatever words they name the
             edge
     """
     for words, column in varied.items():

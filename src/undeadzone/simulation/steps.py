@@ -76,7 +76,7 @@ def located_steps(
     columns: list[ca.SX],
     order: int,
 ) -> list[StepAttempt]:
-    """Attempts at a step with its changes of side located (`event_location.located_step`).
+    """Attempts at a step with its changes of side located (`dense_output.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
 

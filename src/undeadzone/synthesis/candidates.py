@@ -126,7 +126,7 @@ def _logarithms(M: Floats) -> Floats:
 
 
 class Candidate(NamedTuple):
-    """Gains and what they are worth (`criteria.Scores`).
+    """Gains and what they are worth (`Scores`).
 
     Attributes:
         L: gain of x^ (n x p) [1/s].

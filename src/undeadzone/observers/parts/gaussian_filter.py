@@ -40,7 +40,7 @@ class Augmentation(NamedTuple):
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
         constants: how many of the last unknowns are errors of the model, which never change.
-        zones: how many of the last unknowns are widths of actuators (`unknown_actuator`).
+        zones: how many of the last unknowns are widths of actuators (`further_constants`).
     """
 
     params: Any
