@@ -18,7 +18,7 @@ from undeadzone.cli.ending import ended
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.export import export
 from undeadzone.exports.fields import identifier
-from undeadzone.logs import containers
+from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.processes import SAFE, pool
@@ -126,20 +126,20 @@ def test_a_mat_file_that_unpacks_to_more_than_a_log_is_refused(
     """Counted, not believed: one element, many, in the order of bytes of either kind of machine."""
     path = tmp_path / "log.mat"
     savemat(path, {"t": np.arange(3.0), "y": np.zeros(3), "u": np.ones(3), "words": "abc"})
-    assert {column.name for column in containers.of_mat(path)} == {"t", "y", "u"}
+    assert {column.name for column in whole.of_mat(path)} == {"t", "y", "u"}
     savemat(path, {"t": np.arange(3.0), "y": np.zeros(3)}, do_compression=True)
-    assert len(containers.of_mat(path)) == 2
-    monkeypatch.setattr(containers, "LARGEST_MATRICES", 3_000_000)
+    assert len(whole.of_mat(path)) == 2
+    monkeypatch.setattr(whole, "LARGEST_MATRICES", 3_000_000)
     savemat(path, {"t": np.zeros(1_000_000)}, do_compression=True)
     with pytest.raises(FileError, match="unpack to more"):
-        containers.of_mat(path)
+        whole.of_mat(path)
     head = path.read_bytes()[:128]
     path.write_bytes(head + 4 * element(bytes(1_000_000)))
     with pytest.raises(FileError, match="unpack to more"):
-        containers.of_mat(path)
+        whole.of_mat(path)
     savemat(path, {"t": np.zeros(4_000_000, np.int8)})
     with pytest.raises(FileError, match="larger than any log"):
-        containers.of_mat(path)
+        whole.of_mat(path)
 
 
 @pytest.mark.parametrize("key", ["reference", "disturbance"])

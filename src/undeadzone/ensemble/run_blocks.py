@@ -7,11 +7,12 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from undeadzone.ensemble.blocks import journal
-from undeadzone.ensemble.blocks.job import Job
+from undeadzone.ensemble import journal
+from undeadzone.ensemble.job import Job, results
 from undeadzone.errors import InputError
 from undeadzone.support import stopped
 from undeadzone.support.arrays import Floats
+from undeadzone.support.progress import silent
 
 
 def run(
@@ -46,7 +47,7 @@ def run(
     _require_one(workers, cluster)
     job = prepare()
     store = journal.start(path, job.layout, resume)
-    report = progress or _silent
+    report = progress or silent
     with keeping(store):
         if store.runs_done:
             report(store.runs_done)
@@ -65,10 +66,6 @@ def keeping(store: journal.Store) -> Iterator[None]:
     """
     with stopped.keeping(functools.partial(_leave, store)):
         yield
-
-
-def _silent(runs: int) -> None:
-    """Progress that nobody asked for."""
 
 
 def _require_one(workers: int | None, cluster: str | None) -> None:
@@ -90,17 +87,18 @@ def _results(
 ) -> Generator[tuple[int, Floats], None, None]:
     """(block, its rows) as they are computed."""
     if workers is not None:
-        from undeadzone.ensemble.blocks.local_workers import results as local_results
+        from undeadzone.ensemble import local_workers
 
-        yield from local_results(prepare, blocks, workers)
-        return
-    if cluster is not None:
-        from undeadzone.ensemble.blocks.dask_cluster import results as cluster_results
+        with local_workers.pool(prepare, min(workers, max(1, len(blocks)))) as pool:
+            yield from results(pool, blocks)
+    elif cluster is not None:
+        from undeadzone.ensemble import dask_cluster
 
-        yield from cluster_results(prepare, blocks, cluster)
-        return
-    for block in blocks:
-        yield block, job.block(block)
+        with dask_cluster.pool(prepare, cluster) as pool:
+            yield from results(pool, blocks)
+    else:
+        for block in blocks:
+            yield block, job.block(block)
 
 
 def _leave(store: journal.Store) -> str:

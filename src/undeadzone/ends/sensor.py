@@ -12,10 +12,10 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from undeadzone import play
+from undeadzone.ends import play
+from undeadzone.ends.gaps import KEY, Ahead, gaps_of
+from undeadzone.ends.limits import Limits, at_limit, checked_range, limits_of, require_readings
 from undeadzone.errors import InputError
-from undeadzone.gaps import KEY, Ahead, gaps_of
-from undeadzone.limits import Limits, at_limit, checked_range, limits_of, require_readings
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings

@@ -16,8 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from undeadzone.ensemble.blocks import batches
-from undeadzone.ensemble.blocks.job import Job
+from undeadzone.ensemble.job import Job, Pool, compute
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
 from undeadzone.support.arrays import Floats
 from undeadzone.support.versions import versions
@@ -25,28 +24,21 @@ from undeadzone.support.versions import versions
 REACH = 5.0  # [s] to connect to a scheduler
 
 
-def results(
-    prepare: Callable[[], Job], blocks: Sequence[int], cluster: str
-) -> Iterator[tuple[int, Floats]]:
-    """(block, its rows) as they are computed, in any order.
+@contextmanager
+def pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
+    """The workers of a cluster.
 
     Args:
         prepare: gives the job; picklable, such as a `functools.partial` of a function of an
             importable module
-        blocks: to be computed
         cluster: address of the scheduler
 
     Raises:
         InputError: where distributed is missing
         ClusterError: where the cluster fails
-
-    What a block raises on a worker is raised here.
     """
     payload, here = pickle.dumps(prepare), versions()
     with _client(cluster) as client:
-
-        def submit(batch: Sequence[int]) -> Any:
-            return client.submit(_compute, payload, here, batch, pure=False)
 
         def require_work() -> None:
             if not client.nthreads():
@@ -54,20 +46,19 @@ def results(
                     f"{cluster}: no worker is there; start some (dask worker {cluster})"
                 )
 
-        pool = batches.Pool(
+        yield Pool(
             threads=lambda: sum(client.nthreads().values()),
-            submit=submit,
+            submit=lambda batch: client.submit(_compute, payload, here, batch, pure=False),
             failures=lambda: _one_line(cluster),
             require_work=require_work,
         )
-        yield from batches.results(pool, blocks)
 
 
 def _compute(
     payload: bytes, expected: dict[str, str], blocks: Sequence[int]
 ) -> tuple[float, list[Floats]]:
     """On a worker: the seconds that blocks took, and their rows."""
-    return batches.compute(_prepared(payload, tuple(expected.items())), blocks)
+    return compute(_prepared(payload, tuple(expected.items())), blocks)
 
 
 @functools.lru_cache(maxsize=2)

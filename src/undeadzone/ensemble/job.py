@@ -1,4 +1,7 @@
-"""Blocks shared out among processes in batches of about a second; few batches wait at a time."""
+"""Work for an ensemble: a row of numbers for each run, in blocks of runs.
+
+Blocks are shared out among processes in batches of about a second; few batches wait at a time.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from undeadzone.ensemble.blocks.job import Job
 from undeadzone.support.arrays import Floats
 
 LONGEST = 1.5  # [s] of a batch
@@ -16,6 +18,48 @@ SHORTEST = 0.1  # [s] of a batch: below it, the few ms that sharing out takes ar
 LARGEST = 2**24  # [bytes] of a batch's rows
 AHEAD = 2  # batches for each thread: one at work, one waiting
 PATIENCE = 20.0  # [s] without a result until it matters whether anybody is at work
+
+
+class Layout(NamedTuple):
+    """The shape of the rows of a job, and what determines their numbers.
+
+    Attributes:
+        runs: number of rows
+        columns: names of the columns
+        block: runs in a block; the last block may be shorter
+        problem: everything that the numbers depend on besides the number of runs and the versions
+            of packages, by name
+    """
+
+    runs: int
+    columns: tuple[str, ...]
+    block: int
+    problem: dict[str, str | int | float]
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks."""
+        return -(-self.runs // self.block)
+
+    def within(self, block: int) -> slice:
+        """The runs of a block."""
+        return slice(block * self.block, min((block + 1) * self.block, self.runs))
+
+
+class Job(Protocol):
+    """Work cut into blocks: the rows of a block (runs x columns) depend on its index alone."""
+
+    @property
+    def layout(self) -> Layout:
+        """What the blocks make up."""
+
+    def block(self, index: int, threads: int | None = None) -> Floats:
+        """The rows of one block; callable from several threads.
+
+        Args:
+            index: of the block
+            threads: on which to compute; default: one per processor
+        """
 
 
 class Pool(NamedTuple):

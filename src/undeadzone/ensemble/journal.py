@@ -11,8 +11,6 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -20,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason, require_plain
+from undeadzone.support.files import open_kept, writing
 from undeadzone.support.stopped import lock
 from undeadzone.support.versions import versions
 
@@ -77,7 +75,7 @@ class Store(NamedTuple):
         if not os.fstat(self.file.fileno()).st_nlink:
             raise FileError(f"{self.path}: cannot write: it was removed")
         checksums = _start_of_checksums(self.start, self.layout)
-        with _writing(self.path):
+        with writing(self.path):
             for index, column in enumerate(columns):
                 offset = _start_of_rows(self.start, self.layout, index, block)
                 _write(self.file, offset, column.tobytes())
@@ -103,7 +101,7 @@ class Store(NamedTuple):
 
     def remove(self) -> None:
         """Delete the file, its results being kept elsewhere."""
-        with _writing(self.path):
+        with writing(self.path):
             self.path.unlink(missing_ok=True)
         self.close()
 
@@ -122,11 +120,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         InputError: where it holds another problem
     """
     header = _header(layout)
-    with _writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            require_plain(path)
-        file = io.FileIO(path, "r+", opener=_open_or_create)
+    file = open_kept(path, "r+")
     try:
         lock(path, file)
         there = _read(file, 0, len(header) + OTHER_HEADER)
@@ -134,7 +128,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         if not fresh:
             _check(path, there, header, resume)
         size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
-        with _writing(path):
+        with writing(path):
             _allocate(path, file, size, fresh)
             if fresh:
                 _write(file, 0, header)
@@ -142,11 +136,6 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
     except BaseException:
         file.close()
         raise
-
-
-def _open_or_create(name: str, flags: int) -> int:
-    """Open a file, which is made where there is none; nothing is cut off."""
-    return os.open(name, flags | os.O_CREAT, 0o666)
 
 
 def _header(layout: Layout) -> bytes:
@@ -263,12 +252,3 @@ def _read(file: io.FileIO, offset: int, size: int) -> bytes:
     """Some bytes, or as many as there are."""
     file.seek(offset)
     return file.read(size)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Failures to write as FileError."""
-    try:
-        yield
-    except (OSError, OverflowError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None

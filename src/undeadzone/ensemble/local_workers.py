@@ -1,11 +1,14 @@
 """Blocks computed by processes of this computer, which are spoken to through pipes.
 
 No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
-again by another one.
+again by another one. A worker is this module's `main`: it computes the batches that come through
+its standard input, sends answers through what was its standard output, and ends when its input
+does, so that it does not outlive the process that started it.
 """
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import subprocess
@@ -15,10 +18,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
-from typing import Any, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
-from undeadzone.ensemble.blocks import batches
-from undeadzone.ensemble.blocks.job import Job
+from undeadzone.ensemble.job import Job, Pool, compute
 from undeadzone.errors import ClusterError
 from undeadzone.support.arrays import Floats
 
@@ -28,7 +30,7 @@ DEATHS: Final = 4  # workers that may die at the same blocks before these are gi
 # but from where this process imports.
 BEGIN: Final = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from undeadzone.ensemble.blocks.worker import main; main()"
+    "from undeadzone.ensemble.local_workers import main; main()"
 )
 
 
@@ -50,35 +52,24 @@ class _Crew(NamedTuple):
     closed: threading.Event
 
 
-def results(
-    prepare: Callable[[], Job], blocks: Sequence[int], workers: int
-) -> Iterator[tuple[int, Floats]]:
-    """(block, its rows) as they are computed, in any order.
+@contextmanager
+def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
+    """Local workers; in the end all are stopped, whatever they do.
 
     Args:
         prepare: gives the job; picklable, such as a `functools.partial` of a function of an
             importable module
-        blocks: to be computed
         workers: number of processes
 
     Raises:
         ClusterError: where workers die at the same blocks again and again
-
-    What a block raises on a worker is raised here.
     """
     crew = _Crew(pickle.dumps(prepare), SimpleQueue(), [], threading.Lock(), threading.Event())
-    with _pool(crew, min(workers, max(1, len(blocks)))) as pool:
-        yield from batches.results(pool, blocks)
-
-
-@contextmanager
-def _pool(crew: _Crew, workers: int) -> Iterator[batches.Pool]:
-    """The workers at work; in the end all are stopped, whatever they do."""
     waiting = ThreadPoolExecutor(workers)  # a thread for each worker that is at work
     try:
         for _ in range(workers):
             _hire(crew)
-        yield batches.Pool(
+        yield Pool(
             threads=lambda: workers,
             submit=lambda batch: waiting.submit(_computed, crew, workers, batch),
             failures=nullcontext,
@@ -92,7 +83,7 @@ def _pool(crew: _Crew, workers: int) -> Iterator[batches.Pool]:
 
 
 def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
-    """What `batches.compute` returns on a worker. Raises what it raises there, or ClusterError."""
+    """What `job.compute` returns on a worker. Raises what it raises there, or ClusterError."""
     for _ in range(DEATHS):
         worker = crew.idle.get()
         if worker is None:
@@ -188,3 +179,59 @@ def _end(worker: subprocess.Popen[bytes]) -> None:
         if pipe is not None:
             with suppress(OSError):  # what could not be sent any more
                 pipe.close()
+
+
+def main() -> None:
+    """Answer every batch with what `job.compute` returns, or with what it raises."""
+    answers = _own_stdout()
+    payload = pickle.load(sys.stdin.buffer)
+    asked: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_listen, args=(sys.stdin.buffer, asked), daemon=True).start()
+    answer = _first(payload)
+    while True:
+        answers.write(answer(asked.get()))
+        answers.flush()
+
+
+def _own_stdout() -> BinaryIO:
+    """What was standard output, for answers alone; what others print goes to standard error."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    return answers
+
+
+def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
+    """Pass on the batches that come; end the process, even at work, when there is no more."""
+    try:
+        while True:
+            asked.put(pickle.load(requests))
+    except BaseException:  # the process at the other end has gone
+        os._exit(0)
+
+
+def _first(payload: bytes) -> Callable[[list[int]], bytes]:
+    """A function of a batch that gives the pickled answer."""
+    try:
+        job: Job = pickle.loads(payload)()
+    except BaseException as error:
+        refusal = _pickled(error)
+        return lambda blocks: refusal
+    return lambda blocks: _answer(job, blocks)
+
+
+def _answer(job: Job, blocks: list[int]) -> bytes:
+    """The pickled answer to a batch."""
+    try:
+        return pickle.dumps(compute(job, blocks))
+    except BaseException as error:
+        return _pickled(error)
+
+
+def _pickled(error: BaseException) -> bytes:
+    """An exception as bytes; in other words where it cannot be read back."""
+    try:
+        content = pickle.dumps(error)
+        pickle.loads(content)
+    except Exception:
+        content = pickle.dumps(ClusterError(f"a local worker: {type(error).__name__}: {error}"))
+    return content
