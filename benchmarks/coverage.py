@@ -24,13 +24,13 @@ from benchmarks.random_problems import (
 )
 from benchmarks.random_problems import World as World
 from undeadzone.compile import lanes
+from undeadzone.ends.sensor import Sensor, resolve, side
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.linear.hold import zoh
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

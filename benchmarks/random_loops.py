@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.compile import lanes
+from undeadzone.ends.play import levels
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.options import Plant
-from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree

@@ -9,6 +9,7 @@ import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, condition, needed
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
+from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import Field, members
 from undeadzone.exports.parts import Step
@@ -318,7 +319,7 @@ def _assignments(target: str, fields: list[Field], values: list[float], style: S
 
 # --- Names for locals whose meaning shows in the nodes: is there a reading, which side it shows
 
-HUGE = 1e38  # what `sensor.present` compares with is larger, and so is what float holds of it
+HUGE = 1e299  # what `sensor.present` compares with is larger
 
 
 def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
@@ -363,10 +364,11 @@ def _present(order: list[Node], step: Step) -> dict[Node, str]:
 
 
 def _bounded_input(node: Node) -> str:
-    """The name of the input that a node compares with a huge number; empty: it does not."""
+    """The name of the input of w < huge or -huge < w; empty: a node is neither."""
     if node.op != "lt":
         return ""
-    for bound, value in (node.args, node.args[::-1]):
-        if abs(bound.value or 0.0) > HUGE and value.op == "input":
+    for bound, value, sign in ((*node.args, -1.0), (*node.args[::-1], 1.0)):
+        is_huge = sign * (bound.value or 0.0) >= held(HUGE, bound.kind)
+        if is_huge and value.op == "input":
             return value.text
     return ""

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
+from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Estimate, Observer, Reading, received
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
