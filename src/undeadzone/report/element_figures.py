@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.identification.element import Element
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified
+    from undeadzone.identification.verdict.which import Element
     from undeadzone.support.arrays import Floats
 
 MOST = 600  # samples of a figure over time: the last ones

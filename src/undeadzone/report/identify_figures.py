@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undeadzone.identification.intervals import profile
-from undeadzone.identification.kalman_smoother import innovations as filtered
-from undeadzone.identification.orders import correlation, innovations, trained_part
-from undeadzone.identification.records import MANY
-from undeadzone.identification.residual_map import expected_reading
-from undeadzone.identification.result import Identified
+from undeadzone.identification.answer.result import Identified
+from undeadzone.identification.models.kalman_fit import innovations as filtered
+from undeadzone.identification.models.plant import MANY
+from undeadzone.identification.models.zone_fit import expected_reading
+from undeadzone.identification.verdict.orders import correlation, innovations, trained_part
+from undeadzone.identification.verdict.widths import profile
 from undeadzone.report import element_figures
 from undeadzone.report.style import (
     ESTIMATE,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undeadzone.identification.orders import OrderFit, at_limit
-from undeadzone.identification.result import Identified
-from undeadzone.identification.words import HEADS, rivals_in_words
+from undeadzone.identification.answer.result import Identified
+from undeadzone.identification.answer.words import HEADS, rivals_in_words
+from undeadzone.identification.verdict.orders import OrderFit, at_limit
 from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
 from undeadzone.report.identify_figures import figures
 from undeadzone.report.pictures import images_of, pick, pictures, write_figures

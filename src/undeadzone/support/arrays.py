@@ -12,6 +12,7 @@ from undeadzone.errors import InputError, ShapeError
 
 Floats = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
+Flags = npt.NDArray[np.bool_]
 
 LARGEST = 1e50  # beyond this no unit makes sense, and squares and products overflow
 
