@@ -21,8 +21,8 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
-from undeadzone.identification.fit import refit
-from undeadzone.identification.intervals import Interval
+from undeadzone.identification.models.estimates import Interval
+from undeadzone.identification.models.zone_fit import refit
 from undeadzone.statistics.intervals import proportion
 
 KEPT = Path("build/identify.jsonl")

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.actuator import Actuator, resolve_actuator, through_zone
-from undeadzone.identification.friction_step import simulate
+from undeadzone.identification.models.place import simulate
 from undeadzone.play import held
 from undeadzone.support.arrays import Floats
 

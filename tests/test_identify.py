@@ -13,23 +13,28 @@ from scipy.special import log_ndtr, ndtr
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.identification.fit import Fit, fit_zone, polished, refit
-from undeadzone.identification.friction_step import simulate
-from undeadzone.identification.intervals import profile
-from undeadzone.identification.kalman_fit import KalmanFit
-from undeadzone.identification.kalman_likelihood import KalmanObjective
-from undeadzone.identification.kalman_smoother import innovations, smooth
-from undeadzone.identification.kalman_step import matrices
-from undeadzone.identification.likelihood import Noise, Readings, behind, pairs, singles
-from undeadzone.identification.long_run import (
+from undeadzone.identification.models.estimates import (
     Spread,
     long_run_covariance,
     quantile,
     sandwich,
 )
-from undeadzone.identification.normal_mass import log_difference, log_rectangle
-from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Layout, Simulator
+from undeadzone.identification.models.kalman import KalmanObjective, matrices
+from undeadzone.identification.models.kalman_fit import KalmanFit, innovations, smooth
+from undeadzone.identification.models.likelihood import (
+    Noise,
+    Readings,
+    behind,
+    log_difference,
+    log_rectangle,
+    pairs,
+    singles,
+)
+from undeadzone.identification.models.place import simulate
+from undeadzone.identification.models.plant import Data, Layout, Simulator
+from undeadzone.identification.models.zone import Limits, Objective
+from undeadzone.identification.models.zone_fit import Fit, fit_zone, polished, refit
+from undeadzone.identification.verdict.widths import profile
 from undeadzone.support.arrays import Floats
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])

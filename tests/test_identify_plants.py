@@ -15,11 +15,10 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.identification.delay import delayed
-from undeadzone.identification.jump_edges import edge_of
-from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.to_continuous import continuous
+from undeadzone.identification.answer.to_continuous import continuous
+from undeadzone.identification.logs.prepare import edge_of
+from undeadzone.identification.models.plant import Data, Simulator, delayed
+from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.linear.hold import zoh
 
 DENOMINATOR = [1.0, -1.6, 0.68]

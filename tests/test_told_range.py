@@ -11,10 +11,9 @@ from scipy.stats import t as student
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.identification.answer import Answer
-from undeadzone.identification.intervals import Interval
-from undeadzone.identification.jump_edges import edge_of
-from undeadzone.identification.told_range import told_range
+from undeadzone.identification.answer.answer import Answer, told_range
+from undeadzone.identification.logs.prepare import edge_of
+from undeadzone.identification.models.estimates import Interval
 
 RIGHT, LEFT = 0.4, 0.9
 

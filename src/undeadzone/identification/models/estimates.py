@@ -174,7 +174,8 @@ def best_top(
         tops = [climbed(start, first) for start in starts]
         tops.sort(key=lambda top: -top.value)
         alone = len(tops) > 1 and tops[0].value - tops[1].value > lead
-        begun = [top.theta for top in tops[: 1 if alone else 2]]
+        best = tops[:1] if alone else tops[:2]
+        begun = [top.theta for top in best]
     ends = [climbed(theta, last) for theta in begun]
     ends = [top for top in ends if math.isfinite(top.value)]
     return max(ends, key=lambda top: top.value, default=None)
