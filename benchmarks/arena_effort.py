@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 
-from undeadzone.arena.effort import HEAVY, USUAL
-from undeadzone.arena.entry import numbers
-from undeadzone.arena.leaderboard import NAIVE
-from undeadzone.arena.methods import NOTHING, catalogue
-from undeadzone.arena.prior_knowledge import situation
-from undeadzone.arena.scenario_sets import scenarios
-from undeadzone.arena.trials import trial
+from undeadzone_arena.contest.effort import HEAVY, USUAL
+from undeadzone_arena.contest.entry import numbers
+from undeadzone_arena.contest.leaderboard import NAIVE
+from undeadzone_arena.contest.methods import NOTHING, catalogue
+from undeadzone_arena.contest.prior_knowledge import situation
+from undeadzone_arena.contest.scenario_sets import scenarios
+from undeadzone_arena.contest.trials import trial
 
 SCENARIO = "nominal"
 

@@ -16,7 +16,8 @@ from benchmarks.coverage import Verdict, covariance, verdict
 from benchmarks.markdown import row
 from undeadzone import sensor
 from undeadzone.engine import lanes
-from undeadzone.observers import Estimate, Extended, Reading
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.arm import torque

@@ -10,9 +10,10 @@ import casadi as ca
 
 from benchmarks.markdown import row
 from undeadzone import sensor
-from undeadzone.controllers import LQR, ComputedTorque, GravityPD
+from undeadzone.controllers import LQR, ComputedTorque
 from undeadzone.feedforward.targets import Target
-from undeadzone.observers import Estimate, Extended, Reading
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.arm import acceleration
@@ -20,6 +21,7 @@ from undeadzone.plants.robots.options import URDF
 from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, resolve
 from undeadzone.support import tree
+from undeadzone_arena import GravityPD
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 STEP = 1e-3  # [s]

@@ -16,15 +16,10 @@ import numpy as np
 from benchmarks.markdown import head, row
 from benchmarks.random_loops import Loops, run_loops
 from undeadzone.actuator import Actuator, ActuatorModel
-from undeadzone.compensators import (
-    AdaptiveZoneInverse,
-    CompensatorOptions,
-    NoInverse,
-    SmoothZoneInverse,
-    ZoneInverse,
-)
-from undeadzone.controllers import ControllerOptions, RobustAdaptive, StateFeedback
-from undeadzone.observers import Censored, FullState, Kalman, Luenberger, ObserverOptions
+from undeadzone.catalogue import CompensatorOptions, ControllerOptions, ObserverOptions
+from undeadzone.compensators import NoInverse, SmoothZoneInverse, ZoneInverse
+from undeadzone.controllers import StateFeedback
+from undeadzone.observers import Censored, FullState, Kalman, Luenberger
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
@@ -32,6 +27,7 @@ from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import AdaptiveZoneInverse, RobustAdaptive
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 STEP, DURATION, NOISE, DISTURBANCE = 0.01, 60.0, 0.01, 0.5

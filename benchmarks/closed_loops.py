@@ -14,9 +14,6 @@ import msgspec
 import numpy as np
 
 from benchmarks.markdown import head, row
-from undeadzone.arena.leaderboard import FRAME, NAIVE, regrets
-from undeadzone.arena.methods import METHODS, Knob, Method
-from undeadzone.arena.trials import score
 from undeadzone.controllers import StateFeedback
 from undeadzone.observers import Censored
 from undeadzone.observers.parts.claims import Claims
@@ -25,6 +22,9 @@ from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Random, Sines, Tone
 from undeadzone.support.arrays import Floats
+from undeadzone_arena.contest.leaderboard import FRAME, NAIVE, regrets
+from undeadzone_arena.contest.methods import METHODS, Knob, Method
+from undeadzone_arena.contest.trials import score
 
 COUNT = int(os.environ.get("CLOSED_LOOPS", "24"))
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly

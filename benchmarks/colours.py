@@ -16,15 +16,15 @@ import numpy as np
 
 from benchmarks.closed_loops import loop
 from benchmarks.markdown import head, row
-from undeadzone.arena.leaderboard import FRAME, regrets
-from undeadzone.arena.methods import METHODS, Method
-from undeadzone.arena.trials import score
 from undeadzone.observers import Censored, censored
 from undeadzone.observers.parts.member import Member
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random, Sines, Step, Tone
 from undeadzone.support.arrays import Floats
+from undeadzone_arena.contest.leaderboard import FRAME, regrets
+from undeadzone_arena.contest.methods import METHODS, Method
+from undeadzone_arena.contest.trials import score
 
 COUNT = int(os.environ.get("COLOURS", "48"))
 WASHOUTS = (4.0, 10.0)  # time constants, in correlation times of the disturbance

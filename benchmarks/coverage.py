@@ -24,8 +24,9 @@ from benchmarks.random_problems import (
 )
 from benchmarks.random_problems import World as World
 from undeadzone.engine import lanes
+from undeadzone.interfaces import Observer, Reading
 from undeadzone.linear.hold import zoh
-from undeadzone.observers import Censored, Kalman, Observer, Reading
+from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled

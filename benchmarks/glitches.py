@@ -17,7 +17,8 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.engine import lanes
-from undeadzone.observers import Auto, Observer, Reading
+from undeadzone.interfaces import Observer, Reading
+from undeadzone.observers import Auto
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled

@@ -12,9 +12,9 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.timing import least
+from undeadzone.catalogue import ObserverOptions
 from undeadzone.exports import accuracy, parts
 from undeadzone.exports.code import code
-from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario
 
 BLOCK = 10  # calls' worth of samples in a block

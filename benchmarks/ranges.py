@@ -16,11 +16,12 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
+from undeadzone.catalogue import ObserverOptions
 from undeadzone.controllers import StateFeedback
 from undeadzone.engine import lanes
-from undeadzone.interfaces import received
+from undeadzone.interfaces import Observer, received
 from undeadzone.limits import Limits
-from undeadzone.observers import Censored, Certified, Kalman, Observer, ObserverOptions
+from undeadzone.observers import Censored, Certified, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 
+from undeadzone.catalogue import CATALOGUES
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Array
 
@@ -73,6 +74,8 @@ def table(name: str, struct: type[msgspec.Struct], alone: bool) -> list[str]:
 
 def structs(annotation: typing.Any) -> list[type[msgspec.Struct]]:
     """The structs that an annotation allows."""
+    if annotation in CATALOGUES:
+        return [*CATALOGUES[annotation].every()]
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     found = []

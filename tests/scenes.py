@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.matrices import Matrices
-from undeadzone.observers import Estimate, Observer, Reading
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System

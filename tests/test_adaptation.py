@@ -16,7 +16,8 @@ from scenes import PAPER_PLANT, on_numbers, scene
 from undeadzone import sensor
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError
-from undeadzone.observers import Certified, Estimate
+from undeadzone.interfaces import Estimate
+from undeadzone.observers import Certified
 from undeadzone.observers.parts.width_laws import (
     Adaptation,
     EModification,

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,24 +19,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scenes import scene, slopes
-from undeadzone.arena import leaderboard
-from undeadzone.arena import tune as tuning
-from undeadzone.arena import tuned_file as tuned
-from undeadzone.arena.contest import run_contest
-from undeadzone.arena.entry import entered, numbers
-from undeadzone.arena.leaderboard import CAP, bounded, intervals, regrets
-from undeadzone.arena.methods import METHODS, catalogue, fitting, middle
-from undeadzone.arena.metric import Result, Worth
-from undeadzone.arena.prior_knowledge import declaration, situation
-from undeadzone.arena.scenario_sets import Kind, from_files, scenarios
-from undeadzone.arena.traces import traced
-from undeadzone.arena.trials import score, trial
+from undeadzone.catalogue import OBSERVERS
 from undeadzone.cli import group
 from undeadzone.ensemble.binding import bind
 from undeadzone.ensemble.run_noise import drawn
 from undeadzone.errors import FileError, InputError
-from undeadzone.observers import ObserverOptions
-from undeadzone.report.arena_page import arena_page, figures
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
@@ -48,6 +32,19 @@ from undeadzone.signals import noise
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation.simulate import closed, simulate
 from undeadzone.support import toml
+from undeadzone_arena.contest import leaderboard
+from undeadzone_arena.contest import tune as tuning
+from undeadzone_arena.contest import tuned_file as tuned
+from undeadzone_arena.contest.contest import run_contest
+from undeadzone_arena.contest.entry import entered, numbers
+from undeadzone_arena.contest.leaderboard import CAP, bounded, intervals, regrets
+from undeadzone_arena.contest.methods import METHODS, catalogue, fitting, middle
+from undeadzone_arena.contest.metric import Result, Worth
+from undeadzone_arena.contest.page import arena_page, figures
+from undeadzone_arena.contest.prior_knowledge import declaration, situation
+from undeadzone_arena.contest.scenario_sets import Kind, from_files, scenarios
+from undeadzone_arena.contest.traces import traced
+from undeadzone_arena.contest.trials import score, trial
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
@@ -360,7 +357,7 @@ def test_every_method_runs_or_says_why_not(name: str, everyone: list[Result]) ->
 
 
 def test_every_observer_is_in_the_arena() -> None:
-    assert set(get_args(ObserverOptions)) <= {method.observer for method in catalogue().values()}
+    assert set(OBSERVERS.every()) <= {method.observer for method in catalogue().values()}
 
 
 def test_a_run_is_worth_what_its_signals_say() -> None:
@@ -577,7 +574,7 @@ def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone
     ("file", "kind"), [("tuned.toml", "tuning"), ("tuned_both_ends.toml", "both_ends_tuning")]
 )
 def test_the_stored_numbers_are_those_of_the_knobs(file: str, kind: Kind) -> None:
-    stored = tuned.load(ROOT / "src" / "undeadzone" / "arena" / file)
+    stored = tuned.load(ROOT / "src" / "undeadzone_arena" / "contest" / file)
     assert set(stored.scenarios) == set(scenarios(kind))
     assert set(numbers()) == {name for name, method in METHODS.items() if method.knobs}
     assert stored.budget == 60
@@ -748,94 +745,3 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
         assert worth.diverged or np.sqrt(np.mean((trace.z - trace.r)[tail] ** 2)) == pytest.approx(
             worth.tracking, rel=1e-9
         )
-
-
-# --- One method more: one file and one line
-
-HELD = '''"""Widths held at their guess."""
-
-from __future__ import annotations
-
-import msgspec
-import numpy as np
-
-from undeadzone.support.arrays import Array
-from undeadzone.observers.certified import measured_side
-from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.widths import bounded_widths
-from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
-
-
-class Held(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="held",
-):
-    """An observer whose widths stay where they are."""
-
-    widths0: Array = 0.0
-
-    def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer."""
-        widths, limit = bounded_widths(self.widths0, None, model.p)
-        L, gamma, x0 = gains(None, model), np.zeros(model.p), np.zeros(model.n)
-        return measured_side(model, sensor, L, gamma, x0, widths, limit, False)
-'''
-
-
-def test_a_new_method_is_one_file_and_one_line(tmp_path: Path, mine: Path) -> None:
-    """Seen by the command, the common tests, the page of the scenario file, and the leaderboard."""
-    for name in ("src", "docs", "tests"):
-        shutil.copytree(
-            ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
-        )
-    shutil.copy(ROOT / "README.md", tmp_path)
-    folder = tmp_path / "src" / "undeadzone" / "observers"
-    (folder / "held.py").write_text(HELD)
-    listed = (folder / "__init__.py").read_text()
-    line = "from undeadzone.observers.held import Held; ObserverOptions |= Held"
-    (folder / "__init__.py").write_text(listed.replace("\n__all__", f"\n{line}\n\n__all__"))
-    environment = os.environ | {"PYTHONPATH": str(tmp_path / "src")}
-
-    def python(*arguments: str | Path) -> str:
-        command = [sys.executable, *map(str, arguments)]
-        return subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-        ).stdout
-
-    main = "from undeadzone.cli import main; main()"
-    found = json.loads(
-        python("-c", main, "arena", mine, "--methods", "held", "--seeds", "1", "--json")
-    )
-    (row,) = [row for row in found["leaderboard"] if row["method"] == "held"]
-    assert 0 < row["median_regret"] < CAP
-    assert not row["reference"]
-    text = mine.read_text().replace('method = "certified"', 'method = "held"', 1)
-    options = text[text.index("[observer]") : text.index("[controller]")]
-    mine.write_text(text.replace(options, '[observer]\nmethod = "held"\nwidths0 = [1.0, 1.0]\n\n'))
-    assert json.loads(python("-c", main, "run", mine, "--json", "--no-figures"))["method"] == "held"
-    python("docs/reference.py")
-    assert "**method** = 'held'" in (tmp_path / "docs" / "scenario.md").read_text()
-    collected = python(
-        "-m",
-        "pytest",
-        "-p",
-        "no:cacheprovider",
-        "--rootdir",
-        tmp_path,
-        "--collect-only",
-        "-q",
-        "tests/test_engines.py",
-        "tests/test_docs.py",
-        "tests/test_arena.py",
-    )
-    assert (
-        "test_every_observer_and_controller_runs_the_same[held-state_feedback-sampled]" in collected
-    )
-    assert "test_every_method_has_its_page[held]" in collected
-    assert "test_every_method_runs_or_says_why_not[held]" in collected

@@ -12,10 +12,6 @@ import numpy as np
 import pytest
 
 from scenes import PAPER_PLANT, scene
-from undeadzone.arena.leaderboard import regrets
-from undeadzone.arena.methods import Method
-from undeadzone.arena.scenario_sets import scenarios
-from undeadzone.arena.trials import score
 from undeadzone.errors import InputError
 from undeadzone.observers import Auto, Censored, Certified, HighGain
 from undeadzone.plants.build import system
@@ -24,6 +20,10 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support import tree
+from undeadzone_arena.contest.leaderboard import regrets
+from undeadzone_arena.contest.methods import Method
+from undeadzone_arena.contest.scenario_sets import scenarios
+from undeadzone_arena.contest.trials import score
 
 RANGE = [0.3, 2.0]
 NOTHING_ELSE = {"disturbance": 0.0, "bias": 0.0, "tolerance": 0.0}

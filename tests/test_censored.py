@@ -22,10 +22,11 @@ from undeadzone import sensor
 from undeadzone.controllers.state_feedback import rest
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import Estimate
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
-from undeadzone.observers import Censored, Estimate, Kalman
+from undeadzone.observers import Censored, Kalman
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
 from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances

@@ -11,10 +11,10 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
 from scenes import PAPER_PLANT, linear, random_plant
-from undeadzone.controllers import PD, Controller, Robust, StateFeedback
+from undeadzone.controllers import PD, Robust, StateFeedback
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.feedforward.targets import Target
-from undeadzone.observers import Estimate
+from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled

@@ -9,13 +9,11 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from tools import script_of_docs
-from undeadzone.controllers import ControllerOptions
-from undeadzone.observers import ObserverOptions
+from undeadzone.catalogue import CONTROLLERS, OBSERVERS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -33,8 +31,7 @@ def blocks(kind: str) -> list[tuple[str, str]]:
 
 def methods() -> list[str]:
     """The names of all observers and controllers."""
-    options = [*get_args(ObserverOptions), *get_args(ControllerOptions)]
-    return [option.__struct_config__.tag for option in options]
+    return [*OBSERVERS.tags(), *CONTROLLERS.tags()]
 
 
 @pytest.mark.parametrize(("name", "code"), blocks("python"))

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,11 +20,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.scenes import scene
 
-from undeadzone.controllers import ControllerOptions
+from undeadzone import catalogue
 from undeadzone.engine import cache, interpret, kernel, lanes
 from undeadzone.engine.machine import here
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import prepare, simulate
@@ -89,12 +88,8 @@ TWO_OUTPUTS = {
 }
 
 
-def of(catalogue: Any) -> list[str]:
-    return [str(options.__struct_config__.tag) for options in get_args(catalogue)]
-
-
-PAIRS = [(observer, "state_feedback") for observer in of(ObserverOptions)] + [
-    ("certified", controller) for controller in of(ControllerOptions)
+PAIRS = [(observer, "state_feedback") for observer in catalogue.OBSERVERS.tags()] + [
+    ("certified", controller) for controller in catalogue.CONTROLLERS.tags()
 ]
 
 

@@ -18,7 +18,8 @@ from scenes import on_numbers, random_plant, scene
 from undeadzone import sensor
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.observers import Censored, Estimate, Extended, Kalman
+from undeadzone.interfaces import Estimate
+from undeadzone.observers import Censored, Extended, Kalman
 from undeadzone.observers.parts.even_states import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

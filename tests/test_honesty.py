@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT
 from test_glitches import AT, PLANT, SENSOR, TS, drive
-from undeadzone.interfaces import Estimate, NumericObserver, Reading
+from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.linear.hold import zoh
 from undeadzone.numerics.doubtful import truncate_unless_fake, update_unless_glitch
 from undeadzone.numerics.gaussian import Gaussian
@@ -45,13 +45,13 @@ def built(name: str) -> Any:
     """The filter for the paper's plant, as something that steps on numbers."""
     options = FILTERS[name](right=[LOW, HIGH])
     observer = options.build(sampled(PAPER_PLANT, TS), resolve(SENSOR, 1, TS))
-    return observer if isinstance(observer, NumericObserver) else options
+    return observer.python or options
 
 
 def follow(name: str, y: Floats, u: Floats) -> list[Estimate]:
     """The estimates along readings and inputs."""
     observer, estimates = built(name), []
-    if not isinstance(observer, NumericObserver):
+    if not isinstance(observer, InPython):
         online = uz.Online(observer, PLANT, SENSOR, TS)
         return [online.update(*pair) for pair in zip(y, u, strict=True)]
     state = observer.start(0)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import undeadzone
+import undeadzone_arena
+import undeadzone_paper
 
 ROOT = Path(undeadzone.__file__).parent
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(
     path.relative_to(ROOT) for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents
 )
+# The other packages of the distribution, and what of it each may import.
+OTHERS = {undeadzone_paper: ("undeadzone",), undeadzone_arena: ("undeadzone", "undeadzone_paper")}
 
 # From the ground up; rooms of one floor do not know each other.
 FLOORS = (
@@ -23,13 +28,13 @@ FLOORS = (
     ("plants", "sensor", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),
+    ("catalogue",),
     ("compensators", "controllers", "observers"),
     ("scenario",),
     ("simulation",),
-    ("arena", "ensemble", "exports", "identification", "synthesis"),
+    ("ensemble", "exports", "identification", "synthesis"),
     ("tuning",),
     ("report",),
-    ("paper",),
     ("cli",),
 )
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
@@ -90,9 +95,12 @@ def test_every_room_has_its_floor() -> None:
     assert sorted(ROOMS) == sorted(FLOOR)
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if room(path) in FLOOR], ids=str)
-def test_imports_point_down(path: Path) -> None:
-    assert not upward(path, (ROOT / path).read_text(encoding="utf-8"))
+def test_imports_point_down() -> None:
+    found = {}
+    for path in FILES:
+        if room(path) in FLOOR:
+            found[str(path)] = upward(path, (ROOT / path).read_text(encoding="utf-8"))
+    assert not {path: names for path, names in found.items() if names}
 
 
 @pytest.mark.parametrize(
@@ -122,9 +130,38 @@ def test_a_circle_is_found() -> None:
     assert not circle({"a": {"b"}, "b": set()})
 
 
-@pytest.mark.parametrize("catalogue", ["observers", "controllers"])
-def test_a_catalogue_holds_methods_alone(catalogue: str) -> None:
-    files = {path.stem for path in (ROOT / catalogue).glob("*.py")} - {"__init__"}
+@pytest.mark.parametrize("room", ["observers", "controllers", "compensators"])
+def test_the_rooms_of_methods_hold_methods_alone(room: str) -> None:
+    files = {path.stem for path in (ROOT / room).glob("*.py")} - {"__init__"}
     for name in sorted(files):
-        text = (ROOT / catalogue / f"{name}.py").read_text(encoding="utf-8")
-        assert "tag=" in text, f"{catalogue}/{name}.py is no method"
+        text = (ROOT / room / f"{name}.py").read_text(encoding="utf-8")
+        assert "tag=" in text, f"{room}/{name}.py is no method"
+
+
+def packages(text: str) -> set[str]:
+    """The packages of the distribution that a text imports."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.split(".")[0])
+    return {name for name in found if name.startswith("undeadzone")}
+
+
+def test_the_tool_knows_no_other_package() -> None:
+    found = {path: packages((ROOT / path).read_text(encoding="utf-8")) for path in FILES}
+    assert not {path: names for path, names in found.items() if names - {"undeadzone"}}
+
+
+@pytest.mark.parametrize("package", OTHERS, ids=lambda package: package.__name__)
+def test_other_packages_stand_on_the_tool(package: ModuleType) -> None:
+    folder = Path(str(package.__file__)).parent
+    allowed = {package.__name__, *OTHERS[package]}
+    found = {path: packages(path.read_text(encoding="utf-8")) for path in folder.rglob("*.py")}
+    assert len(found) > 10
+    assert not {path: names for path, names in found.items() if names - allowed}
+
+
+def test_a_foreign_import_is_found() -> None:
+    assert packages("def late():\n    from undeadzone_arena import EKF\n") == {"undeadzone_arena"}

@@ -20,7 +20,7 @@ import numpy as np
 import undeadzone as uz
 from scenes import scene
 from undeadzone.support import progress
-from undeadzone.arena.contest import run_contest
+from undeadzone_arena.contest.contest import run_contest
 progress.PATIENCE = 0.0
 progress.PAUSE = 0.0
 short = {"time": "sampled", "step": 1e-2, "duration": 2.0}

@@ -17,11 +17,12 @@ from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
 from undeadzone import sensor
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.observers import Certified, Luenberger, Oracle, Printed
+from undeadzone.observers import Certified, Luenberger, Oracle
 from undeadzone.plants.system import System, sampled
 from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_paper.observer import Printed
 
 seeds = st.integers(0, 2**32 - 1)
 L = np.array([1.0, 1.5])

@@ -17,13 +17,17 @@ import pytest
 
 from undeadzone.controllers import PD
 from undeadzone.linear.riccati import paper_riccati
-from undeadzone.observers import Printed
-from undeadzone.paper import Paper, audit, measures, write
-from undeadzone.paper.claim_texts import TEXTS
-from undeadzone.paper.claims import Claim
-from undeadzone.paper.equations import EQUATIONS, FIGURES
-from undeadzone.paper.evidence import BEGUN, RESTING, SIGNED
-from undeadzone.paper.example import (
+from undeadzone.plants.build import matrices, system
+from undeadzone.scenario.reader import read
+from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.simulation.run import Run
+from undeadzone.simulation.simulate import simulate
+from undeadzone_paper import Paper, audit, measures, write
+from undeadzone_paper.claim_texts import TEXTS
+from undeadzone_paper.claims import Claim
+from undeadzone_paper.equations import EQUATIONS, FIGURES
+from undeadzone_paper.evidence import BEGUN, RESTING, SIGNED
+from undeadzone_paper.example import (
     ALPHA,
     L_POLES,
     L_PRINTED,
@@ -32,14 +36,10 @@ from undeadzone.paper.example import (
     printed,
     repaired,
 )
-from undeadzone.paper.figures import mathtext
-from undeadzone.paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
-from undeadzone.paper.trials import measure, operations, pole_error
-from undeadzone.plants.build import matrices, system
-from undeadzone.scenario.reader import read
-from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.simulate import simulate
+from undeadzone_paper.figures import mathtext
+from undeadzone_paper.observer import Printed
+from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
+from undeadzone_paper.trials import measure, operations, pole_error
 
 STEADY = 5.0 / (1.0 + 4.0 * np.pi**2)
 
@@ -350,5 +350,5 @@ def test_without_figures_only_numbers_are_written(paper: Paper, tmp_path: Path) 
 
 
 def test_nothing_is_drawn_before_it_is_asked_for() -> None:
-    code = "import sys, undeadzone.paper; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, undeadzone_paper; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -19,7 +19,6 @@ from test_play import CENSORED, KALMAN, late, slow
 from test_which import STEP, driven, through
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
 from undeadzone.analysis.side_schedule import planned, recorded
-from undeadzone.arena.prior_knowledge import situation
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
@@ -32,6 +31,7 @@ from undeadzone.sensor import Sensor, resolve
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena.contest.prior_knowledge import situation
 
 BOTH = {"kind": "deadzone", "right": 1.0, "left": 0.7, "play": [0.5, 0.3]}
 RANGES = {"play": [[0.0, 1.0], [0.0, 1.0]]}

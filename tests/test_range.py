@@ -26,10 +26,9 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.identification.logs.grid import to_grid
 from undeadzone.identification.logs.log import Log, Options
 from undeadzone.identification.logs.prepare import prepare
-from undeadzone.interfaces import Reading, graph_of, received
+from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.limits import Limits
 from undeadzone.logs.range_ends import RunningEnds, range_ends
-from undeadzone.observers import Estimate, MovingHorizon, ParticleFilter
 from undeadzone.observers.parts import measured_side
 from undeadzone.observers.parts.limited_reading import Ends, surely_exact
 from undeadzone.plants.build import system
@@ -40,6 +39,7 @@ from undeadzone.sensor import Sensor, Zone, deadzone, quantised, resolve
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import MovingHorizon, ParticleFilter
 
 INF = float("inf")
 TS = 0.01
@@ -382,7 +382,7 @@ def test_observers_in_python_take_a_limit_for_a_bound(build: Any) -> None:
     """Held at its limit the estimate rises beyond it, and is free to lie far above."""
     options = build(right=[0.2, 1.0], x_std=3.0)
     model = first_order()
-    observer = options.build(model, zone(right=0.6, left=0.6))
+    observer = options.build(model, zone(right=0.6, left=0.6)).python
     state = observer.start(0)
     for _ in range(200):
         reading = Reading(np.array([0.5]), np.array([2.0]))

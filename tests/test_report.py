@@ -22,7 +22,6 @@ from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
 from undeadzone.report.animation import TILT, face_seen
-from undeadzone.report.arena_figures import cell, envelope
 from undeadzone.report.arm_figures import joint_rows, offset
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
@@ -43,6 +42,7 @@ from undeadzone.synthesis.assessment import assess
 from undeadzone.synthesis.design import design as find_design
 from undeadzone.tuning.result import Tuned
 from undeadzone.tuning.tune import tune
+from undeadzone_arena.contest.figures import cell, envelope
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
 IMAGE = "data:image/svg+xml;base64,"

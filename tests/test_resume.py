@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from tests.scenes import scene
 
-from undeadzone.arena.contest import run_contest
 from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.identification.identify import identify
 from undeadzone.identification.verdict.widths import profile
@@ -30,6 +29,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.support.answers import Answers
 from undeadzone.tuning.tune import tune
+from undeadzone_arena.contest.contest import run_contest
 
 PROBLEM = {"a": 1}
 FORK = multiprocessing.get_context("fork")

@@ -19,25 +19,12 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone import sensor
-from undeadzone.controllers import FuzzyFeedback, RBFFeedback, TaylorFeedback
-from undeadzone.controllers.parts.learned_feedback import error_weights, relative_degree
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.matrices import Matrices
-from undeadzone.numerics.approximators import Basis, gaussians, jumps, monomials
-from undeadzone.observers import (
-    AdaptiveInverse,
-    Estimate,
-    FuzzyResidual,
-    InverseNetwork,
-    Observer,
-    RBFResidual,
-    Reading,
-    RobustGradient,
-    TaylorResidual,
-)
 from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
@@ -47,6 +34,19 @@ from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import (
+    AdaptiveInverse,
+    FuzzyFeedback,
+    FuzzyResidual,
+    InverseNetwork,
+    RBFFeedback,
+    RBFResidual,
+    RobustGradient,
+    TaylorFeedback,
+    TaylorResidual,
+)
+from undeadzone_arena.approximators import Basis, gaussians, jumps, monomials
+from undeadzone_arena.controllers.learned_feedback import error_weights, relative_degree
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])

@@ -19,30 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, response, scene, slopes
-from undeadzone.controllers import SlidingMode
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.matrices import companion
 from undeadzone.linear.poles import state_gain
 from undeadzone.linear.structure import output_chains
 from undeadzone.numerics.runge_kutta import rk4
-from undeadzone.observers import (
-    Estimate,
-    HighGain,
-    Interval,
-    Observer,
-    Reading,
-    SuperTwisting,
-    WalcottZak,
-)
+from undeadzone.observers import HighGain
 from undeadzone.observers.full_state import FullState
-from undeadzone.observers.parts import interval_step
-from undeadzone.observers.parts.boxes import Bounds, Boxes, cut
-from undeadzone.observers.parts.interval_step import coupling
-from undeadzone.observers.parts.modal_form import modes, turned
-from undeadzone.observers.super_twisting import differentiator_gains
-from undeadzone.observers.walcott_zak import Law, sliding
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -53,6 +39,13 @@ from undeadzone.sensor import jump as jump_sensor
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import Interval, SlidingMode, SuperTwisting, WalcottZak
+from undeadzone_arena.observers.parts import interval_step
+from undeadzone_arena.observers.parts.boxes import Bounds, Boxes, cut
+from undeadzone_arena.observers.parts.interval_step import coupling
+from undeadzone_arena.observers.parts.modal_form import modes, turned
+from undeadzone_arena.observers.super_twisting import differentiator_gains
+from undeadzone_arena.observers.walcott_zak import Law, sliding
 
 seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]

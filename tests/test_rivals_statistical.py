@@ -17,27 +17,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+import undeadzone_arena.unscented as unscented
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
 from undeadzone import sensor
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import COLUMNS, Estimate
-from undeadzone.numerics import unscented
+from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
-from undeadzone.observers import (
-    EKF,
-    UKF,
-    Kalman,
-    MovingHorizon,
-    NumericObserver,
-    ParticleFilter,
-    Reading,
-    particle,
-)
-from undeadzone.observers.particle import reweighted, systematic
-from undeadzone.observers.parts import window as horizon
-from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.observers import Kalman
+from undeadzone.observers.parts.augmented_state import agitation, joint_prior, quarter_period
 from undeadzone.observers.parts.even_states import even_units
-from undeadzone.observers.parts.window import Affine, Weights, Window
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -48,6 +36,11 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter
+from undeadzone_arena.observers import moving_horizon, particle
+from undeadzone_arena.observers.particle import reweighted, systematic
+from undeadzone_arena.observers.parts import window as horizon
+from undeadzone_arena.observers.parts.window import Affine, Weights, Window
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
@@ -72,14 +65,14 @@ def full(column: Floats, size: int) -> Floats:
     return np.asarray(ca.DM(ca.triu2symm(ca.DM(ca.Sparsity.upper(size), column))).full())
 
 
-def follow(
-    observer: NumericObserver, ys: Floats, us: Floats, sides: Floats, seed: int = 0
-) -> list[Any]:
+def follow(observer: Observer, ys: Floats, us: Floats, sides: Floats, seed: int = 0) -> list[Any]:
     """The estimates along readings and inputs."""
-    state, estimates = observer.start(seed), []
+    how = observer.python
+    assert how is not None
+    state, estimates = how.start(seed), []
     for y, u, side in zip(ys, us, sides, strict=True):
-        state, estimate = observer.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
-        state = observer.predict(state, np.atleast_1d(u))
+        state, estimate = how.correct(state, Reading(np.atleast_1d(y), np.atleast_1d(side)))
+        state = how.predict(state, np.atleast_1d(u))
         estimates.append(estimate)
     return estimates
 
@@ -274,7 +267,8 @@ def test_systematic_resampling_copies_each_particle_as_often_as_it_weighs(
 
 
 def test_particles_follow_from_the_seed_alone_and_states_are_values() -> None:
-    observer = ParticleFilter(right=[0.5, 2.0], particles=50).build(MODEL, zone())
+    observer = ParticleFilter(right=[0.5, 2.0], particles=50).build(MODEL, zone()).python
+    assert observer is not None
     state = observer.start(4)
     y = Reading(np.array([1.5]), np.array([1.0]))
     first, again = (observer.predict(observer.correct(state, y)[0], np.ones(1)) for _ in range(2))
@@ -419,7 +413,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
     )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
-    gate = float(options.build(MODEL, zone()).params.gate[0])
+    gate = float(joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
     bends: list[float] = []
 
     def cost(v: Floats) -> tuple[float, Floats]:
@@ -544,7 +538,7 @@ def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_in
 
 @pytest.mark.parametrize("method", [ParticleFilter, MovingHorizon])
 def test_a_missing_sample_leaves_the_python_observers_to_the_model(method: Any) -> None:
-    observer = method(right=[0.5, 2.0]).build(MODEL, zone())
+    observer = method(right=[0.5, 2.0]).build(MODEL, zone()).python
     state = observer.start(0)
     state, before = observer.correct(state, Reading(np.array([np.nan]), np.array([0.0])))
     assert before.innovation == 0.0
@@ -566,14 +560,14 @@ def test_the_live_loop_is_the_loop() -> None:
     def correct(s: Any, reading: Reading) -> Any:
         return (s, reading), step(s, np.zeros(1), reading.y, reading.side)[1]
 
-    wrapped = NumericObserver(
-        None,
+    how = InPython(
         lambda seed: graph.init(graph.params),
         correct,
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
+    wrapped = problem._replace(observer=in_python(how, problem.plant.p, Traits()))
     ticks: list[int] = []
-    outcome = live.run_sample_by_sample(problem, wrapped, inputs.exogenous(problem), ticks.append)
+    outcome = live.run_sample_by_sample(wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
     for name in ("x", "z", "y", "u"):
         signal, same = getattr(outcome, name), getattr(expected, name)

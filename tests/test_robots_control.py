@@ -13,13 +13,13 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from scenes import random_plant, scene, slopes, table
-from undeadzone.controllers import LQR, ComputedTorque, Controller, GravityPD
+from undeadzone.controllers import LQR, ComputedTorque
 from undeadzone.controllers.lqr import Params, gains, linearised
 from undeadzone.errors import InputError, ShapeError, StepError
 from undeadzone.feedforward.targets import Target, flat_targets
+from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati, riccati_along
-from undeadzone.observers import Estimate
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -30,6 +30,7 @@ from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.candidates import graph
+from undeadzone_arena import GravityPD
 
 TWO = {"kind": "two_link"}
 FAST = {

@@ -31,7 +31,6 @@ from undeadzone.linear.structure import output_chains, uncontrollable_modes, uno
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
-from undeadzone.observers.parts import interval_step
 from undeadzone.observers.parts.member import log_density
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.observers.parts.shown_belief import FAR, clipped
@@ -39,6 +38,7 @@ from undeadzone.observers.parts.widths import bounded_widths
 from undeadzone.plants.system import sampled
 from undeadzone.sensor import Sensor, resolve
 from undeadzone.signals.exosystem import Random
+from undeadzone_arena.observers.parts import interval_step
 
 
 def test_the_largest_growth_is_that_of_the_worst_trajectory() -> None:

@@ -21,7 +21,6 @@ from undeadzone.errors import StructureError
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
-from undeadzone.observers.parts import learned_residual
 from undeadzone.observers.parts.augmented_state import (
     CROWD,
     Defaults,
@@ -29,9 +28,10 @@ from undeadzone.observers.parts.augmented_state import (
     agitation,
     joint_prior,
 )
-from undeadzone.observers.parts.boxes import cut
 from undeadzone.plants.system import sampled
 from undeadzone.sensor import Sensor, resolve
+from undeadzone_arena.observers.parts import learned_residual
+from undeadzone_arena.observers.parts.boxes import cut
 
 
 @pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])

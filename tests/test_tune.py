@@ -19,7 +19,7 @@ from undeadzone.cli import group
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import prepare
 from undeadzone.errors import InputError, StructureError
-from undeadzone.observers import HighGain, ParticleFilter, TaylorResidual
+from undeadzone.observers import HighGain
 from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
@@ -40,6 +40,7 @@ from undeadzone.tuning.result import HeldOut, Worth, change
 from undeadzone.tuning.search import FORBIDDEN, REACH, Evaluation, _penalised, gradient, values_at
 from undeadzone.tuning.sweep import sweep
 from undeadzone.tuning.tune import tune
+from undeadzone_arena import ParticleFilter, TaylorResidual
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}

@@ -184,6 +184,22 @@ class Traits(NamedTuple):
     centre_std: Floats | None = None
 
 
+class InPython(NamedTuple):
+    """How an observer computes of which no graph of fixed size can be made; sampled time only.
+
+    States are values: nothing else is changed.
+
+    Attributes:
+        start: start(seed) is the state at t = 0.
+        correct: correct(state, reading) is (state, Estimate), both of NumPy arrays.
+        predict: predict(state, u) is the state at the next sample.
+    """
+
+    start: Callable[[int], Any]
+    correct: Callable[[Any, Reading], tuple[Any, Estimate]]
+    predict: Callable[[Any, Floats], Any]
+
+
 class Observer(NamedTuple):
     """An observer as pure functions on CasADi expressions.
 
@@ -197,6 +213,8 @@ class Observer(NamedTuple):
         traits: what checks, certificates and figures ask.
         smoothing: what a smoother of a whole log asks, `observers.parts.smoothing.Smoothing`; None:
             nothing smooths it.
+        python: of an observer that computes in Python, how; its graph only hands on the estimate,
+            which is its state there. None: the graph is the observer.
     """
 
     params: Any
@@ -205,26 +223,7 @@ class Observer(NamedTuple):
     project: Callable[[Any, Any], Any] = lambda params, state: state
     traits: Traits = Traits()
     smoothing: Any = None
-
-
-class NumericObserver(NamedTuple):
-    """An observer that computes in Python, one sample at a time; sampled time only.
-
-    No graph of fixed size holds it. States are values: nothing else is changed.
-
-    Attributes:
-        params: its numbers.
-        start: start(seed) is the state at t = 0.
-        correct: correct(state, reading) is (state, Estimate), both of NumPy arrays.
-        predict: predict(state, u) is the state at the next sample.
-        traits: what checks, certificates and figures ask.
-    """
-
-    params: Any
-    start: Callable[[int], Any]
-    correct: Callable[[Any, Reading], tuple[Any, Estimate]]
-    predict: Callable[[Any, Floats], Any]
-    traits: Traits = Traits()
+    python: InPython | None = None
 
 
 class Plan(NamedTuple):
@@ -344,12 +343,29 @@ def numeric_estimate(
     )
 
 
-def graph_of(observer: Observer | NumericObserver) -> Observer:
+def in_python(how: InPython, p: int, traits: Traits) -> Observer:
+    """An observer that computes in Python, one sample at a time.
+
+    Args:
+        how: what it computes.
+        p: number of outputs.
+        traits: what checks, certificates and figures ask.
+    """
+    missing = Reading(np.full(p, np.nan), np.zeros(p))
+    _, first = how.correct(how.start(0), missing)
+
+    def step(params: Any, state: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        return state, Estimate(*state)
+
+    return Observer((), lambda params: tuple(first), step, traits=traits, python=how)
+
+
+def graph_of(observer: Observer) -> Observer:
     """The observer if it is a graph. Raises InputError for one that computes in Python."""
-    if isinstance(observer, NumericObserver):
+    if observer.python is not None:
         raise InputError(
             "observer.method: this one computes in Python, sample by sample: it runs in single "
             "simulations only, not in ensembles, compiled lanes, live use or generated C; "
-            "use 'ekf', 'ukf', 'kalman' or 'censored' there"
+            "use 'kalman' or 'censored' there"
         )
     return observer

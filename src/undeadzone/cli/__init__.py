@@ -5,11 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from typing import TYPE_CHECKING
 
 import click
 
 import undeadzone
-from undeadzone.cli.arena import arena
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
@@ -19,10 +19,12 @@ from undeadzone.cli.estimate import estimate
 from undeadzone.cli.export import export
 from undeadzone.cli.identify import identify
 from undeadzone.cli.init import init
-from undeadzone.cli.paper import paper
 from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
@@ -41,8 +43,34 @@ class Commands(click.Group):
             ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
         return super().resolve_command(ctx, args)
 
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands, those of other packages last."""
+        return [*super().list_commands(ctx), *_registered()]
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """A command by its name; None where there is none."""
+        own = super().get_command(ctx, name)
+        if own is not None:
+            return own
+        point = _registered().get(name)
+        return None if point is None else point.load()
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Nothing: they stand above, each with an example."""
+        """Those that other packages register: the tool's own stand above, each with an example."""
+        lines = []
+        for name in _registered():
+            command = self.get_command(ctx, name)
+            lines.append((name, command.get_short_help_str(80) if command else ""))
+        if lines:
+            with formatter.section("From other packages"):
+                formatter.write_dl(lines)
+
+
+def _registered() -> dict[str, EntryPoint]:
+    """The commands that installed packages register under `undeadzone.commands`, by name."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group="undeadzone.commands")}
 
 
 @click.group(
@@ -53,14 +81,12 @@ def group() -> None:
     """See through a sensor's dead zone.
 
     \b
-    undeadzone paper                        run the paper's example, check its claims, draw
     undeadzone init mine.toml               write a commented scenario to start from
     undeadzone run mine.toml                simulate your plant, sensor, observer and controller
     undeadzone check mine.toml              assess the gains: proof, rate, what can be known
     undeadzone design mine.toml             find gains with a proof: rate against noise
     undeadzone ensemble mine.toml           run it thousands of times with what may vary
     undeadzone tune mine.toml               find the gains that do best over such runs
-    undeadzone arena mine.toml              compare all methods on it
     undeadzone identify log.csv             find plant and dead zone from a log of a real plant
     undeadzone estimate mine.toml log.csv   let its observer follow a recorded log
     undeadzone watch mine.toml              estimate from samples as they come on stdin
@@ -73,11 +99,9 @@ def group() -> None:
 
 
 COMMANDS = (
-    paper,
     run,
     ensemble,
     tune,
-    arena,
     check,
     design,
     init,

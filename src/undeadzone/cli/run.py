@@ -113,9 +113,8 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     """
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
-    from undeadzone.simulation.compare import compare
+    from undeadzone.simulation.compare import beside
     from undeadzone.simulation.listening import heard
-    from undeadzone.simulation.simulate import simulate
 
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
@@ -130,11 +129,8 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
     with progress("simulating", _steps(scenario)) as advance:
-        if scenario.compare is None:
-            result, rival = simulate(scenario, progress=advance), None
-        else:
-            result, rival = compare(scenario, progress=advance)
-        return heard(scenario, result, advance), rival
+        result = heard(scenario, advance)
+        return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 
 
 def _steps(scenario: Scenario) -> int:

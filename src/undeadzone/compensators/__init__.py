@@ -1,19 +1,8 @@
-"""The catalogue of compensators of an actuator's dead zone: one file each.
+"""The compensators of an actuator's dead zone: one file each.
 
-To add one, write its file and name its options class here.
+The names stand in `__init__.pyi`; compensators that other packages register are found here too.
 """
 
-from undeadzone.compensators.adaptive_inverse import AdaptiveZoneInverse
-from undeadzone.compensators.no_inverse import NoInverse
-from undeadzone.compensators.smooth_inverse import SmoothZoneInverse
-from undeadzone.compensators.zone_inverse import ZoneInverse
+from undeadzone.catalogue import COMPENSATORS, attached
 
-CompensatorOptions = NoInverse | ZoneInverse | SmoothZoneInverse | AdaptiveZoneInverse
-
-__all__ = [
-    "AdaptiveZoneInverse",
-    "CompensatorOptions",
-    "NoInverse",
-    "SmoothZoneInverse",
-    "ZoneInverse",
-]
+__getattr__, __dir__, __all__ = attached(__name__, __file__, COMPENSATORS)

@@ -18,12 +18,7 @@ SOFT = 0.1  # of the mean width: |v| over which the step is spread, unless it is
 
 
 class SmoothZoneInverse(
-    Coasts,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="smooth_inverse",
+    Coasts, frozen=True, kw_only=True, tag_field="method", tag="smooth_inverse"
 ):
     """`ZoneInverse` with b^ clip(|v| / soft, 0, 1) for b^, which spares the actuator.
 
@@ -35,15 +30,7 @@ class SmoothZoneInverse(
     soft: Array | None = None
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model.
-
-        Args:
-            model: the model of the plant, continuous or sampled.
-            belief: what is known of the actuator.
-
-        Raises:
-            InputError: for an option that it cannot take.
-        """
+        """The compensator for a model."""
         drive = known_drive(belief)
         usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
         given = usual if self.soft is None else self.soft

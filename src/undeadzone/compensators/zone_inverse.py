@@ -12,25 +12,14 @@ from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
 
 
-class ZoneInverse(
-    Coasts, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="inverse"
-):
+class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
     """u = v / m_r + b_r^ for v > 0, v / m_l - b_l^ for v < 0; sampled time only.
 
     The widths are those that the observer estimates, else those of [model.actuator].
     """
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model.
-
-        Args:
-            model: the model of the plant, sampled.
-            belief: what is known of the actuator.
-
-        Raises:
-            InputError: for an option that it cannot take, or continuous time, where the jump
-                slides.
-        """
+        """The compensator for a model."""
         if model.Ts is None:
             raise InputError(
                 "compensator.method: the jump of 'inverse' slides in continuous time; use "

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError, StepError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Plan
@@ -16,14 +16,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive
 
 
-class ComputedTorque(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="computed_torque",
-):
+class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
     """Computed torque for a rigid arm: Craig; Slotine and Li (1991).
 
     u = M(q^) (a_ref + K_d (v_ref - v^) + K_p (q_ref - q^)) + h(q^, v^) + friction(v^). With the
@@ -46,16 +39,7 @@ class ComputedTorque(
     reject: bool = True
 
     def build(self, model: System) -> Controller:
-        """The controller for the model of a rigid arm, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-            StepError: for a step that is too coarse for it.
-        """
+        """The controller for the model of a rigid arm, continuous or sampled."""
         arm = model.arm
         if arm is None or arm.size != model.m:
             raise InputError(

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
@@ -17,13 +18,7 @@ from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 HELD = 1e-9  # relative difference of two sample times that are the same
 
 
-class LinearController(
-    msgspec.Struct,
-    frozen=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="linear",
-):
+class LinearController(Options, frozen=True, tag="linear"):
     """x_c' = A x_c + B e, u = C x_c + D e with e = r - z^, designed with any other tool.
 
     z^ is the observer's estimate of the hidden output. Give A, B, C, D, or numerator and
@@ -56,15 +51,7 @@ class LinearController(
             _unpack(self, self.A)
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-        """
+        """The controller for a model with as many inputs as outputs."""
         require_square("linear", model)
         numbers = self._numbers(model)
         params = self._in_time_of(model, numbers)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
@@ -17,14 +17,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats
 
 
-class LQG(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="lqg",
-):
+class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
     """u = u_ff - K (x^ - x_ref) - K_i int (z^ - r), of least quadratic cost.
 
     With a filter as observer this is the linear-quadratic-Gaussian servo (Anderson and Moore,
@@ -43,16 +36,7 @@ class LQG(
     integral: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-            StructureError: for a model on which the gains do not exist.
-        """
+        """The controller for a model, continuous or sampled."""
         Q = weight("controller.Q", self.Q, model.n)
         R = weight("controller.R", self.R, model.m, "inputs x inputs")
         if self.integral is None:

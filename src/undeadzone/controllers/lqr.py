@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Plan
@@ -17,14 +17,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats
 
 
-class LQR(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="lqr",
-):
+class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
     """u = u_ff - K(t) (x^ - x_ref), K(t) the linear-quadratic gain; sampled time only.
 
     The sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff. e follows the
@@ -43,16 +36,7 @@ class LQR(
     stride: int = 1
 
     def build(self, model: System) -> Controller:
-        """The controller for a sampled model.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-            StructureError: by its plan, where the end of the path has no gain.
-        """
+        """The controller for a sampled model."""
         if model.Ts is None:
             raise InputError(
                 "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" "

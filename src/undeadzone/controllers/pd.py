@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
@@ -19,14 +19,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, scalar, vector
 
 
-class PD(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="pd",
-):
+class PD(Options, frozen=True, kw_only=True, tag="pd"):
     """(42) as printed, with k_p and k_d, or for a second-order plant alpha B'P of (34).
 
     (34) is taken with A - L C. The law tracks nothing by itself: r is a force here.
@@ -46,15 +39,7 @@ class PD(
     filter_time: float = 0.01
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            StructureError: for a model on which it does not exist.
-        """
+        """The controller for a model with as many inputs as outputs."""
         require_square("pd", model)
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._gains(model)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
@@ -16,14 +16,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, matrix, nonnegative, positive, vector
 
 
-class PID(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="pid",
-):
+class PID(Options, frozen=True, kw_only=True, tag="pid"):
     """u = k_p (b r - z^) + k_i int (r - z^) + k_d d/dt (c r - z^), the derivative filtered.
 
     z^ is the observer's estimate of the hidden output, so that the loop acts inside the dead zone
@@ -50,15 +43,7 @@ class PID(
     feedforward: bool = False
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-        """
+        """The controller for a model with as many inputs as outputs."""
         require_square("pid", model)
         params = self._params(model)
         limited = self.limits is not None

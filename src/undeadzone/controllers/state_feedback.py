@@ -8,6 +8,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
@@ -36,14 +37,7 @@ class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     width: float = 0.1
 
 
-class StateFeedback(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="state_feedback",
-):
+class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
     """u = u_ff - K (x^ - x_ref) with at most one of: K; poles; alpha and Q of (34); speed.
 
     With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of
@@ -72,15 +66,7 @@ class StateFeedback(
     reject: bool = True
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            StructureError: for a model on which it does not exist.
-        """
+        """The controller for a model, continuous or sampled."""
         Q = self._weight(model)
         K = self._gain(model, Q)
         params = self._params(model, K, Q)

@@ -9,7 +9,7 @@ import numpy as np
 from undeadzone.ensemble.addresses import quantities
 from undeadzone.ensemble.uncertain import UncertainNumber, uncertain_numbers
 from undeadzone.errors import InputError
-from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.interfaces import graph_of
 from undeadzone.linear import batched_hold
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -181,7 +181,7 @@ def require_bound(scenario: Scenario) -> None:
     if scenario.ensemble is None:
         return
     problem = resolve_scenario(scenario)
-    if not isinstance(problem.observer, NumericObserver):
+    if problem.observer.python is None:
         bind(problem, closed(problem))
 
 

@@ -19,9 +19,7 @@ EPSILON = 0.25
 GAMMA = 4.5
 
 
-class Auto(
-    Claims, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="method", tag="auto"
-):
+class Auto(Claims, frozen=True, kw_only=True, tag_field="method", tag="auto"):
     """The observer that suits what is claimed; claims as for `Censored`.
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
@@ -53,13 +51,5 @@ class Auto(
         return not any(claim is None or np.any(claim) for claim in claims)
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The chosen observer for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: or a subclass, those of the chosen observer.
-        """
+        """The chosen observer for a model, continuous or sampled."""
         return self.chosen(model, sensor).build(model, sensor)

@@ -38,14 +38,7 @@ DOUBTED = 3  # levels from which on one lies above the claim
 LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
-class Censored(
-    Claims,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="censored",
-):
+class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censored"):
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
 
     Sampled time. Defaults doubt: the disturbance moves z by half of the largest width, rms, in a
@@ -67,16 +60,7 @@ class Censored(
     silence: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-        """
+        """The filter for a sampled model."""
         prior = build_prior(
             model,
             sensor,

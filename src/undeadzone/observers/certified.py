@@ -5,8 +5,7 @@ The mathematics is in docs/observer.md.
 
 from __future__ import annotations
 
-import msgspec
-
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.default_gains import default_adaptation
@@ -19,14 +18,7 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
 
-class Certified(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="certified",
-):
+class Certified(Options, frozen=True, kw_only=True, tag="certified"):
     """Measured-side adaptive observer; replaces (16)-(25).
 
     Gains are continuous-time ones in either time.
@@ -57,17 +49,7 @@ class Certified(
     adaptation: Adaptation = Gradient()
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-            ProofError: for a design that does not hold.
-        """
+        """The observer for a model, continuous or sampled."""
         p = model.p
         L, gain = self._gains(model)
         gamma = vector("observer.gamma", gain, p, "one per output")

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, Traits
 from undeadzone.observers.parts.augmented_state import default_disturbance
@@ -27,14 +27,7 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
 
-class Extended(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="extended",
-):
+class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     """Kalman filter on the measured side whose model is linearised at the estimate.
 
     It is linearised sample by sample; sampled time.
@@ -81,16 +74,7 @@ class Extended(
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-        """
+        """The filter for a sampled model."""
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError(
                 "observer.silence: readings of a jump sensor only bound its widths, so that "

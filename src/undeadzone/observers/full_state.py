@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.plants.system import System
@@ -14,29 +14,14 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 
-class FullState(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="full_state",
-):
+class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
     """State feedback on the true state, with the true widths; no observer.
 
     It exists in simulations only.
     """
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The reference line for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: by its step, where no true state is given.
-        """
+        """The reference line for a model, continuous or sampled."""
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
             if reading.x is None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.structure import output_chains
@@ -17,14 +17,7 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, scalar
 
 
-class HighGain(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="high_gain",
-):
+class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     """High-gain observer of Khalil and Praly (2014) in coordinates z_i, z_i', z_i'', ...
 
     The k-th derivative is corrected by binom(r, k) / epsilon^k e. The r derivatives of an output
@@ -47,18 +40,7 @@ class HighGain(
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-            StructureError: for a model on which it does not exist.
-            StepError: for a step that is too coarse for it.
-        """
+        """The observer for a model, continuous or sampled."""
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         epsilon = self._epsilon(model)
         L = high_gain(model, epsilon)

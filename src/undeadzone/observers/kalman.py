@@ -5,8 +5,7 @@ The mathematics is in docs/filters.md.
 
 from __future__ import annotations
 
-import msgspec
-
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import agitation
@@ -25,14 +24,7 @@ from undeadzone.support.arrays import Array, nonnegative
 SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)
 
 
-class Kalman(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="kalman",
-):
+class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
     """Kalman filter on the measured side; sampled time.
 
     A nonlinear model is expanded to second order.
@@ -63,16 +55,7 @@ class Kalman(
     glitches: float = GLITCHES
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            ShapeError: for an option of another shape.
-        """
+        """The filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "

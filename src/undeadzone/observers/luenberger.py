@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.poles import observer_gain
@@ -17,14 +17,7 @@ from undeadzone.sensor import Zone, present
 from undeadzone.support.arrays import Array, Floats
 
 
-class Luenberger(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="luenberger",
-):
+class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
     """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966), with one of L and poles.
 
     Attributes:
@@ -36,16 +29,7 @@ class Luenberger(
     poles: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            InputError: for an option that it cannot take, or a model that it is not for.
-            StructureError: for a model on which it does not exist.
-        """
+        """The observer for a model, continuous or sampled."""
         L = self._gain(model)
 
         def init(p: Params) -> State:

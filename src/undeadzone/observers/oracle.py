@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.measured_side import measured_side
@@ -13,14 +13,7 @@ from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array
 
 
-class Oracle(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="oracle",
-):
+class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
     """Known-width observer: it has the sensor's true widths and adapts nothing.
 
     Attributes:
@@ -32,15 +25,7 @@ class Oracle(
     silence: bool = False
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled.
-
-        Args:
-            model: the model that it computes with.
-            sensor: the dead zone as the observer takes it.
-
-        Raises:
-            ShapeError: for an option of another shape.
-        """
+        """The observer for a model, continuous or sampled."""
         widths = np.stack([sensor.right, sensor.left], axis=1)
         gain, gamma = gains(self.L, model), np.zeros(model.p)
         start, limit = np.zeros(model.n), np.full(model.p, np.inf)

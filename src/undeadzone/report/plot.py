@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from undeadzone.errors import InputError
 from undeadzone.report import figures
@@ -17,17 +17,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.arena.contest import Contest
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
     from undeadzone.simulation.estimation import Estimation
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
-
-    Result: TypeAlias = (
-        Run | Ensemble | Estimation | Check | Design | Tuned | Contest | Identified
-        | IdentifiedOutputs
-    )  # fmt: skip
 
 NARROW = 2  # columns of a legend on axes of one's own
 KINDS = (
@@ -46,6 +40,21 @@ class Drawing(NamedTuple):
 
     whole: Callable[[], Figure]
     panel: Callable[[Axes], None]
+
+
+@runtime_checkable
+class Drawn(Protocol):
+    """A result of another package, which says itself how it is drawn."""
+
+    def drawing(self) -> Drawing:
+        """How it is drawn."""
+
+
+if TYPE_CHECKING:
+    Result: TypeAlias = (
+        Run | Ensemble | Estimation | Check | Design | Tuned | Identified | IdentifiedOutputs
+        | Drawn
+    )  # fmt: skip
 
 
 def plot(
@@ -88,11 +97,12 @@ def plot(
 
 def _drawing(result: Result) -> Drawing:
     """How a result is drawn. Raises InputError."""
+    if isinstance(result, Drawn):
+        return result.drawing()
     if isinstance(result, Run):
         return Drawing(lambda: figures.overview(result), lambda ax: figures.output(ax, result))
     # imported here, so that whoever draws runs alone does not wait for them
     from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.arena.contest import Contest
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.report import log_figures, proof_figures, tune_figures
     from undeadzone.simulation.estimation import Estimation
@@ -117,8 +127,6 @@ def _drawing(result: Result) -> Drawing:
         return Drawing(
             lambda: tune_figures.history(result), lambda ax: tune_figures.candidates(ax, result)
         )
-    if isinstance(result, Contest):
-        return _of_contest(result)
     return _of_identified(result)
 
 
@@ -146,15 +154,6 @@ def _of_check(result: Check) -> Drawing:
     if of.problem.sensor.kind != "deadzone":
         raise InputError("plot: this check has no certificate, and nothing that can be drawn")
     return Drawing(lambda: ellipses(of), lambda ax: deviations(ax, of, 0))
-
-
-def _of_contest(result: Contest) -> Drawing:
-    """How a contest is drawn."""
-    from undeadzone.report.arena_figures import leaderboard, places
-    from undeadzone.report.arena_page import size_in_words
-
-    words = size_in_words(result)
-    return Drawing(lambda: places(result.rows, words), lambda ax: leaderboard(ax, result.rows))
 
 
 def _of_identified(result: Identified | IdentifiedOutputs) -> Drawing:

@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from undeadzone.catalogue import decode
 from undeadzone.errors import InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
 from undeadzone.scenario.messages import CHOOSERS, explain
-from undeadzone.support.arrays import decode
 from undeadzone.support.toml import tables
 
 S = TypeVar("S", bound=msgspec.Struct)
@@ -163,11 +163,7 @@ def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type)
                 after = table.decoded(after)
         return msgspec.convert(after, annotation, dec_hook=decode)
     except msgspec.ValidationError as error:
-        message = str(error)
-        if " - at `$" in message:
-            message = message.replace(" - at `$", f" - at `$.{name}", 1)
-        else:
-            message += f" - at `$.{name}`"
+        message = f"{error} - at `$.{name}`"
         raise InputError(explain(message, {name: after}, kind)) from None
 
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import msgspec
 
+from undeadzone.catalogue import CATALOGUES
+
 _WORDS = {
     "object": "a table",
     "dict": "a table",
@@ -66,12 +68,13 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     """The message of a msgspec.ValidationError in a reader's words.
 
     Args:
-        message: the message of the error.
+        message: the message of the error; tables within tables may each have said where they are.
         data: the tables that were read.
         root: the struct that they were read as.
     """
-    body, _, path = message.partition(" - at `$")
-    key = _entry(path.rstrip("`").lstrip("."), data)
+    body, *inner_first = message.split(" - at `$")
+    path = "".join(part.rstrip("`") for part in reversed(inner_first))
+    key = _entry(path.lstrip("."), data)
     unknown = re.match(r"(?s)Object contains unknown field `(.*)`", body)
     if unknown:
         name = unknown[1]
@@ -162,6 +165,8 @@ def _entry(key: str, data: Any) -> str:
 
 def _structs(annotation: Any) -> _Structs:
     """The structs that an annotation allows."""
+    if annotation in CATALOGUES:
+        return [*CATALOGUES[annotation].every()]
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     structs: _Structs = []

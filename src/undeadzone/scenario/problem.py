@@ -9,14 +9,12 @@ import numpy as np
 
 from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
-from undeadzone.controllers import Controller
 from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.gaps import gaps_of
-from undeadzone.interfaces import Compensator
+from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
-from undeadzone.observers import NumericObserver, Observer
 from undeadzone.observers.parts.actuated import built
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
@@ -67,7 +65,7 @@ class Problem(NamedTuple):
     model: System
     flow: System
     sensor: Zone
-    observer: Observer | NumericObserver
+    observer: Observer
     controller: Controller
     reference: Exosystem
     disturbance: Exosystem | None
@@ -214,7 +212,7 @@ def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Co
     return None if belief is None else SmoothZoneInverse().build(model, belief)
 
 
-def _require_room(sensor: Zone, observer: Observer | NumericObserver) -> None:
+def _require_room(sensor: Zone, observer: Observer) -> None:
     """Raise InputError where the widths lie beyond d_M: projection keeps estimates from them."""
     limit = observer.traits.width_max
     if limit is None:
@@ -342,9 +340,7 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
     return signals.exosystem("disturbance", signal, inputs)
 
 
-def constant_gains(
-    observer: Observer | NumericObserver, model: System
-) -> tuple[Floats, Floats] | None:
+def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
     """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
     traits = observer.traits
     if not traits.constant or traits.L is None or traits.gamma is None:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import msgspec
 
+from undeadzone.catalogue import decode
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario import ensemble_table as vary
 from undeadzone.scenario import tune_table as tuning
@@ -19,7 +20,6 @@ from undeadzone.scenario.changes import alike, require_finite
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.toml_messages import invalid_toml
-from undeadzone.support.arrays import decode
 from undeadzone.support.files import LARGEST_TABLE, read_bytes, read_text, reason
 
 

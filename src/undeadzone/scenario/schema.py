@@ -10,10 +10,8 @@ from typing import Any, Final, Literal
 import msgspec
 
 from undeadzone.actuator import Actuator, ActuatorModel
-from undeadzone.compensators import CompensatorOptions
-from undeadzone.controllers import ControllerOptions
+from undeadzone.catalogue import CompensatorOptions, ControllerOptions, ObserverOptions
 from undeadzone.errors import InputError
-from undeadzone.observers import ObserverOptions
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region

@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.controllers import Controller
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
-from undeadzone.observers import NumericObserver, Observer
+from undeadzone.interfaces import Controller, Observer
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
@@ -125,13 +124,13 @@ def sampled_within_limits(key: str, system: System, step: float, substeps: int) 
     return result
 
 
-def _largest_gamma(observer: Observer | NumericObserver) -> float:
+def _largest_gamma(observer: Observer) -> float:
     """The largest gain of a width, per step when the model is sampled; 0 where none is constant."""
     gamma = observer.traits.gamma
     return 0.0 if gamma is None else float(gamma.max())
 
 
-def require_bounded_error(model: System, observer: Observer | NumericObserver, step: float) -> None:
+def require_bounded_error(model: System, observer: Observer, step: float) -> None:
     """Raise an error where the estimation error of constant gains grows.
 
     Args:
@@ -172,7 +171,7 @@ def _growth(poles: np.ndarray, Ts: float | None) -> float:
 def require_fine_step(
     plant: System,
     model: System,
-    observer: Observer | NumericObserver,
+    observer: Observer,
     controller: Controller,
     step: float,
 ) -> None:

@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.controllers import LQR, ComputedTorque, ControllerOptions, StateFeedback
-from undeadzone.observers import Auto
+from undeadzone.catalogue import CONTROLLERS, OBSERVERS, ControllerOptions, ObserverOptions
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import ElasticJoint
@@ -23,7 +22,7 @@ def vague_claims(sensor: Sensor) -> Claims:
     return Claims(right=[0.0, VAGUE * (largest or 1.0)])
 
 
-def usual_observer(sensor: Sensor, declared: Claims | None) -> Auto:
+def usual_observer(sensor: Sensor, declared: Claims | None) -> ObserverOptions:
     """`auto`, with what is declared.
 
     Args:
@@ -31,7 +30,7 @@ def usual_observer(sensor: Sensor, declared: Claims | None) -> Auto:
         declared: the claims of the scenario.
     """
     claims = vague_claims(sensor) if declared is None else declared
-    return Auto(**claims.claims())
+    return OBSERVERS.made("auto", **claims.claims())
 
 
 def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
@@ -42,7 +41,7 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
         sampled: whether time is sampled.
     """
     if plant.arm is None:
-        return StateFeedback()
+        return CONTROLLERS.made("state_feedback")
     if not isinstance(plant.arm, ElasticJoint):
-        return ComputedTorque(bandwidth=BANDWIDTH)
-    return LQR() if sampled else StateFeedback()
+        return CONTROLLERS.made("computed_torque", bandwidth=BANDWIDTH)
+    return CONTROLLERS.made("lqr" if sampled else "state_feedback")

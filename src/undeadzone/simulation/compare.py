@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 
 from undeadzone.errors import InputError
-from undeadzone.observers import ObserverOptions
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate, steps
@@ -39,15 +38,27 @@ def compare(
             "compare: this scenario has no [compare]; name there the observer whose run is to be "
             'shown beside the first, such as method = "luenberger"'
         )
-    rival = msgspec.structs.replace(scenario, observer=scenario.compare)
     with in_notebook(progress, "simulating", 2 * steps(scenario)) as advance:
-        first = simulate(scenario, progress=advance)
-        second = simulate(rival, progress=advance)
+        return beside(scenario, simulate(scenario, progress=advance), advance)
+
+
+def beside(
+    scenario: Scenario, run: Run, progress: Callable[[int], None] | None = None
+) -> tuple[Run, Run]:
+    """The run of a scenario and that of the observer of its [compare] table, both labelled.
+
+    Args:
+        scenario: which has a [compare] table.
+        run: of it.
+        progress: called with the number of steps just done.
+    """
+    rival = msgspec.structs.replace(scenario, observer=scenario.compare)
+    second = simulate(rival, progress=progress)
     one, other = labels(scenario.observer, scenario.compare)
-    return _labelled(first, one), _labelled(second, other)
+    return _labelled(run, one), _labelled(second, other)
 
 
-def labels(first: ObserverOptions, second: ObserverOptions) -> tuple[str, str]:
+def labels(first: Any, second: Any) -> tuple[str, str]:
     """Names that tell two observers apart.
 
     These are their methods, and, where the methods are the same, one option that differs: a switch

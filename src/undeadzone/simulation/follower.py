@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.interfaces import Estimate, NumericObserver, graph_of
+from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
@@ -56,7 +56,7 @@ class Follower:
         self.observer = built
         self.samples = 0
         self._scenario = with_units(scenario, self.model)
-        self._numeric = built if isinstance(built, NumericObserver) else None
+        self._numeric = built.python
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None

@@ -12,22 +12,38 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from undeadzone.interfaces import NumericObserver
 from undeadzone.plants.system import System
-from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.listening_words import LARGER
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.run import Run
-from undeadzone.simulation.simulate import Progress, prepare, run_loop
+from undeadzone.simulation.simulate import Progress, Start, prepare, run_loop, simulated
 from undeadzone.support.arrays import Floats
 
 STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
 
 
-def listening(problem: Problem, run: Run | None, progress: Progress | None = None) -> list[float]:
+def heard(scenario: Scenario, progress: Progress | None = None) -> Run:
+    """The run of a scenario, with how strongly its readings moved z^ in its info.
+
+    Args:
+        scenario: what to simulate.
+        progress: called with the number of steps just done.
+    """
+    run, problem, start = simulated(scenario, progress=progress)
+    known = list(map(_known, listening(problem, run, start, progress)))
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
+
+
+def listening(
+    problem: Problem,
+    run: Run | None,
+    start: Start | None = None,
+    progress: Progress | None = None,
+) -> list[float]:
     """The share of a lasting error of the model that z^ follows: 1 all of it, 0 none.
 
     It is negative where readings make z^ worse. Errors are taken over the second half of the run.
@@ -35,17 +51,21 @@ def listening(problem: Problem, run: Run | None, progress: Progress | None = Non
     Args:
         problem: the scenario's parts.
         run: of the scenario, if there is one already.
+        start: what that run started from, if its loop is a graph.
         progress: called with the number of steps just done.
 
     Returns:
         A share for each output; NaN where an output does not move or the run diverges.
     """
+    if start is None and problem.observer.python is None:
+        start = prepare(problem)
     if run is None:
-        signal = _signals(problem, progress)
+        signal = _signals(problem, start, progress)
         z, z_hat = signal.z, signal.estimate.z
     else:
         z, z_hat = run.z, run.z_hat
-    larger = _signals(problem._replace(plant=_larger(problem.plant)), progress)
+    other = problem._replace(plant=_larger(problem.plant))
+    larger = _signals(other, _moved(start, other), progress)
     half = slice(len(z) // 2, None)
     with np.errstate(all="ignore"):
         left = (larger.z - larger.estimate.z) - (z - z_hat)
@@ -56,16 +76,12 @@ def listening(problem: Problem, run: Run | None, progress: Progress | None = Non
     return told
 
 
-def heard(scenario: Scenario, run: Run, progress: Progress | None = None) -> Run:
-    """The run, with how strongly its readings moved z^ in its info.
-
-    Args:
-        scenario: that was run.
-        run: of it.
-        progress: called with the number of steps just done.
-    """
-    known = list(map(_known, listening(resolve_scenario(scenario), run, progress)))
-    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
+def _moved(start: Start | None, other: Problem) -> Start | None:
+    """What a run starts from whose plant has another output; a linear one has other numbers."""
+    if start is None or other.plant.nonlinear:
+        return None if start is None else prepare(other)
+    params = start.loop.params._replace(plant=other.plant.params)
+    return start._replace(loop=start.loop._replace(params=params))
 
 
 def _known(share: float) -> float | None:
@@ -73,13 +89,12 @@ def _known(share: float) -> float | None:
     return None if np.isnan(share) else share
 
 
-def _signals(problem: Problem, progress: Progress | None) -> Outputs:
+def _signals(problem: Problem, start: Start | None, progress: Progress | None) -> Outputs:
     """The signals of a run."""
-    observer = problem.observer
-    if isinstance(observer, NumericObserver):
+    if start is None:
         exogenous = inputs.exogenous(problem)
-        return live.run_sample_by_sample(problem, observer, exogenous, progress)
-    return run_loop(*prepare(problem), progress)
+        return live.run_sample_by_sample(problem, exogenous, progress)
+    return run_loop(*start, progress)
 
 
 def _larger(plant: System) -> System:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from undeadzone.engine.interpret import CHUNK
-from undeadzone.interfaces import Estimate, NumericObserver, Reading
+from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.limits import beyond
 from undeadzone.sensor import Zone, side
 from undeadzone.support.arrays import Floats
 
 
 def numeric_along(
-    observer: NumericObserver,
+    observer: InPython,
     sensor: Zone,
     y: Floats,
     u: Floats,

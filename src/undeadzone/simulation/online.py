@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.actuator import ActuatorModel, believed
+from undeadzone.catalogue import ObserverOptions
 from undeadzone.engine.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, NumericObserver, Observer, graph_of
-from undeadzone.observers import ObserverOptions
+from undeadzone.interfaces import Estimate, Observer, graph_of
 from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
@@ -191,7 +191,7 @@ def built_for(
     step: float,
     substeps: int,
     actuator: ActuatorModel | None = None,
-) -> tuple[System, Zone, Observer | NumericObserver]:
+) -> tuple[System, Zone, Observer]:
     """The sampled model, the checked sensor, and the observer built for both.
 
     Args:

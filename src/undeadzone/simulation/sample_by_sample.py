@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.engine.interpret import CHUNK, Stepper
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Estimate, NumericObserver, Observer, Reading
+from undeadzone.interfaces import Controller, Estimate, Reading
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
 from undeadzone.simulation.loop import Loop, Outputs
@@ -25,7 +25,6 @@ ControlLaw: TypeAlias = Callable[[float, Estimate, Floats], Any]
 
 def run_sample_by_sample(
     problem: Problem,
-    observer: Observer | NumericObserver,
     exogenous: Floats,
     progress: Callable[[int], None] | None = None,
     law: ControlLaw | None = None,
@@ -34,7 +33,6 @@ def run_sample_by_sample(
 
     Args:
         problem: what is simulated, in sampled time.
-        observer: the observer; it may compute in Python.
         exogenous: exogenous inputs (steps + 1 rows).
         progress: called with the number of steps just done.
         law: law(t, estimate, r) is the input (m) at t [s]; the problem's controller is then
@@ -43,8 +41,8 @@ def run_sample_by_sample(
     Raises:
         InputError: the law gives no finite input of m entries.
     """
-    numeric = observer if isinstance(observer, NumericObserver) else None
-    loop = _loop_around(problem, observer)
+    numeric = problem.observer.python
+    loop = _loop_around(problem)
     initial = tree.pack(loop.state._replace(plant=problem.x0))
     stepper = Stepper(loop.step, initial, tree.pack(loop.params))
     where: Outputs = tree.slices(loop.outputs)
@@ -106,36 +104,17 @@ def _input(u: Any, m: int, t: float) -> Floats:
         raise type(error)(f"{error}, from the control law at t = {t:g} s") from None
 
 
-def _loop_around(problem: Problem, observer: Observer | NumericObserver) -> Loop:
+def _loop_around(problem: Problem) -> Loop:
     """The loop of a problem, with the estimate of an observer in Python left to be written in."""
-    graph = relay(observer, problem.plant.p) if isinstance(observer, NumericObserver) else observer
     outputs_tracked = len(problem.tracked)
     step = problem.scenario.simulation.step
     return close(
         problem.plant,
         problem.sensor,
-        graph,
+        problem.observer,
         problem.controller,
         outputs_tracked,
         step,
         compensator=problem.compensator,
         actuator=problem.actuator,
     )
-
-
-def relay(observer: NumericObserver, p: int) -> Observer:
-    """What stands for the observer on the graph.
-
-    Its state is the estimate, written from outside before each step.
-
-    Args:
-        observer: the observer that computes in Python.
-        p: number of outputs.
-    """
-    missing = Reading(np.full(p, np.nan), np.zeros(p))
-    _, first = observer.correct(observer.start(0), missing)
-
-    def step(params: Any, state: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
-        return state, Estimate(*state)
-
-    return Observer((), lambda params: tuple(first), step, traits=observer.traits)

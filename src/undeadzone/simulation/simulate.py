@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import casadi as ca
 import msgspec
@@ -16,7 +16,7 @@ import numpy as np
 
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
-from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.interfaces import graph_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
@@ -68,14 +68,45 @@ def simulate(
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
     """
+    return simulated(scenario, check_step, progress, engine, controller).run
+
+
+class Simulated(NamedTuple):
+    """A run, and what it was computed from.
+
+    Attributes:
+        run: the run.
+        problem: the scenario's parts.
+        start: what the run started from; None: an observer or a controller computes in Python.
+    """
+
+    run: Run
+    problem: Problem
+    start: Start | None
+
+
+def simulated(
+    scenario: Scenario,
+    check_step: bool = True,
+    progress: Progress | None = None,
+    engine: Engine = "auto",
+    controller: live.ControlLaw | None = None,
+) -> Simulated:
+    """Simulate a scenario and keep what the run was computed from; arguments as of `simulate`."""
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     with in_notebook(progress, "simulating", steps(scenario, check_step)) as advance:
         if controller is not None:
             problem = _under(controller, problem, engine)
-            return _run_under(controller, problem, advance, began)
-        signal, error = _signals(problem, check_step, advance, engine)
-    return collect(problem, signal, error, began)
+            return Simulated(_run_under(controller, problem, advance, began), problem, None)
+        start = None if _in_python(problem, engine) else prepare(problem)
+        signal, error = _signals(problem, start, check_step, advance, engine)
+    return Simulated(collect(problem, signal, error, began), problem, start)
+
+
+def _in_python(problem: Problem, engine: Engine) -> bool:
+    """Whether the observer computes in Python; as lanes it is refused where the loop is closed."""
+    return problem.observer.python is not None and engine != "lanes"
 
 
 def steps(scenario: Scenario, check_step: bool = True) -> int:
@@ -87,7 +118,7 @@ def steps(scenario: Scenario, check_step: bool = True) -> int:
 def _run_under(law: live.ControlLaw, problem: Problem, progress: Progress, began: float) -> Run:
     """The run of a problem whose controller is a control law in Python."""
     exogenous = inputs.exogenous(problem)
-    signal = live.run_sample_by_sample(problem, problem.observer, exogenous, progress, law)
+    signal = live.run_sample_by_sample(problem, exogenous, progress, law)
     run = collect(problem, signal, None, began)
     # No text says what the function is.
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, scenario=""))
@@ -110,14 +141,16 @@ def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
 
 
 def _signals(
-    problem: Problem, check_step: bool, progress: Progress | None, engine: Engine
+    problem: Problem,
+    start: Start | None,
+    check_step: bool,
+    progress: Progress | None,
+    engine: Engine,
 ) -> tuple[Outputs, IntegrationError | None]:
     """The signals of a run, and the error of its integration where that is measured."""
-    observer = problem.observer
-    if isinstance(observer, NumericObserver) and engine != "lanes":
-        exogenous = inputs.exogenous(problem)
-        return live.run_sample_by_sample(problem, observer, exogenous, progress), None
-    loop, state, exogenous = prepare(problem)
+    if start is None:
+        return live.run_sample_by_sample(problem, inputs.exogenous(problem), progress), None
+    loop, state, exogenous = start
     twin = check_step and problem.plant.Ts is None
     run = engine_for(loop, engine, len(exogenous) * (3 if twin else 1))
     if twin:
@@ -164,15 +197,25 @@ def _at_half_the_step(
     return outputs
 
 
-def prepare(problem: Problem) -> tuple[Loop, Floats, Floats]:
-    """What a run of a problem starts from.
+class Start(NamedTuple):
+    """What a run starts from.
 
-    Returns:
-        The closed loop, its packed initial state with the plant at x0, and the exogenous inputs
-        (steps + 1 rows).
+    Attributes:
+        loop: the closed loop.
+        state: its packed initial state, with the plant at x0.
+        exogenous: the exogenous inputs (steps + 1 rows).
     """
+
+    loop: Loop
+    state: Floats
+    exogenous: Floats
+
+
+def prepare(problem: Problem) -> Start:
+    """What a run of a problem starts from."""
     loop = closed(problem)
-    return loop, tree.pack(loop.state._replace(plant=problem.x0)), inputs.exogenous(problem)
+    state = tree.pack(loop.state._replace(plant=problem.x0))
+    return Start(loop, state, inputs.exogenous(problem))
 
 
 def closed(problem: Problem) -> Loop:

@@ -115,7 +115,7 @@ class Wiring(NamedTuple):
             level = self.ahead_of_zone(s, w)
         reading = self._read(self.ahead_of_zone(s, w), level, s, w, mode)
         unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
-        _, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
+        observer, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
         controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
         compensator = s.compensator
         if self.compensator is not None:
@@ -126,7 +126,7 @@ class Wiring(NamedTuple):
         actuator, entering = self._actuated(s, u)
         if self.p.sensor.friction.numel():  # of the load, while it is pushed
             entering = entering - self.p.sensor.friction * contact(level, s.sensor)
-        observer, _ = self.observer.step(self.p.observer, s.observer, u, reading)
+        observer = tree.substituted(observer, unused, u)
         plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
         outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
         return State(plant, observer, controller, level, compensator, actuator), outputs

@@ -66,6 +66,12 @@ def stack(tree: Any) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *columns)
 
 
+def substituted(tree: Any, symbol: ca.SX, value: ca.SX) -> Any:
+    """A CasADi tree with an expression in the place of a symbol."""
+    leaves_now = [ca.SX(leaf) for _, leaf in leaves(tree)]
+    return rebuild(tree, iter(ca.substitute(leaves_now, [symbol], [value])))
+
+
 def size(tree: Any) -> int:
     """How many numbers the tree holds."""
     return sum(int(np.size(leaf)) for _, leaf in leaves(tree))

@@ -11,7 +11,6 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.bands import EDGES, true_width
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.interfaces import NumericObserver
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
@@ -158,7 +157,7 @@ def _test_runs(what: Tune, probes: list[Scenario], runs: int, seed: int) -> Test
     """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
     first = resolve_scenario(probes[0])
     _check_metric(what.metric, first)
-    if isinstance(first.observer, NumericObserver):
+    if first.observer.python is not None:
         return one_by_one(first).redrawn(runs, seed)
     possible = [_possible(scenario) for scenario in probes[1:]]
     near = [problem for problem in possible if problem is not None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.metrics import Tally
-from undeadzone.interfaces import NumericObserver, graph_of
+from undeadzone.interfaces import graph_of
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.collect import tips
@@ -52,12 +52,10 @@ class OneByOne(NamedTuple):
 
     def _rows_of(self, candidate: Problem) -> Floats:
         """The metrics (runs x columns) of one candidate."""
-        observer = candidate.observer
-        assert isinstance(observer, NumericObserver)
         rows = []
         for run in range(self.runs):
             inputs = exogenous(candidate, run=run, seed=self.seed)
-            rows.append(row(candidate, run_sample_by_sample(candidate, observer, inputs)))
+            rows.append(row(candidate, run_sample_by_sample(candidate, inputs)))
         return np.concatenate(rows)
 
 

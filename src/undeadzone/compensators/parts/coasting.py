@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.plants.system import System
@@ -22,7 +22,7 @@ VISIBLE = 0.25  # share of the largest reading of late from which an output is w
 FORGET = 0.2  # share of the largest reading that is forgotten from one coast to the next
 
 
-class Coasts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Coasts(Options, frozen=True, kw_only=True):
     """When a compensator coasts; sampled time only.
 
     Attributes:

@@ -6,6 +6,8 @@ building the scenario with other values of the key, and checked at the scenario'
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 
@@ -108,7 +110,8 @@ def _fastest(problem: Problem) -> float:
 
 def _learning(problem: Problem, loop: Loop) -> list[Slider]:
     """The slider of the observer's gain of adaptation, if it has one and takes it as a number."""
-    options, traits = problem.scenario.observer, problem.observer.traits
+    options: Any = problem.scenario.observer
+    traits = problem.observer.traits
     gamma = getattr(options, "gamma", None)
     if gamma is None and hasattr(options, "gamma") and traits.gamma is not None:
         gamma = traits.gamma / (problem.model.Ts or 1.0)
@@ -120,7 +123,7 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
         own, unit = float(base.flat[0]), "1/s"
 
     def change(scenario: Scenario, value: float) -> Scenario:
-        observer = msgspec.structs.replace(scenario.observer, gamma=base * (value / own))
+        observer = msgspec.structs.replace(options, gamma=base * (value / own))
         return msgspec.structs.replace(scenario, observer=observer)
 
     wanted = Range("gamma", "learning gain", unit, own, 0.0, nice(4 * own))

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.actuator import Belief, through_zone, within_limits, within_rate
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, NumericObserver, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.plants.system import System
 from undeadzone.sensor import Zone
 from undeadzone.support import tree
@@ -25,9 +25,7 @@ class State(NamedTuple):
     command: Any
 
 
-def built(
-    options: Any, model: System, sensor: Zone, belief: Belief | None
-) -> Observer | NumericObserver:
+def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
     """The observer with these options for a model behind an actuator.
 
     Args:
@@ -50,7 +48,7 @@ def built(
             f"numbers, or use one of {', '.join(ESTIMATORS)} in sampled time"
         )
     observer = options.build(model._replace(actuator=belief), sensor)
-    if isinstance(observer, NumericObserver):
+    if observer.python is not None:
         raise InputError(
             f"actuator: {method!r} computes in Python and knows no actuator; use another observer"
         )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone import sensor as sensors
+from undeadzone.catalogue import Options
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.observers.parts.doubt import GLITCHES
 from undeadzone.observers.parts.prior import Prior, build_prior, sample_time, width_ranges
@@ -20,7 +20,7 @@ CROWD = 100  # readings in a quarter period beyond which each is given more nois
 SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
 
 
-class JointClaims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class JointClaims(Options, frozen=True, kw_only=True):
     """Claims of the rivals of `Kalman`, in its words; what is not claimed follows from `Defaults`.
 
     Attributes:

@@ -15,6 +15,7 @@ from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.member import Member, Step
 from undeadzone.observers.parts.smoothing import Moments, Smoothing
+from undeadzone.support import tree
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 
@@ -44,9 +45,10 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         return State(tuple(member.init(q) for _ in variants), np.zeros(len(variants)))
 
     def step(q: Any, s: State, u: Any, reading: Reading) -> Step:
+        one_step = called(member.step, variants[0](q), s.members[0], u, reading)
         steps = []
         for variant, state in zip(variants, s.members, strict=True):
-            steps.append(member.step(variant(q), state, u, reading))
+            steps.append(one_step(variant(q), state, u, reading))
         odds = s.odds + ca.vertcat(*(one.log for one in steps))
         odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
         share = ca.exp(odds)
@@ -62,6 +64,27 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         )
 
     return Member(member.params, init, step, _smoothing(member.smoothing, variants))
+
+
+def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
+    """A step whose graph is built once: a call puts other expressions in the place of symbols.
+
+    Args:
+        step: of a member.
+        like: arguments of the shapes of those of every call.
+    """
+    shapes = [leaf for _, leaf in tree.leaves(like)]
+    symbols = [ca.SX.sym(f"a{i}", *ca.SX(leaf).shape) for i, leaf in enumerate(shapes)]
+    result = step(*tree.rebuild(like, iter(symbols)))
+    leaves = [ca.SX(leaf) for _, leaf in tree.leaves(result)]
+    graph = ca.Function("member", symbols, leaves)
+
+    def call(*arguments: Any) -> Step:
+        given = [ca.SX(leaf) for _, leaf in tree.leaves(arguments)]
+        found: Step = tree.rebuild(result, iter(graph.call(given)))
+        return found
+
+    return call
 
 
 def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
+from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NONE
 from undeadzone.support.arrays import scalar
@@ -74,14 +74,7 @@ class Law(NamedTuple):
 GRADIENT = Law()
 
 
-class Gradient(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="gradient",
-):
+class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
     """d^' = gamma drive, (25) as repaired. Certified where M < 0."""
 
     def law(self, Ts: float | None) -> Law:
@@ -93,14 +86,7 @@ class Gradient(
         return GRADIENT
 
 
-class Normalised(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="normalised",
-):
+class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
     """The innovation is divided by 1 + weight y^2 in x^' and d^' alike: large signals count less.
 
     Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that
@@ -125,14 +111,7 @@ class Normalised(
         return Law(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
 
 
-class LeastSquares(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="least_squares",
-):
+class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
     """Recursive least squares: d^' = g drive, g(0) = gamma, g <= gamma.
 
     g' = forgetting g - g^2 where the edge is active. Loses the certificate for constant gains, but
@@ -183,14 +162,7 @@ def reset_small_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
     return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
 
-class Sigma(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="sigma",
-):
+class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
     """d^' = gamma (drive - leak (d^ - d^(0))), Ioannou and Kokotovic (1983).
 
     The widths are bounded without projection, at a price: exactness is lost,
@@ -222,14 +194,7 @@ def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
     return edge.gamma * (edge.drive - leakage), NONE
 
 
-class EModification(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="method",
-    tag="e_modification",
-):
+class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
     """d^' = gamma (drive - leak |drive| (d^ - d^(0))), Narendra and Annaswamy (1987).
 
     There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where

@@ -1,0 +1,3 @@
+from .no_inverse import NoInverse as NoInverse
+from .smooth_inverse import SmoothZoneInverse as SmoothZoneInverse
+from .zone_inverse import ZoneInverse as ZoneInverse

@@ -1,0 +1,9 @@
+from .auto import Auto as Auto
+from .censored import Censored as Censored
+from .certified import Certified as Certified
+from .extended import Extended as Extended
+from .full_state import FullState as FullState
+from .high_gain import HighGain as HighGain
+from .kalman import Kalman as Kalman
+from .luenberger import Luenberger as Luenberger
+from .oracle import Oracle as Oracle

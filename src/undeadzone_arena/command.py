@@ -1,0 +1,278 @@
+"""undeadzone arena [SCENARIO.toml ...]"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from undeadzone.cli.common import (
+    confined,
+    named_files,
+    origin,
+    print_blocks,
+    print_json,
+    say,
+    writable,
+)
+from undeadzone.support.progress import on_terminal as progress
+
+if TYPE_CHECKING:
+    from undeadzone.scenario.schema import Scenario
+    from undeadzone_arena.contest.contest import Contest
+    from undeadzone_arena.contest.tuned_file import Tuned
+
+FOLDER = Path("arena-results")
+
+
+@click.command(
+    epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html"
+)
+@click.argument(
+    "scenarios", type=click.Path(path_type=Path), metavar="[SCENARIO.toml ...]", nargs=-1
+)
+@click.option(
+    "--methods",
+    default=None,
+    metavar="A,B,...",
+    help="Only these (default: all), and the lines that make a regret.",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(1),
+    default=3,
+    show_default=True,
+    metavar="N",
+    help="Runs of each method on each scenario.",
+)
+@click.option(
+    "--set",
+    "chosen",
+    type=click.Choice(("dead_zones", "plays", "both_ends")),
+    default=None,
+    help="Which scenarios of the arena, without your own (default: dead_zones).",
+)
+@click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="DIR",
+    help=f"Folder for the files written; implies --html (default: {FOLDER}).",
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print one JSON object on stdout and nothing else there.",
+)
+@click.option(
+    "--tune",
+    "tuning",
+    is_flag=True,
+    help="Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.",
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(2),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="With --tune: candidates of each method.",
+)
+@click.option(
+    "--tuned",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="FILE",
+    help="A tuned.toml to use in the place of the built-in one.",
+)
+@click.option(
+    "--processes",
+    type=click.IntRange(1),
+    default=None,
+    metavar="N",
+    help="At once (default: one per processor).",
+)
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
+)
+@confined
+def arena(
+    scenarios: tuple[Path, ...],
+    methods: str | None,
+    seeds: int,
+    chosen: str | None,
+    html: bool,
+    out: Path | None,
+    as_json: bool,
+    tuning: bool,
+    budget: int,
+    tuned: Path | None,
+    processes: int | None,
+    resume: bool,
+    confine: Path | None,
+) -> int:
+    """Compare methods: each in the place of the scenario's observer, told only what is declared.
+
+    Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
+    knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
+    over the scenarios, and the worst, with 95 % intervals. Says on stderr how many runs that are
+    and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
+    crash --resume goes on. See docs/arena.md.
+    """
+    from undeadzone_arena.contest.scenario_sets import SETS, from_files
+    from undeadzone_arena.contest.scenario_sets import scenarios as built_in
+
+    if chosen and scenarios:
+        raise click.UsageError("--set names scenarios of the arena; leave your own out, or --set")
+    tuned_on, held_out = SETS[chosen or "dead_zones"]
+    names = None if methods is None else _names(methods)
+    own = from_files(scenarios, confine)
+    folder = out or FOLDER
+    writes = tuning or html or out is not None
+    if tuning:
+        writable(folder)
+        return _tune(names, own or built_in(tuned_on), budget, processes, folder, as_json, resume)
+    keep = folder / "results.json.partial" if _keeps(folder, writes) else None
+    grounds = own or built_in(held_out)
+    try:
+        contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
+        written = _written(contest, folder, bool(own)) if writes else []
+        if keep is not None:
+            keep.unlink(missing_ok=True)
+    finally:
+        with suppress(OSError):  # it holds something
+            folder.rmdir()
+    if as_json:
+        print_json(contest.summary(), written)
+    else:
+        _print(contest, written)
+    return 0
+
+
+def _keeps(folder: Path, writes: bool) -> bool:
+    """Whether what is done can be kept in a folder.
+
+    Raises:
+        FileError: it cannot, though something is to be written there anyway.
+    """
+    from undeadzone.errors import FileError
+
+    try:
+        writable(folder)
+    except FileError as error:
+        if writes:
+            raise
+        say(f"arena: nothing is kept meanwhile: {error}", err=True)
+        return False
+    return True
+
+
+def _names(methods: str) -> list[str]:
+    """The names in a list with commas between them."""
+    names = [name.strip() for name in methods.split(",")]
+    return [name for name in names if name]
+
+
+def _held(
+    names: list[str] | None,
+    grounds: dict[str, Scenario],
+    seeds: tuple[int, ...],
+    tuned: Path | None,
+    processes: int | None,
+    keep: Path | None,
+    resume: bool,
+) -> Contest:
+    """The contest, held; its size is told before."""
+    from undeadzone_arena.contest.contest import run_contest
+    from undeadzone_arena.contest.effort import in_words
+    from undeadzone_arena.contest.entry import numbers
+    from undeadzone_arena.contest.leaderboard import FRAME
+    from undeadzone_arena.contest.methods import fitting, require
+
+    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
+    every = list(dict.fromkeys([*FRAME, *chosen]))
+    say(f"arena: {in_words(every, grounds, len(seeds), 'seed', processes)}", err=True)
+    runs = len(grounds) * len(seeds) * len(every)
+    with progress("arena", runs, "runs") as advance:
+        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance, keep, resume)
+
+
+def _tune(
+    names: list[str] | None,
+    grounds: dict[str, Scenario],
+    budget: int,
+    processes: int | None,
+    folder: Path,
+    as_json: bool,
+    resume: bool,
+) -> int:
+    """Tune methods, write and print their numbers."""
+    from undeadzone_arena.contest.effort import in_words
+    from undeadzone_arena.contest.methods import catalogue, fitting, require
+    from undeadzone_arena.contest.tune import tune
+    from undeadzone_arena.contest.tuned_file import save
+
+    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
+    adjustable = [name for name in chosen if catalogue()[name].knobs]
+    say(f"arena: {in_words(adjustable, grounds, budget, 'candidate', processes)}", err=True)
+    with progress("tuning", len(chosen), "methods") as advance:
+        tuned = tune(
+            chosen,
+            grounds,
+            budget,
+            processes=processes,
+            progress=advance,
+            keep=folder / "tuned.toml.partial",
+            resume=resume,
+        )
+    path = save(tuned, folder / "tuned.toml")
+    (folder / "tuned.toml.partial").unlink(missing_ok=True)
+    if as_json:
+        import msgspec
+
+        print_json(msgspec.to_builtins(tuned), [path])
+    else:
+        _print_tuned(tuned, path)
+    return 0
+
+
+def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
+    """Results, figures and page; of scenarios of one's own also each with the best method in it."""
+    from undeadzone.errors import InputError
+    from undeadzone.support import toml
+    from undeadzone.support.files import write_text
+    from undeadzone_arena.contest.page import write_arena
+    from undeadzone_arena.contest.traces import traced
+
+    written = [contest.save(folder / "results.json")]
+    written += write_arena(contest, traced(contest), folder, origin(None))
+    if own and contest.contestants:
+        best = contest.contestants[0].method
+        for title in contest.scenarios:
+            try:
+                text = toml.dumps(contest.scenario(best, title))
+            except InputError:
+                continue
+            written.append(write_text(text, folder / f"{title}-{best}.toml"))
+    return written
+
+
+def _print(contest: Contest, written: list[Path]) -> None:
+    """Print the leaderboard."""
+    print_blocks(contest.blocks(), named_files(written))
+
+
+def _print_tuned(tuned: Tuned, path: Path) -> None:
+    """Print the numbers that tuning found."""
+    rows = [("method", "mean regret", "candidates", "knobs")]
+    for name, found in tuned.methods.items():
+        regret = f"{found.before:.3f} -> {found.regret:.3f}"
+        knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
+        rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
+    print_blocks([rows], named_files([path]))

@@ -1,0 +1,1 @@
+"""Compensators of the literature: one file each."""

@@ -1,0 +1,213 @@
+"""A contest: results, the places that they give, and what both rest on, for a file or a page."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+
+if TYPE_CHECKING:
+    from undeadzone.report.plot import Drawing
+
+import undeadzone
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.loop import Outputs
+from undeadzone.statistics.intervals import LEVEL
+from undeadzone.support import shown
+from undeadzone.support.answers import Answers
+from undeadzone.support.arrays import finite
+from undeadzone.support.files import write_text
+from undeadzone.support.progress import in_notebook
+from undeadzone.support.shown import Block
+from undeadzone_arena.contest.entry import entered
+from undeadzone_arena.contest.leaderboard import (
+    CAP,
+    NAIVE,
+    RESAMPLES,
+    ZERO,
+    Row,
+    contestants,
+    leaderboard,
+    regrets,
+)
+from undeadzone_arena.contest.methods import NOTHING, Numbers, catalogue
+from undeadzone_arena.contest.metric import TAIL, Result
+from undeadzone_arena.contest.prior_knowledge import situation
+from undeadzone_arena.contest.trials import problem_of, score, signals
+from undeadzone_arena.contest.words import in_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+RULES: Mapping[str, Any] = {
+    "tail": TAIL,
+    "cap": CAP,
+    "refused": NAIVE,
+    "resamples": RESAMPLES,
+    "confidence": LEVEL,
+    "zero": ZERO,
+    "unit": "half of d_r + d_l",
+}
+
+
+class Contest(NamedTuple):
+    """A contest of methods on scenarios.
+
+    Attributes:
+        scenarios: by name.
+        seeds: of the runs of each method on each scenario.
+        numbers: of the knobs, by method.
+        results: one for each run.
+        rows: the leaderboard.
+    """
+
+    scenarios: Mapping[str, Scenario]
+    seeds: tuple[int, ...]
+    numbers: Numbers
+    results: list[Result]
+    rows: list[Row]
+
+    @property
+    def contestants(self) -> list[Row]:
+        """The rows that are no lines to compare with, and could be entered somewhere."""
+        return contestants(self.rows)
+
+    def scenario(self, method: str, title: str) -> Scenario:
+        """A scenario with a method in the place of its observer, its knobs as they were here.
+
+        Args:
+            method: name in the catalogue.
+            title: name of the scenario.
+
+        Raises:
+            InputError: or a subclass, where the method is not applicable.
+        """
+        numbers = self.numbers.get(method, NOTHING)
+        return entered(catalogue()[method], situation(self.scenarios[title]), numbers)
+
+    def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
+        """A run again, with the first seed, and all its signals.
+
+        Args:
+            method: name in the catalogue.
+            title: name of the scenario.
+        """
+        problem = resolve_scenario(self.scenario(method, title))
+        return problem, signals(problem, self.seeds[0])
+
+    def drawing(self) -> Drawing:
+        """How `uz.plot` draws it: median and worst regret of every method."""
+        from undeadzone.report.plot import Drawing
+        from undeadzone_arena.contest.figures import leaderboard, places
+        from undeadzone_arena.contest.page import size_in_words
+
+        words = size_in_words(self)
+        return Drawing(lambda: places(self.rows, words), lambda ax: leaderboard(ax, self.rows))
+
+    def summary(self) -> dict[str, Any]:
+        """Everything, ready for JSON; null where there is no number."""
+        titles = {name: scenario.title for name, scenario in self.scenarios.items()}
+        return dict(
+            finite(
+                {
+                    "version": undeadzone.__version__,
+                    "scenarios": titles,
+                    "seeds": list(self.seeds),
+                    "rules": dict(RULES),
+                    "leaderboard": [msgspec.structs.asdict(row) for row in self.rows],
+                    "results": self._flat_results(),
+                }
+            )
+        )
+
+    def _flat_results(self) -> list[dict[str, Any]]:
+        """The results with their regrets, each as one dictionary."""
+        regret = regrets(self.results)
+        places = {title: i for i, title in enumerate(self.scenarios)}
+        flat = []
+        for result in self.results:
+            row, column = places[result.scenario], self.seeds.index(result.seed)
+            worth = {} if result.worth is None else msgspec.structs.asdict(result.worth)
+            flat.append(
+                {
+                    "method": result.method,
+                    "scenario": result.scenario,
+                    "seed": result.seed,
+                    "applicable": result.worth is not None,
+                    "reason": result.reason,
+                    "regret": float(regret[result.method][row, column]),
+                    **worth,
+                }
+            )
+        return flat
+
+    def __repr__(self) -> str:
+        """The leaderboard that `undeadzone arena` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone arena` prints."""
+        return in_words(self.rows, len(self.scenarios), len(self.seeds))
+
+    def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+        """Draw it.
+
+        Args:
+            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+            ax: axes that take the panel that says most; None: a new figure with all panels.
+        """
+        return shown.plot(self, path, ax)
+
+    def save(self, path: Path) -> Path:
+        """Write the summary as JSON. Raises FileError."""
+        return write_text(json.dumps(self.summary(), indent=1, allow_nan=False), path)
+
+
+def run_contest(
+    methods: Sequence[str] | None,
+    scenarios: Mapping[str, Scenario],
+    seeds: Sequence[int],
+    numbers: Numbers,
+    processes: int | None = None,
+    progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
+) -> Contest:
+    """Let methods run against each other on scenarios.
+
+    Args:
+        methods: names in the catalogue; None: all.
+        scenarios: by name.
+        seeds: of the runs of each method on each scenario.
+        numbers: of the knobs, by method.
+        processes: at once; None: one per processor.
+        progress: called with the number of runs just done; None: a bar in a notebook.
+        keep: file that keeps results, to be deleted once the contest is; None: none.
+        resume: take up what a stopped contest left in `keep`.
+
+    Raises:
+        InputError: or a subclass.
+    """
+    with in_notebook(progress, "arena", None) as advance:
+        compete = functools.partial(
+            score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=advance
+        )
+        if keep is None:
+            results = compete()
+        else:
+            kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
+            with kept.kept():
+                results = compete(kept=kept)
+    references = {name for name, method in catalogue().items() if method.reference}
+    return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))

@@ -1,0 +1,165 @@
+"""A method entered into a scenario: in the place of its observer, with what it may know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from undeadzone.actuator import SIDES, Belief
+from undeadzone.errors import InputError
+from undeadzone.observers import FullState
+from undeadzone.observers.parts.actuated import ESTIMATORS
+from undeadzone.scenario.problem import known_actuator
+from undeadzone.scenario.schema import Model, Scenario
+from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle
+from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge, Setting, situation
+from undeadzone_arena.contest.tuned_file import load
+
+OWN = ("tuned.toml", "tuned_both_ends.toml")  # of --tune, and of --tune --set both_ends
+
+
+def numbers(path: Path | None = None) -> Numbers:
+    """The numbers of the knobs, by method, as `undeadzone arena --tune` found them.
+
+    Args:
+        path: of a file of one's own; None: those that come with the package.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    if path is None:
+        found: dict[str, Knobs] = {}
+        for name in OWN:
+            with as_file(files("undeadzone_arena.contest") / name) as own:
+                found |= numbers(own)
+        return found
+    return {name: entry.knobs for name, entry in load(path).methods.items()}
+
+
+def entered(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenario:
+    """The scenario with a method in the place of its observer.
+
+    The method takes the place of the controller too if it has its own.
+
+    Args:
+        method: what is entered.
+        ground: the scenario, and what may be known of it.
+        numbers: of the method's knobs, by address; those that lack are in the middle of their
+            range.
+
+    Raises:
+        InputError: or a subclass.
+    """
+    if method.continuous and ground.scenario.simulation.time == "sampled":
+        ground = _in_continuous_time(method, ground)
+    scenario, prior = ground
+    if method.compensator and scenario.actuator is None:
+        raise InputError(
+            "actuator: this method is for a dead zone of an actuator, and there is none"
+        )
+    values = middle(method)
+    for address, value in numbers.items():
+        if address in method.knobs:
+            values[address] = value
+    knobs = {
+        address: value * UNITS[method.knobs[address].unit](prior)
+        for address, value in values.items()
+    }
+    derived = method.derived(prior, knobs) if method.derived else NOTHING
+    options = {**knobs, **method.fixed, **derived}
+    parts = {
+        "observer": _options(method.observer, "observer", prior, options),
+        "model": _model(method, scenario, prior),
+    }
+    if method.controller:
+        parts["controller"] = _options(method.controller, "controller", prior, options)
+    if method.compensator:
+        parts["compensator"] = _options(method.compensator, "compensator", prior, options)
+    if method.informed:
+        # A known disturbance of the input is cancelled there: what is left is a run without it.
+        parts |= {"model": None, "disturbance": None}
+    return msgspec.structs.replace(scenario, **parts)
+
+
+def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model | None:
+    """The scenario's model with what a method believes of the actuator.
+
+    A line to compare with knows it. A method that estimates widths gets their ranges, another one
+    the middle of these.
+    """
+    model, told = scenario.model, known_actuator(scenario)
+    if method.reference:
+        return None if model is None else msgspec.structs.replace(model, actuator=None)
+    estimates = method.observer.__struct_config__.tag in ESTIMATORS
+    if model is None or told is None or prior.actuator is None or estimates:
+        return model
+    middles = {side: getattr(prior.actuator.drive, side).tolist() for side in SIDES}
+    plain = msgspec.structs.replace(told, **middles)
+    return msgspec.structs.replace(model, actuator=plain)
+
+
+def _in_continuous_time(method: Method, ground: Setting) -> Setting:
+    """The same scenario in continuous time, and what is known of it."""
+    parts = {
+        "simulation": msgspec.structs.replace(ground.scenario.simulation, time="continuous"),
+        "model": _model(method, *ground),
+        "observer": FullState(),  # one that is there in continuous time
+        "declared": ground.known.declared,
+    }
+    return situation(msgspec.structs.replace(ground.scenario, **parts))
+
+
+def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, Any]) -> Any:
+    """The options of a part.
+
+    They are what is known, by the names that the part has for it, then what has its address.
+
+    Args:
+        kind: the struct of the options.
+        part: observer or controller.
+        prior: what is known.
+        options: of all parts, by address.
+    """
+    names = {field.name for field in msgspec.structs.fields(kind)}
+    prefix = f"{part}."
+    known = _claims(part, names, prior)
+    chosen = {name: value for name, value in known.items() if name in names}
+    for address, value in options.items():
+        if address.startswith(prefix):
+            chosen[address.removeprefix(prefix)] = value
+    return kind(**chosen)
+
+
+def _claims(part: str, names: set[str], prior: PriorKnowledge) -> Options:
+    """What is known, by the names that options have for it."""
+    if part == "compensator":
+        return _actuator_claims(prior.actuator)
+    p = prior.model.p
+    every = msgspec.structs.asdict(prior.declared)
+    claims = {name: value for name, value in every.items() if value is not None}
+    if "correlation_time" not in names:
+        claims.pop("disturbance", None)  # of another colour there
+    guess = prior.widths.mean(axis=1).reshape(2, p).T
+    most = prior.widths[:, 1].reshape(2, p).max(axis=0)
+    return claims | {
+        "widths0": guess,
+        "width_max": most,
+        "reach": prior.reach if part == "controller" else prior.reach[0],
+        "scale": prior.reach[0],
+    }
+
+
+def _actuator_claims(belief: Belief | None) -> Options:
+    """What is known of an actuator, by the names that options of a compensator have for it."""
+    if belief is None:
+        return {}
+    widths = np.stack([belief.drive.right, belief.drive.left])
+    claims = {"widths0": widths.mean(axis=0)}
+    if belief.ranges is not None:
+        claims["width_max"] = belief.ranges[:, 1].reshape(2, -1).max(axis=0)
+    return claims

@@ -1,0 +1,224 @@
+"""From results to ranks: regret in zones, median and worst, with bootstrap intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Mapping, Sequence
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from undeadzone.statistics.intervals import LEVEL, Interval
+from undeadzone.support.arrays import Floats
+from undeadzone_arena.contest.metric import Result, Worth
+
+ZERO: Final = "informed"  # the line of regret 0
+NAIVE: Final = "luenberger"  # what is left where a method is not applicable
+FRAME: Final = (ZERO, "full_state", NAIVE)  # lines that are always there
+CAP: Final = 10.0  # regret of a run that diverged, above that of any other
+RESAMPLES: Final = 2000
+MEANS: Final = ("tracking", "estimation", "coverage")  # of which a row gives the mean over runs
+MEDIANS: Final = ("width", "centre", "effort", "slew")  # of which a row gives the median
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """A method's place.
+
+    Regrets are means over seeds. Intervals are those of 95 % confidence. Errors are those of the
+    runs that did not diverge; None where no run has one.
+
+    Attributes:
+        method: its name.
+        reference: whether it is a line to compare with, no contestant.
+        median_regret: over scenarios.
+        median_interval: of the median.
+        worst_regret: over scenarios.
+        worst_interval: of the worst.
+        worst_scenario: where it is worst.
+        diverged: share of all runs.
+        not_applicable: share of all runs.
+        behind: median over scenarios of the difference to the best contestant on the same scenario
+            and seed.
+        behind_interval: of that.
+        settled: share of all runs.
+        tracking: mean rms of z - r [z].
+        estimation: mean rms of z - z^ [z].
+        width: median error of d_r + d_l where identifiable, relative.
+        centre: median error of d_r - d_l where identifiable, relative.
+        coverage: mean share of 95 % intervals that hold the truth.
+        effort: median rms of u [u].
+        slew: median rms of the change of u per step [u].
+        cost: of a step, in those of the naive observer, median over scenarios.
+    """
+
+    method: str
+    reference: bool
+    median_regret: float
+    median_interval: tuple[float, float]
+    worst_regret: float
+    worst_interval: tuple[float, float]
+    worst_scenario: str
+    diverged: float
+    not_applicable: float
+    behind: float
+    behind_interval: tuple[float, float]
+    settled: float
+    tracking: float | None
+    estimation: float | None
+    width: float | None
+    centre: float | None
+    coverage: float | None
+    effort: float | None
+    slew: float | None
+    cost: float | None
+
+
+def contestants(rows: Sequence[Row]) -> list[Row]:
+    """The rows that are no lines to compare with, and could be entered somewhere."""
+    return [row for row in rows if not row.reference and row.not_applicable < 1]
+
+
+def regrets(results: Sequence[Result]) -> dict[str, Floats]:
+    """Regret (scenarios x seeds) by method; NaN where refused.
+
+    It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
+    two runs that do not diverge the one with the smaller J has the smaller regret, whatever the
+    lines do.
+    """
+    scenarios = list(dict.fromkeys(result.scenario for result in results))
+    seeds = list(dict.fromkeys(result.seed for result in results))
+    shape = len(scenarios), len(seeds)
+    names = dict.fromkeys(result.method for result in results)
+    J = {name: np.full(shape, np.nan) for name in names}
+    zone = np.ones(shape)
+    for result in results:
+        if result.worth is not None:
+            place = scenarios.index(result.scenario), seeds.index(result.seed)
+            J[result.method][place] = np.inf if result.worth.diverged else result.worth.tracking
+            zone[place] = result.worth.zone
+    least = np.where(np.isfinite(J[ZERO]), J[ZERO], 0.0)
+    return {name: bounded((own - least) / zone) for name, own in J.items()}
+
+
+def bounded(regret: Floats) -> Floats:
+    """A regret as it is up to half of `CAP` on either side, beyond rising ever more slowly to it.
+
+    The order stays, and CAP itself is left to runs that diverged.
+    """
+    half = CAP / 2
+    size = np.maximum(np.abs(regret), half)
+    return np.where(np.abs(regret) <= half, regret, np.sign(regret) * (CAP - half**2 / size))
+
+
+def leaderboard(
+    results: Sequence[Result], references: Container[str] = (), seed: int = 0
+) -> list[Row]:
+    """The methods by median regret, of equals by the worst.
+
+    Where one is not applicable the regret of the naive observer counts.
+
+    Args:
+        results: of the runs.
+        references: names of the methods that are lines to compare with.
+        seed: of the resampling.
+    """
+    found = regrets(results)
+    counted = {
+        name: np.where(np.isnan(regret), found[NAIVE], regret) for name, regret in found.items()
+    }
+    scenarios = list(dict.fromkeys(result.scenario for result in results))
+    best = counted[_best(counted, references)]
+    naive = _times(results, NAIVE)
+    rows = []
+    for name, regret in counted.items():
+        own = [result for result in results if result.method == name]
+        median, worst = intervals(regret, seed)
+        behind, _ = intervals(regret - best, seed)
+        times = _times(results, name)
+        ratios = [times[scenario] / naive[scenario] for scenario in times]
+        rows.append(
+            Row(
+                method=name,
+                reference=name in references,
+                median_regret=median.value,
+                median_interval=(median.low, median.high),
+                worst_regret=worst.value,
+                worst_interval=(worst.low, worst.high),
+                worst_scenario=scenarios[int(regret.mean(axis=1).argmax())],
+                behind=behind.value,
+                behind_interval=(behind.low, behind.high),
+                cost=float(np.median(ratios)) if ratios else None,
+                **_averages(own),
+            )
+        )
+    return sorted(rows, key=lambda row: (row.median_regret, row.worst_regret))
+
+
+def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
+    """The contestant of least median regret, of equals that of the least worst one."""
+    best, least = ZERO, (np.inf, np.inf)
+    for name, regret in counted.items():
+        each = regret.mean(axis=1)
+        place = (float(np.median(each)), float(each.max()))
+        if name not in references and place < least:
+            best, least = name, place
+    return best
+
+
+def _averages(results: Sequence[Result]) -> dict[str, Any]:
+    """The entries of a row that are averages or shares of a method's runs."""
+    done = [result.worth for result in results if result.worth is not None]
+    kept = [worth for worth in done if not worth.diverged]
+    settled = [worth for worth in kept if worth.settling is not None]
+    total = len(results)
+    return {
+        "diverged": (len(done) - len(kept)) / total,
+        "not_applicable": 1 - len(done) / total,
+        "settled": len(settled) / total,
+        **{field: _over(kept, field, np.mean) for field in MEANS},
+        **{field: _over(kept, field, np.median) for field in MEDIANS},
+    }
+
+
+def _over(
+    kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]
+) -> float | None:
+    """A statistic of a field over the runs that have it; None where none has."""
+    every = [getattr(worth, field) for worth in kept]
+    values = [value for value in every if value is not None]
+    return float(statistic(values)) if values else None
+
+
+def _times(results: Sequence[Result], name: str) -> dict[str, float]:
+    """Seconds per step by scenario: the least of the seeds, since other work only adds."""
+    times: dict[str, float] = {}
+    for result in results:
+        if result.method == name and result.worth is not None:
+            before = times.get(result.scenario, np.inf)
+            times[result.scenario] = min(result.worth.cost, before)
+    return times
+
+
+def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
+    """Median and largest over scenarios of the mean over seeds, with their bootstrap intervals.
+
+    Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that
+    of these very scenarios: resampled ones could only leave it out.
+
+    Args:
+        regret: (scenarios x seeds).
+        seed: of the resampling.
+    """
+    rng = np.random.default_rng(seed)
+    rows, columns = regret.shape
+    drawn = rng.integers(0, columns, (RESAMPLES, rows, columns))
+    means = np.take_along_axis(regret[None], drawn, axis=2).mean(axis=2)
+    again = np.take_along_axis(means, rng.integers(0, rows, (RESAMPLES, rows)), axis=1)
+    each = regret.mean(axis=1)
+    ends = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    median_ends = np.quantile(np.median(again, axis=1), ends).tolist()
+    worst_ends = np.quantile(means.max(axis=1), ends).tolist()
+    return (
+        Interval(float(np.median(each)), *median_ends),
+        Interval(float(each.max()), *worst_ends),
+    )

@@ -1,0 +1,204 @@
+"""The page of the arena: who leads, where each method fails, what it costs, and by which rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from undeadzone.report.html import Html, Origin, folded, page, paragraph, section, table
+from undeadzone.report.pictures import images_of, pick, pictures, write_figures
+from undeadzone.support.files import write_text
+from undeadzone_arena.contest.contest import Contest
+from undeadzone_arena.contest.figures import costs, heat, places, traces
+from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets
+from undeadzone_arena.contest.metric import TAIL
+from undeadzone_arena.contest.traces import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CAPTIONS: Final = {
+    "leaderboard": "Dots: median over the scenarios; squares: the worst of them; bars: 95 % "
+    "intervals. Grey names are lines to compare with.",
+    "scenarios": "Mean over the seeds.",
+    "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
+    "observer.",
+    "cost": "Measured on the virtual machine, or in Python where a method computes there.",
+}
+NOTE: Final = (
+    "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on "
+    "the same scenario and seed. Width, centre: median errors of d_r + d_l and d_r − d_l relative "
+    "to d_r + d_l, where readings can tell. Coverage: of claimed 95 % intervals of the widths. "
+    "Cost: of a step, in those of the naive observer."
+)
+RULES: Final = (
+    "A run counts by J, the rms of z − r of the tracked outputs over its last "
+    f"{100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
+    f"(J − J_{ZERO}) / ((d_r + d_l) / 2) on the same scenario and seed: {ZERO} knows the state, "
+    f"the plant and the disturbance. A run that diverged counts {CAP:g}; beyond {CAP / 2:g} the "
+    f"regret of others rises ever more slowly towards that. Where a method is not applicable the "
+    f"naive observer ({NAIVE}) is left, and its regret counts.",
+    "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios "
+    "and seeds; that of the worst resamples seeds alone.",
+    "A method is told the believed model, the sensor but for its widths, and what the scenario "
+    "declares: ranges of the widths and rough claims, never the truth. The lines full_state and "
+    "oracle are told the true state and the true widths, informed the plant and the disturbance "
+    "too.",
+    "Numbers were tuned on other scenarios, with the same budget for all.",
+)
+HEAD: Final = (
+    "method",
+    "median regret",
+    "",
+    "behind the best",
+    "",
+    "worst regret",
+    "",
+    "where",
+    "rms z − r",
+    "rms z − z^",
+    "width",
+    "centre",
+    "coverage",
+    "settled",
+    "rms u",
+    "cost",
+    "diverged",
+    "n/a",
+)
+
+
+def write_arena(
+    contest: Contest, runs: Sequence[Trace], folder: Path, origin: Origin | None = None
+) -> list[Path]:
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
+
+    Args:
+        contest: what is shown
+        runs: of some methods, as `traces.traced` gives them
+        folder: where the files go; created if needed
+        origin: what it takes to get the same again; None: nobody can
+
+    Returns:
+        The paths of the files.
+    """
+    written = write_figures(figures(contest, runs), folder)
+    text = arena_page(contest, images_of(written), origin)
+    return [*written.values(), write_text(text, folder / "report.html")]
+
+
+def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
+    """The figures by name; runs: of some methods, as `traces.traced` gives them."""
+    drawn = {
+        "leaderboard": places(contest.rows, size_in_words(contest)),
+        "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
+    }
+    if runs:
+        drawn["trajectories"] = traces(runs)
+    drawn["cost"] = costs(contest.rows)
+    return drawn
+
+
+def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
+    """The page; images: SVGs by the names of `figures`; else see `write_arena`."""
+    shown = pictures(images, CAPTIONS)
+    leaderboard = [*pick(shown, "leaderboard"), table(HEAD, map(_cells, contest.rows))]
+    rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
+    return page(
+        "The arena",
+        _verdict(contest),
+        section("Leaderboard", *leaderboard, paragraph(NOTE, "note")),
+        section("Scenario by scenario", *pick(shown, "scenarios"), _settings(contest)),
+        section("What it looks like", *pick(shown, "trajectories")),
+        section("What it costs", *pick(shown, "cost")),
+        section("Rules", *rules),
+        origin=origin,
+    )
+
+
+def _cells(row: Row) -> tuple[Any, ...]:
+    """The row of a method, as `HEAD` names its cells; lines to compare with are grey."""
+    name: str | Html = row.method
+    if row.reference:
+        name = Html(f'<span class="note">{row.method}</span>')
+    regret = (_rounded(row.median_regret), _interval(row.median_interval))
+    behind = (_rounded(row.behind), _interval(row.behind_interval))
+    worst = (_rounded(row.worst_regret), _interval(row.worst_interval), row.worst_scenario)
+    errors = (row.tracking, row.estimation, row.width, row.centre)
+    others = (row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)
+    return (name, *regret, *behind, *worst, *map(_rounded, errors), *map(_rounded, others))
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    """An interval in parentheses."""
+    return f"({ends[0]:.3f} to {ends[1]:.3f})"
+
+
+def _rounded(value: float | None) -> float | None:
+    """A number to three digits."""
+    return None if value is None else float(f"{value:.3g}")
+
+
+def size_in_words(contest: Contest) -> str:
+    """How many methods, scenarios and runs there are."""
+    parts = [
+        _count(len(contest.rows), "method"),
+        _count(len(contest.scenarios), "scenario"),
+        _count(len(contest.seeds), "run"),
+    ]
+    return ", ".join(parts) + " each"
+
+
+def _count(number: int, what: str) -> str:
+    """A number of things: "1 run", "2 runs"."""
+    return f"{number} {what}{'s' * (number > 1)}"
+
+
+def _verdict(contest: Contest) -> Html:
+    """Who leads, by how much, and whose worst regret is least."""
+    if not contest.contestants:
+        return paragraph("Lines to compare with only.")
+    first, *rest = contest.contestants
+    regret = f"{first.median_regret:.3f} {_interval(first.median_interval)}"
+    text = f"{size_in_words(contest)}. Least median regret: {first.method}, {regret}"
+    text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
+    if rest:
+        second = rest[0]
+        behind = f"{second.behind:.3f} behind in the median {_interval(second.behind_interval)}"
+        steady = min(contest.contestants, key=lambda row: row.worst_regret)
+        text += f" Next: {second.method}, {second.median_regret:.3f}"
+        text += f"; on the same scenario it is {behind}."
+        text += f" Least worst regret: {steady.method}, {steady.worst_regret:.3f}."
+    return paragraph(text)
+
+
+def _settings(contest: Contest) -> Html:
+    """The scenarios: widths, noise and step."""
+    rows = []
+    for name, scenario in contest.scenarios.items():
+        sensor = scenario.sensor
+        widths = (str(sensor.right), str(sensor.left))
+        step = f"{scenario.simulation.step:g} s"
+        rows.append((name, scenario.title, *widths, str(sensor.noise), step))
+    return folded("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
+
+
+def _refusals(contest: Contest) -> Html:
+    """The scenarios to which a method does not apply, with the reasons, each once."""
+    refused = [result for result in contest.results if result.worth is None]
+    reasons = [(result.method, result.scenario, result.reason) for result in refused]
+    rows = list(dict.fromkeys(reasons))
+    title = f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}"
+    return folded(title, table(("method", "scenario", "why"), rows))
+
+
+def _tuned_numbers(contest: Contest) -> Html:
+    """The tuned numbers of every method that has some."""
+    rows = []
+    for row in contest.rows:
+        knobs = contest.numbers.get(row.method, {})
+        if knobs:
+            words = [f"{address} {value:.4g}" for address, value in knobs.items()]
+            rows.append((row.method, ", ".join(words)))
+    return folded("Tuned numbers", table(("method", "knobs"), rows))

@@ -1,0 +1,96 @@
+"""Runs worth seeing: those of the best method, the worst, the paper's and the naive one.
+
+They are shown on the scenario where the best does as it usually does.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import UndeadzoneError
+from undeadzone.support.arrays import Floats
+from undeadzone_arena.contest.contest import Contest
+from undeadzone_arena.contest.leaderboard import CAP, NAIVE, regrets
+
+PAPER: Final = "printed"
+
+
+class Trace(NamedTuple):
+    """A run of one method: the first tracked output.
+
+    Attributes:
+        method: its name.
+        scenario: its title.
+        t: time (N) [s].
+        z: true output (N) [z].
+        z_hat: its estimate (N) [z].
+        r: its reference (N) [z].
+        widths: d_r, d_l at t = 0 [z].
+    """
+
+    method: str
+    scenario: str
+    t: Floats
+    z: Floats
+    z_hat: Floats
+    r: Floats
+    widths: Floats
+
+
+def typical(contest: Contest) -> str:
+    """The scenario on which the regret of the best method is nearest to its median.
+
+    It is one of those with a dead zone if there are any. There must be a contestant.
+    """
+    each = regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
+    other_sensor = [scenario.sensor.kind != "deadzone" for scenario in contest.scenarios.values()]
+    distance = np.abs(each - np.nanmedian(each)) + CAP * np.array(other_sensor)
+    return list(contest.scenarios)[int(np.nanargmin(distance))]
+
+
+def traced(contest: Contest, title: str | None = None) -> list[Trace]:
+    """Runs of the best, of the worst that never diverged, the paper's and the naive method.
+
+    Those that are not applicable are left out.
+
+    Args:
+        contest: whose methods.
+        title: of the scenario; None: the typical one.
+    """
+    if not contest.contestants:
+        return []
+    title = typical(contest) if title is None else title
+    traces = []
+    for method in _worth_seeing(contest):
+        try:
+            traces.append(_trace(contest, method, title))
+        except UndeadzoneError:
+            continue
+    return traces
+
+
+def _worth_seeing(contest: Contest) -> list[str]:
+    """The methods whose runs are shown, each once."""
+    contestants = contest.contestants
+    kept = [row.method for row in contestants if not row.diverged and not row.not_applicable]
+    if not kept:
+        kept = [contestants[0].method]
+    paper = [row.method for row in contest.rows if row.method == PAPER]
+    return list(dict.fromkeys([kept[0], kept[-1], *paper, NAIVE]))
+
+
+def _trace(contest: Contest, method: str, title: str) -> Trace:
+    """A run of one method on one scenario. Raises InputError where it is not applicable."""
+    problem, out = contest.replay(method, title)
+    t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
+    return Trace(
+        method=method,
+        scenario=contest.scenarios[title].title,
+        t=t,
+        z=out.z[:, i],
+        z_hat=out.estimate.z[:, i],
+        r=problem.reference.value(t)[:, 0],
+        widths=np.array([problem.sensor.right[i], problem.sensor.left[i]]),
+    )

@@ -1,0 +1,186 @@
+"""Fair tuning: the same budget of candidates for every method, on the same runs of scenarios."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from undeadzone.numerics.optimise import evolve
+from undeadzone.scenario.schema import Scenario
+from undeadzone.support.answers import Answers
+from undeadzone.support.arrays import Floats
+from undeadzone.support.processes import pool as processes_of
+from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
+from undeadzone_arena.contest.methods import Method, catalogue, middle
+from undeadzone_arena.contest.metric import Result
+from undeadzone_arena.contest.prior_knowledge import Setting, situation
+from undeadzone_arena.contest.trials import problem_of, trial
+from undeadzone_arena.contest.tuned_file import Found, Tuned
+
+BUDGET: Final = 60  # candidates of a method
+SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
+SPREAD: Final = 0.25  # first steps of the search, as a share of a range
+
+
+def tune(
+    names: Sequence[str],
+    grounds: Mapping[str, Scenario],
+    budget: int = BUDGET,
+    seeds: Sequence[int] = SEEDS,
+    search: int = 0,
+    processes: int | None = None,
+    progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
+) -> Tuned:
+    """The numbers of each method's knobs that make its mean regret small.
+
+    Args:
+        names: of the methods.
+        grounds: scenarios to tune on, by name.
+        budget: candidates of each method.
+        seeds: of the runs.
+        search: seed of the evolution.
+        processes: at once; None: one per processor.
+        progress: called with the number of methods just done.
+        keep: file that keeps what is found of methods, to be deleted once it is saved; None: none.
+        resume: take up what a stopped run left in `keep`.
+
+    Raises:
+        InputError: or a subclass.
+    """
+    known = catalogue()
+    frame = _frame(grounds, seeds)
+    adjustable = [name for name in dict.fromkeys(names) if known[name].knobs]
+
+    def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
+        """What is found of methods, as it comes."""
+        count = os.cpu_count() if processes is None else processes
+        with processes_of(count) as pool:
+            waiting = {}
+            for k in missing:
+                arguments = adjustable[k], dict(grounds), frame, budget, tuple(seeds), search
+                waiting[pool.submit(_search, *arguments)] = k
+            for future in as_completed(waiting):
+                yield waiting[future], msgspec.to_builtins(future.result())
+                if progress is not None:
+                    progress(1)
+
+    if keep is None:
+        by_number = dict(compute(list(range(len(adjustable)))))
+        plain = [by_number[k] for k in range(len(adjustable))]
+    else:
+        problem = problem_of(grounds, seeds, {}) | {"budget": budget, "search": search}
+        kept = Answers(keep, problem, "methods", resume)
+        with kept.kept():
+            plain = kept.of(adjustable, compute)
+    methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, Found])
+    return Tuned(
+        budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods
+    )
+
+
+def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
+    """The results of the lines that are always there."""
+    settings = {title: situation(scenario) for title, scenario in grounds.items()}
+    known = catalogue()
+    results: list[Result] = []
+    for name in FRAME:
+        for title, setting in settings.items():
+            results += trial(name, known[name], title, setting, seeds)
+    return results
+
+
+def _search(
+    name: str,
+    scenarios: Mapping[str, Scenario],
+    frame: list[Result],
+    budget: int,
+    seeds: Sequence[int],
+    search: int,
+) -> Found:
+    """The numbers of one method's knobs, found in a process of its own."""
+    grounds = {title: situation(scenario) for title, scenario in scenarios.items()}
+    method = catalogue()[name]
+
+    def cost(numbers: Mapping[str, float]) -> float:
+        return mean_regret(method, grounds, frame, seeds, numbers)
+
+    return best(method, cost, budget, search)
+
+
+def best(
+    method: Method, cost: Callable[[Mapping[str, float]], float], budget: int, search: int
+) -> Found:
+    """The cheapest of `budget` candidates.
+
+    They come from an evolution that begins in the middle of the ranges, on logarithmic scales; from
+    a grid for a single knob.
+
+    Args:
+        method: whose knobs.
+        cost: cost(numbers) is made small.
+        budget: how many candidates.
+        search: seed of the evolution.
+    """
+    centre = middle(method)
+    tried: list[tuple[float, dict[str, float]]] = [(cost(centre), centre)]
+
+    def costs(shares: Floats) -> Floats:
+        """Of candidates (b, d) as shares of the ranges; inf for those beyond the budget."""
+        for row in shares[: budget - len(tried)]:
+            numbers = _numbers(method, row)
+            tried.append((cost(numbers), numbers))
+        fresh = [value for value, _ in tried[-len(shares) :]]
+        return np.array(fresh + [np.inf] * (len(shares) - len(fresh)))
+
+    d = len(method.knobs)
+    if d == 1:
+        costs(np.linspace(0.0, 1.0, budget - 1)[:, None])
+    else:
+        size = 4 + int(3 * np.log(d))
+        rounds = -(-(budget - 1) // size)  # rounded up
+        evolve(costs, np.zeros(d), np.ones(d), search, size, rounds, np.full(d, 0.5), SPREAD)
+    regret, numbers = min(tried, key=lambda each: each[0])
+    return Found(regret=regret, before=tried[0][0], candidates=len(tried), knobs=numbers)
+
+
+def _numbers(method: Method, shares: Floats) -> dict[str, float]:
+    """The numbers of a method's knobs at shares of their ranges, on logarithmic scales."""
+    knobs = zip(method.knobs.items(), shares, strict=True)
+    return {
+        address: float(knob.low * (knob.high / knob.low) ** share)
+        for (address, knob), share in knobs
+    }
+
+
+def mean_regret(
+    method: Method,
+    grounds: Mapping[str, Setting],
+    frame: list[Result],
+    seeds: Sequence[int],
+    numbers: Mapping[str, float],
+) -> float:
+    """The mean regret of a method over scenarios and seeds.
+
+    It counts CAP where the method is not applicable with these numbers, lest it be tuned to refuse
+    what is hard.
+
+    Args:
+        method: what is tried.
+        grounds: scenarios by name, and what may be known of them.
+        frame: results of the lines that are always there.
+        seeds: of the runs.
+        numbers: of the method's knobs, by address.
+    """
+    own: list[Result] = []
+    for title, ground in grounds.items():
+        own += trial("own", method, title, ground, seeds, numbers)
+    regret = regrets([*frame, *own])["own"]
+    return float(np.where(np.isnan(regret), CAP, regret).mean())

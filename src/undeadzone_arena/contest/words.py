@@ -1,0 +1,80 @@
+"""A contest in words: its leaderboard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from undeadzone.support.shown import Block
+from undeadzone_arena.contest.leaderboard import Row, contestants
+
+HEAD: Final = (
+    "",
+    "method",
+    "median regret",
+    "behind the best",
+    "worst regret",
+    "worst where",
+    "diverged",
+    "n/a",
+    "rms z - r",
+    "coverage",
+)
+
+
+def in_words(rows: Sequence[Row], scenarios: int, seeds: int) -> list[Block]:
+    """A leaderboard, as blocks of text and a table.
+
+    Args:
+        rows: the leaderboard.
+        scenarios: how many it rests on.
+        seeds: runs of each method on each scenario.
+    """
+    places = {row.method: f"{place}" for place, row in enumerate(contestants(rows), 1)}
+    refused = [row.method for row in rows if row.not_applicable == 1]
+    table: list[tuple[str, ...]] = [HEAD]
+    for row in rows:
+        if row.method not in refused:
+            table.append(_cells(places.get(row.method, "-"), row))
+    blocks: list[Block] = [table]
+    if refused:
+        blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
+    on = f"{_counted(scenarios, 'scenario')}, {_counted(seeds, 'run')} each"
+    blocks.append(f"{on}; - : line to compare with; 95 % intervals in ()")
+    return blocks
+
+
+def _counted(number: int, what: str) -> str:
+    """1 run, 2 runs."""
+    return f"{number} {what}{'s' * (number > 1)}"
+
+
+def _cells(place: str, row: Row) -> tuple[str, ...]:
+    """A row of the leaderboard as text."""
+    return (
+        place,
+        row.method,
+        _regret(row.median_regret, row.median_interval),
+        _regret(row.behind, row.behind_interval),
+        _regret(row.worst_regret, row.worst_interval),
+        row.worst_scenario,
+        _share(row.diverged),
+        _share(row.not_applicable),
+        _number(row.tracking, ".3g"),
+        _number(row.coverage, ".2f"),
+    )
+
+
+def _regret(value: float, interval: tuple[float, float]) -> str:
+    """A regret and its interval."""
+    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+
+
+def _share(value: float) -> str:
+    """A share in percent; nothing where there is none."""
+    return f"{100 * value:.0f} %" if value else ""
+
+
+def _number(value: float | None, form: str) -> str:
+    """A number; nothing where there is none."""
+    return "" if value is None else format(value, form)

@@ -1,0 +1,1 @@
+"""Controllers of the literature: one file each."""

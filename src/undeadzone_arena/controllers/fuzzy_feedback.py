@@ -1,0 +1,34 @@
+"""Adaptive fuzzy output feedback."""
+
+from __future__ import annotations
+
+from undeadzone.interfaces import Controller
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import scalar
+from undeadzone_arena.approximators import gaussians
+from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, approximating
+
+
+class FuzzyFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="fuzzy_feedback"):
+    """Wang (1993), Tong and Li (2009): b u = r^(n) - W'phi(x^) - feedback, phi of fuzzy sets.
+
+    phi are the firing strengths of `rules` fuzzy sets per axis. It makes y / m, or what the
+    observer makes of it (`z_inverse`), follow r: with an observer that is blind to the dead zone,
+    the wrong output.
+
+    Attributes:
+        rules: number of fuzzy sets per axis, at least 2.
+        overlap: overlap of neighbours, standard deviation in spacings.
+    """
+
+    rules: int = 5
+    overlap: float = 0.7
+
+    def build(self, model: System) -> Controller:
+        """The controller for a linear model of one input and one output."""
+        overlap = scalar("controller.overlap", self.overlap, above=0.0)
+        return approximating(
+            model,
+            self,
+            lambda reach: gaussians("controller.rules", reach, self.rules, overlap, True),
+        )

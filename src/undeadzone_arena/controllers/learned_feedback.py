@@ -1,0 +1,212 @@
+"""Output feedback that knows only the order and the input gain of the plant learns the rest.
+
+The rest is W'phi(x^).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError, StructureError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices, companion
+from undeadzone.linear.poles import observer_gain
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole, in_poles
+from undeadzone.support.arrays import Array, Floats, listed, positive
+from undeadzone_arena.approximators import Basis
+
+
+class FeedbackOptions(Options, frozen=True, kw_only=True):
+    """Options of every output feedback that learns.
+
+    Attributes:
+        reach: |z|, |z'|, ... up to which the functions hold, one per derivative below the relative
+            degree.
+        speed: all poles of its observer [1/s]; default 40 times the fastest pole.
+        bandwidth: all poles of the error [1/s]; default 10 times the fastest pole.
+        gain: gain of the weights [1/s^2]; default 50 times the fastest pole squared.
+        leak: leak of the weights [1/s]; default a hundredth of the fastest pole.
+    """
+
+    reach: Array
+    speed: float | None = None
+    bandwidth: float | None = None
+    gain: float | None = None
+    leak: float | None = None
+
+
+class Params(NamedTuple):
+    """Numbers of the controller.
+
+    Attributes:
+        basis: numbers of the basis.
+        chain, input: r integrators (r x r, r), per step when sampled.
+        L: gain of their observer (r), per step when sampled.
+        L_top: last entry of that gain in continuous time [1/s].
+        reference: r and its derivatives from x_ref (r x n).
+        top: the derivative above them (n).
+        b: input gain.
+        feedback, slide: weights of the error (r).
+        gain, leak: of the weights, per step when sampled.
+    """
+
+    basis: Any
+    chain: Floats
+    input: Floats
+    L: Floats
+    L_top: Any
+    reference: Floats
+    top: Floats
+    b: Any
+    feedback: Floats
+    slide: Floats
+    gain: Any
+    leak: Any
+
+
+class State(NamedTuple):
+    """Estimates of z and its derivatives (r), the weights (N)."""
+
+    x: Any
+    W: Any
+
+
+class Rates(NamedTuple):
+    """Poles of the observer and of the error [1/s], gain [1/s^2] and leak [1/s] of the weights."""
+
+    speed: float
+    bandwidth: float
+    gain: float
+    leak: float
+
+
+def approximating(
+    model: System, options: FeedbackOptions, basis_on: Callable[[Floats], Basis]
+) -> Controller:
+    """The controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
+
+    x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^
+    less r and its derivatives; b u = r^(r) - W'phi - L_r e - feedback E,
+    W' = gain phi s - leak W, s = slide E = (d/dt + bandwidth)^(r-1) E_1.
+
+    Args:
+        model: the model, continuous or sampled.
+        options: the controller's.
+        basis_on: basis_on(reach (r)) is the basis.
+
+    Raises:
+        InputError, ShapeError, StructureError: for a model or options that cannot be.
+    """
+    if model.m != 1 or model.p != 1 or model.nonlinear:
+        nonlinear = ", nonlinear" if model.nonlinear else ""
+        raise InputError(
+            "controller.method: this method is for a linear model of one input and one output, "
+            f"found {model.m} and {model.p}{nonlinear}"
+        )
+    flow = model.linear if model.flow is None else model.flow
+    r = relative_degree(flow)
+    rates = _rates(model, options)
+    derivatives = f"|z| and its derivatives up to order {r - 1}"
+    basis = basis_on(positive("controller.reach", options.reach, r, derivatives))
+    params = _params(flow, model.Ts, r, rates, basis.params)
+
+    def init(p: Params) -> State:
+        return State(np.zeros(r), np.zeros(basis.size))
+
+    keep = 0.0 if model.Ts is None else 1.0
+    return Controller(params, init, partial(learned_step, basis, keep))
+
+
+def relative_degree(linear: Matrices) -> int:
+    """r, the first derivative of the one output that the input moves.
+
+    Raises StructureError if the rest is not stable by itself.
+    """
+    A, B, C = linear
+    n = A.shape[0]
+    rows = [C]
+    while len(rows) < n and _moves_nothing(rows[-1], B):
+        rows.append(rows[-1] @ A)
+    seen = np.vstack(rows)
+    b = (rows[-1] @ B).item()
+    if n > len(rows):
+        hidden = np.linalg.svd(seen)[2][len(rows) :].T
+        zeros = np.linalg.eigvals(hidden.T @ (A - B @ rows[-1] @ A / b) @ hidden)
+        if zeros.real.max() >= 0:
+            raise StructureError(
+                f"controller.method: the plant has zeros {listed(zeros)}, and what an output "
+                "feedback without a model cannot see must be stable"
+            )
+    return len(rows)
+
+
+def _moves_nothing(row: Floats, B: Floats) -> bool:
+    """Whether the input leaves a derivative of the output as it is, but for rounding."""
+    scale = float(np.linalg.norm(row) * np.linalg.norm(B))
+    return abs((row @ B).item()) <= 1e-9 * scale
+
+
+def _rates(model: System, options: FeedbackOptions) -> Rates:
+    """The rates as given, else in fastest poles of the plant. Raises InputError."""
+    return Rates(
+        speed=in_poles(model, "controller.speed", options.speed, 40.0),
+        bandwidth=in_poles(model, "controller.bandwidth", options.bandwidth, 10.0),
+        gain=in_poles(model, "controller.gain", options.gain, 50.0 * fastest_pole(model)),
+        leak=in_poles(model, "controller.leak", options.leak, 0.01),
+    )
+
+
+def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) -> Params:
+    """The controller's numbers."""
+    chain = companion(np.zeros(r))
+    poles = np.full(r, -rates.speed)
+    L = observer_gain(chain, poles, None)[:, 0]
+    rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])
+    b = (rows[r - 1] @ flow.B).item()
+    if Ts is None:
+        per_step, moving, injected = 1.0, chain, L
+    else:
+        per_step, moving = Ts, zoh(chain, Ts)
+        injected = observer_gain(moving, poles, Ts)[:, 0]
+    return Params(
+        basis=basis,
+        chain=moving.A,
+        input=moving.B[:, 0],
+        L=injected,
+        L_top=L[-1],
+        reference=rows[:r],
+        top=rows[r],
+        b=np.float64(b),
+        feedback=error_weights(r, rates.bandwidth),
+        slide=np.append(error_weights(r - 1, rates.bandwidth), 1.0),
+        gain=np.float64(rates.gain * per_step),
+        leak=np.float64(rates.leak * per_step),
+    )
+
+
+def error_weights(order: int, bandwidth: float) -> Floats:
+    """Coefficients of (s + bandwidth)^order below the highest, lowest first (order)."""
+    return np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1]
+
+
+def learned_step(
+    basis: Basis, keep: float, p: Params, s: State, estimate: Estimate, target: Target
+) -> tuple[State, Any]:
+    """(the state's derivative, or its next value when sampled, u); keep: 1 when sampled, else 0."""
+    e = estimate.z_inverse - s.x[0]
+    phi = basis.phi(p.basis, s.x)
+    error = s.x - p.reference @ target.x_ref
+    # f + b u, what z^(r) is to be
+    wanted = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
+    u = (wanted - ca.dot(s.W, phi)) / p.b
+    learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
+    return State(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u

@@ -1,0 +1,34 @@
+"""Adaptive output feedback with radial basis functions."""
+
+from __future__ import annotations
+
+from undeadzone.interfaces import Controller
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import scalar
+from undeadzone_arena.approximators import gaussians
+from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, approximating
+
+
+class RBFFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="rbf_feedback"):
+    """Sanner and Slotine (1992): b u = r^(n) - W'phi(x^) - feedback, phi Gaussians.
+
+    Also Lewis, Yesildirek and Liu (1996). The Gaussians stand at `centres` places per axis. It
+    makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is
+    blind to the dead zone, the wrong output.
+
+    Attributes:
+        centres: number of Gaussians per axis, at least 2.
+        overlap: overlap of neighbours, standard deviation in spacings.
+    """
+
+    centres: int = 5
+    overlap: float = 0.7
+
+    def build(self, model: System) -> Controller:
+        """The controller for a linear model of one input and one output."""
+        overlap = scalar("controller.overlap", self.overlap, above=0.0)
+        return approximating(
+            model,
+            self,
+            lambda reach: gaussians("controller.centres", reach, self.centres, overlap, False),
+        )

@@ -1,0 +1,119 @@
+"""Robust adaptive control without an inverse, for an actuator with an unknown dead zone.
+
+The zone is a slope and a bounded rest; the bound is learnt, and countered where the error is.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.support.arrays import Array, Floats, positive, scalar
+from undeadzone_arena.controllers.sliding_mode import surface
+
+STEADY = 0.5  # k in layers per step, up to which s does not chatter
+USUAL = 10.0  # rate of the surface and on it, in fastest poles of the plant
+
+
+class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
+    """Robust adaptive control of Wang, Su and Hong (2004), which needs no inverse.
+
+    u = phi (u_ff - G (f(x^, u_ff) - f(x_ref, u_ff))) - rate s - k sat(s / layer), s = G (x^ -
+    x_ref), G B = I. With s_e = s - layer sat(s / layer) the bound of the zone's rest grows by
+    k' = learning |s_e|, and the inverse of its slope moves by phi' = -slope_learning u_ff s_e.
+    Automatica 40 (2004). It needs as many independent columns of B as inputs.
+
+    Attributes:
+        rate: rate at which s decays [1/s]; default ten times the fastest pole of the plant.
+        poles: poles of the error on s = 0 (n - m of them) [1/s]; default about `rate`.
+        layer: |s| inside which nothing is learnt, one or one per input [u s]; default 1 / rate.
+        learning: rate at which k grows, one or one per input [1/s]; default rate^2 / 5.
+        slope_learning: rate at which phi moves [1 / (u s)]; default 0: the slope is 1.
+        most: largest k, one or one per input [u]; default none, but in sampled time k stays below
+            half of layer / step, beyond which s would chatter.
+    """
+
+    rate: float | None = None
+    poles: Array | None = None
+    layer: Array | None = None
+    learning: Array | None = None
+    slope_learning: float = 0.0
+    most: Array | None = None
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model, continuous or sampled."""
+        n, m, Ts = model.n, model.m, model.Ts
+        usual = USUAL * fastest_pole(model)
+        rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
+        poles = -rate * np.linspace(0.8, 1.2, max(n - m, 0)) if self.poles is None else self.poles
+        layer = 1 / rate if self.layer is None else self.layer
+        learning = rate**2 / 5 if self.learning is None else self.learning
+        most = 1e50 if self.most is None else self.most
+        per_step = 1.0 if Ts is None else Ts
+        width = positive("controller.layer", layer, m, "one per input") / per_step
+        bound = positive("controller.most", most, m, "one per input")
+        params = Params(
+            model=model.params,
+            G=surface(model, poles),
+            keep=np.float64(-rate if Ts is None else np.exp(-rate * Ts)),
+            layer=width,
+            learning=positive("controller.learning", learning, m, "one per input") * per_step**2,
+            slope=np.float64(
+                scalar("controller.slope_learning", self.slope_learning, least=0.0) * per_step**2
+            ),
+            most=bound if Ts is None else np.minimum(bound, STEADY * width),
+        )
+        held = 0.0 if Ts is None else 1.0
+
+        def init(p: Params) -> State:
+            return State(np.zeros(m), np.ones(m))
+
+        def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            moved = model.move(p.model, estimate.x, target.u_ff)
+            apart = moved - model.move(p.model, target.x_ref, target.u_ff)
+            distance = p.G @ (estimate.x - target.x_ref)
+            pull = ca.fmax(ca.fmin(distance / p.layer, 1.0), -1.0)
+            outside = distance - p.layer * pull
+            forced = target.u_ff - p.G @ apart
+            u = s.slope * forced + p.keep * distance - s.bound * pull
+            bound = held * s.bound + p.learning * ca.fabs(outside)
+            slope = held * s.slope - p.slope * forced * outside
+            return State(ca.fmin(bound, p.most) if held else bound, slope), u
+
+        return Controller(params, init, step)
+
+
+class Params(NamedTuple):
+    """Numbers of the controller; s of a sampled model counts per step, as G B = I of its B.
+
+    Attributes:
+        model: numbers of the model.
+        G: from the error to s (m x n), G B = 1.
+        keep: -rate, or what is left of s after a step.
+        layer: |s| inside which nothing is learnt (m).
+        learning: rate of the bound (m).
+        slope: rate of phi.
+        most: largest bound (m) [u].
+    """
+
+    model: Any
+    G: Floats
+    keep: Any
+    layer: Floats
+    learning: Floats
+    slope: Any
+    most: Floats
+
+
+class State(NamedTuple):
+    """The learnt bound k of the zone's rest (m) [u], and phi, the inverse of its slope (m)."""
+
+    bound: Any
+    slope: Any

@@ -1,0 +1,132 @@
+"""The sliding-mode controller drives the tracking error onto a plane on which it decays.
+
+It does so whatever a bounded input disturbance does.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError, StepError, StructureError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import state_gain
+from undeadzone.linear.scaling import sizes
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
+
+
+class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
+    """Sliding mode: Slotine and Li (1991); sampled, the reaching law of Gao, Wang, Homaifa (1995).
+
+    u = u_ff - G (f(x^, u_ff) - f(x_ref, u_ff)) - rate s - gain sat(s / boundary),
+    s = G (x^ - x_ref), G B = I. Needs as many independent columns of B as inputs; of a nonlinear
+    plant, a constant B.
+
+    Attributes:
+        gain: what exceeds the input disturbances to suppress, one or one per input [u].
+        poles: poles of the error on s = 0 (n - m of them) [1/s]; default about ten times the
+            fastest pole of the plant.
+        rate: rate at which s decays [1/s]; default ten times the fastest pole of the plant.
+        boundary: layer in which the law is linear, one or one per input [u s]; default
+            gain / (2 rate).
+    """
+
+    gain: Array
+    poles: Array | None = None
+    rate: float | None = None
+    boundary: Array | None = None
+
+    def build(self, model: System) -> Controller:
+        """The controller for a model, continuous or sampled."""
+        n, m, Ts = model.n, model.m, model.Ts
+        usual = 10 * fastest_pole(model)
+        spread = np.linspace(0.8, 1.2, max(n - m, 0))
+        poles = -usual * spread if self.poles is None else self.poles
+        rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
+        gain, boundary = self._layer(m, rate)
+        if Ts is not None and (gain * Ts > boundary).any():
+            raise StepError(
+                f"simulation.step: {Ts:g} s is too coarse: gain / boundary = "
+                f"{(gain / boundary).max():.4g} 1/s inside the layer must be below 1 / step; "
+                "use a wider controller.boundary or a shorter step"
+            )
+        per_step = 1.0 if Ts is None else Ts
+        keep = -rate if Ts is None else np.exp(-rate * Ts)
+        params = Params(model.params, surface(model, poles), np.float64(keep), gain, boundary)
+
+        def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            moved = model.move(p.model, estimate.x, target.u_ff)
+            apart = moved - model.move(p.model, target.x_ref, target.u_ff)
+            distance = p.G @ (estimate.x - target.x_ref)
+            pull = p.gain * ca.fmax(ca.fmin(per_step * distance / p.boundary, 1.0), -1.0)
+            return s, target.u_ff - p.G @ apart + p.keep * distance - pull
+
+        return Controller(params, lambda p: None, step)
+
+    def _layer(self, m: int, rate: float) -> tuple[Floats, Floats]:
+        """(gain, boundary) (m each). Raises InputError, ShapeError."""
+        gain = nonnegative("controller.gain", self.gain, m, "one per input")
+        if not gain.all():
+            raise InputError(
+                "controller.gain: must be positive, found 0; without it the law is a state feedback"
+            )
+        width = gain / (2 * rate) if self.boundary is None else self.boundary
+        boundary = vector("controller.boundary", width, m, "one per input")
+        if (boundary <= 0).any():
+            raise InputError(f"controller.boundary: must be positive, found {boundary.min():g}")
+        return gain, boundary
+
+
+class Params(NamedTuple):
+    """Numbers of the controller.
+
+    Attributes:
+        model: numbers of the model.
+        G: from the error to s (m x n), G B = 1.
+        keep: -rate, or what is left of s after a step.
+        gain: gain of the switching term (m).
+        boundary: its layer (m).
+    """
+
+    model: Any
+    G: Floats
+    keep: Any
+    gain: Floats
+    boundary: Floats
+
+
+def surface(model: System, poles: Array) -> Floats:
+    """G (m x n) with G B = 1 such that the error on G e = 0 has given poles.
+
+    Args:
+        model: the model, continuous or sampled.
+        poles: poles of the error (n - m) [1/s].
+
+    Raises:
+        InputError, StructureError: for poles that cannot be, or inputs that are not independent.
+    """
+    A, B, _ = model.linear
+    n, m = B.shape
+    size = sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
+    A, B = A * size / size[:, None], B / size[:, None]
+    rank = np.linalg.matrix_rank(B)
+    if rank < m:
+        raise StructureError(
+            "controller.method: 'sliding_mode' needs inputs that move independent states, "
+            f"B has rank {rank}, not {m}"
+        )
+    Q = np.linalg.qr(B, mode="complete")[0]
+    moved, free = Q[:, :m], Q[:, m:]  # what inputs move, and what they do not
+    M: Floats = np.zeros((m, 0))
+    if n > m or np.size(poles):
+        reduced = Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m)))
+        M = state_gain(reduced, poles, model.Ts)
+    G = moved.T + M @ free.T
+    return np.asarray(np.linalg.solve(G @ B, G / size))

@@ -1,0 +1,34 @@
+"""A fuzzy system learns what the sensor takes off z."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from undeadzone.interfaces import Observer
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, scalar
+from undeadzone_arena.approximators import gaussians
+from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
+
+
+class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residual"):
+    """Wang (1993): z - y / m = W'phi(z^), phi the firing strengths of fuzzy sets.
+
+    They are a universal approximator (Wang and Mendel 1992).
+
+    Attributes:
+        reach: |z| up to which the sets lie, one or one per output [z].
+        rules: number of fuzzy sets, at least 2.
+        overlap: overlap of neighbours, standard deviation in spacings.
+    """
+
+    reach: Array
+    rules: int = 9
+    overlap: float = 0.7
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled."""
+        overlap = scalar("observer.overlap", self.overlap, above=0.0)
+        basis = gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
+        return residual(model, sensor, self, self.reach, basis)

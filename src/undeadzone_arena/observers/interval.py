@@ -1,0 +1,123 @@
+"""The interval observer keeps boxes that hold state and widths.
+
+They hold whatever bounded noise and disturbance do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Observer
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.scaling import sizes
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.prior import FLOOR, width_ranges
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
+from undeadzone_arena.observers.parts.interval_step import Params, interval
+from undeadzone_arena.observers.parts.modal_form import modes
+
+NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
+
+
+class Interval(Options, frozen=True, kw_only=True, tag="interval"):
+    """Gouze, Rapaport and Hadj-Sadok (2000); Mazenc and Bernard (2011): guaranteed bounds.
+
+    Their midpoints are the estimates; x_std, ... are half the intervals' widths / sqrt(3), the
+    standard deviation of a uniform distribution. Where claimed bounds contradict each other the
+    boxes start anew.
+
+    Attributes:
+        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
+            defaults to that of right.
+        noise: bound of the noise of a reading, one or one per output [y]; default six times the
+            sensor's rms.
+        noise_before: bound of the noise ahead of the sensor, one or one per output [z]; default six
+            times the sensor's rms.
+        disturbance: bound of the input disturbance, one or one per input [u].
+        x_max: bound of |x(0)|, one or one per state; default five times the largest width.
+        L: gain (n x p) [1/s]; default 0 for a stable plant.
+        poles: poles of A - L C (n) [1/s], in place of L.
+        speed: speed of A - L C [1/s], in place of L; default twice the fastest pole for a plant
+            that is not stable.
+        contraction: how fast bounds follow what a reading tells, in continuous time [1/s]; default
+            ten times the fastest pole.
+    """
+
+    right: Array
+    left: Array | None = None
+    noise: Array | None = None
+    noise_before: Array | None = None
+    disturbance: Array = 0.0
+    x_max: Array | None = None
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    contraction: float | None = None
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a linear model, continuous or sampled."""
+        if model.nonlinear:
+            raise InputError(
+                "observer.method: 'interval' bounds linear plants only; use 'censored' for a "
+                "nonlinear one"
+            )
+        n, p = model.n, model.p
+        ranges = width_ranges(self.right, self.left, p)
+        after, before = self._noise(sensor, p)
+        disturbance = nonnegative(
+            "observer.disturbance", self.disturbance, model.m, "one per input"
+        )
+        x_max = 5 * ranges.max() if self.x_max is None else self.x_max
+        start = nonnegative("observer.x_max", x_max, n, "one per state")
+        flow = model.linear if model.flow is None else model.flow
+        L = self._gain(model, flow)
+        form = modes(model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts)
+        rounding = FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)
+        noise = after / sensor.slope + before + rounding
+        radius = np.abs(form.inverse) @ start
+        params = Params(
+            model=model.params,
+            L=L,
+            slope=sensor.slope,
+            T=form.T,
+            inverse=form.inverse,
+            S=form.S,
+            turn=form.turn,
+            pace=np.float64(self._pace(model)),
+            disturbance=disturbance,
+            noise=noise,
+            sure=np.where(after > sensor.threshold, after, -FAR),
+            slack=np.maximum(after, sensor.threshold) / sensor.slope + noise,
+            start=Boxes(np.zeros(n), radius, Bounds(*ranges[:p].T), Bounds(*ranges[p:].T)),
+        )
+        return interval(model, form.pairs, params, sensor)
+
+    def _noise(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
+        """The bounds of the noise after (p) [y] and before the sensor (p) [z]."""
+        after, before = NOISE * sensor.noise, NOISE * sensor.noise_before
+        if self.noise is not None:
+            after = nonnegative("observer.noise", self.noise, p, "one per output")
+        if self.noise_before is not None:
+            before = nonnegative("observer.noise_before", self.noise_before, p, "one per output")
+        return after, before
+
+    def _gain(self, model: System, flow: Matrices) -> Floats:
+        """L (n x p), per step when sampled: 0 for a stable plant if nothing is chosen."""
+        stable = np.linalg.eigvals(flow.A).real.max() < -1e-9 * np.linalg.norm(flow.A, 2)
+        if self.L is self.poles is self.speed is None and stable:
+            return np.zeros((model.n, model.p))
+        return injection(model, self.L, self.poles, self.speed, 2.0)
+
+    def _pace(self, model: System) -> float:
+        """How fast bounds follow what a reading tells: at once when sampled [1/s]."""
+        if model.Ts is not None:
+            return 1.0
+        if self.contraction is None:
+            return 10 * fastest_pole(model)
+        return scalar("observer.contraction", self.contraction, least=0.0)

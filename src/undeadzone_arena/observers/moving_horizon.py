@@ -1,0 +1,309 @@
+"""Moving horizon estimation finds the likeliest motion over the last samples.
+
+Edges and ranges are its constraints (docs/methods/moving_horizon.md).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import (
+    Estimate,
+    InPython,
+    Observer,
+    Reading,
+    Traits,
+    in_python,
+    numeric_estimate,
+)
+from undeadzone.numerics.doubtful import CLIP
+from undeadzone.observers.parts.augmented_state import (
+    Defaults,
+    JointClaims,
+    JointPrior,
+    joint_prior,
+    quarter_period,
+)
+from undeadzone.observers.parts.doubt import Doubt, doubt_numbers, glitch_chance, glitch_share
+from undeadzone.observers.parts.prior import sample_time
+from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone_arena.observers.parts import window as horizon
+from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents
+from undeadzone_arena.observers.parts.window import Weights, Window
+
+DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+NODES = 40  # of a horizon, if the period is not given
+
+
+class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"):
+    """Moving horizon estimation of [x; d_r; d_l], Rao, Rawlings, Mayne (2003); sampled time.
+
+    The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
+    and drift 0.5 % of the largest width. It runs in Python: in single runs only.
+
+    Attributes:
+        horizon: length of the horizon [s]; default a quarter period of the plant, 50 samples if
+            it only integrates.
+        period: time between the readings that are used, and between solutions [s]; default a
+            fortieth of the horizon.
+        slack: rms by which a silent sensor's z may be outside its zone, one or one per output [z];
+            default noise.
+        solver: solver of CasADi, exact ("daqp") or by alternating directions ("osqp").
+    """
+
+    horizon: float | None = None
+    period: float | None = None
+    slack: Array | None = None
+    solver: Literal["daqp", "osqp"] = "daqp"
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The estimator for a sampled model."""
+        if sensor.kind == "jump":
+            raise InputError(
+                "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
+                "that of a jump sensor is not; use 'censored'"
+            )
+        if not ca.has_conic(self.solver):
+            raise InputError(
+                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose "
+                "another of daqp, osqp"
+            )
+        nodes, stride = self._grid(model)
+        prior = joint_prior(self, model, sensor, DEFAULTS, stride)
+        rms = np.sqrt(prior.prior.R)
+        slack = rms
+        if self.slack is not None:
+            slack = nonnegative("observer.slack", self.slack, model.p, "one per output")
+        if not slack.all():
+            raise InputError(
+                "observer.slack: must be positive, found 0: noise alone would leave no solution"
+            )
+        weights = Weights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
+        share = glitch_share(self.glitches)
+        return moving(model, sensor, prior, weights, nodes, stride, share, self.solver)
+
+    def _grid(self, model: System) -> tuple[int, int]:
+        """(intervals of the horizon, samples of an interval). Raises InputError."""
+        Ts = sample_time(model)
+        if self.horizon is None:
+            length = quarter_period(model)
+        else:
+            length = scalar("observer.horizon", self.horizon, above=0.0)
+        if self.period is None:
+            period = length / NODES
+        else:
+            period = scalar("observer.period", self.period, above=0.0)
+        stride = max(1, round(period / Ts))
+        nodes = max(1, round(length / (stride * Ts)))
+        if nodes > 500:
+            raise InputError(
+                f"observer.period: expected at most 500 periods in the horizon, found {nodes}"
+            )
+        return nodes, stride
+
+
+class State(NamedTuple):
+    """What the estimator carries from sample to sample.
+
+    Attributes:
+        window: the nodes.
+        X: [x; d_r; d_l] now (n + 2p).
+        cov: covariance at the newest node (n + 2p x n + 2p).
+        F, f, G: x now = F x + f + G w of that node's x (n x n, n, n x m).
+        since: samples since that node.
+        share: mean share of refused readings of late (p).
+    """
+
+    window: Window
+    X: Floats
+    cov: Floats
+    F: Floats
+    f: Floats
+    G: Floats
+    since: int
+    share: Floats
+
+
+class Setup(NamedTuple):
+    """What the parts of one estimator share.
+
+    Attributes:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        weights: what the programme weighs its errors by.
+        stride: samples of an interval.
+        rms: rms of the disturbance that is held over a node's samples (m) [u]: it moves the state
+            as far as white noise does.
+        doubt: of readings; None: none is wrong.
+        tangents: the model's straight lines.
+        solve: solver of the programme.
+    """
+
+    model: System
+    sensor: Zone
+    prior: JointPrior
+    weights: Weights
+    stride: int
+    rms: Floats
+    doubt: Doubt | None
+    tangents: Tangents
+    solve: horizon.Solver
+
+
+def moving(
+    model: System,
+    sensor: Zone,
+    prior: JointPrior,
+    weights: Weights,
+    nodes: int,
+    stride: int,
+    glitches: float,
+    plugin: str,
+) -> Observer:
+    """The estimator.
+
+    Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active
+    readings: what silence adds is not counted.
+
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what it starts from.
+        weights: what the programme weighs its errors by.
+        nodes: intervals of the horizon.
+        stride: samples of an interval.
+        glitches: probability that a reading is wrong; 0: none is.
+        plugin: CasADi's name of the solver.
+    """
+    rms = np.sqrt(prior.variance / stride)
+    tangents = model_tangents(model)
+    start = initial_state(model, prior, tangents, nodes)
+    solve = horizon.solver(plugin, *horizon.size(start.window))
+    doubt = None
+    if glitches > 0:
+        doubt = doubt_numbers(model, sensor, prior.prior, glitches, claimed=False)
+    setup = Setup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
+    how = InPython(lambda seed: start, partial(correct, setup), partial(predict, setup))
+    return in_python(how, model.p, Traits())
+
+
+def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: int) -> State:
+    """The state at t = 0: every node of the window knows the prior alone."""
+    n, p, m = model.n, model.p, model.m
+    mean = prior.prior.mean
+    cov = np.diag(prior.prior.std**2)
+    C, offset = tangents.output(mean[:n])
+    none = np.zeros(p)
+    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
+    window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
+    return State(window, mean, cov, F, f, G, 0, none)
+
+
+def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
+    """(the state, the estimate) given a reading; every `stride` samples a node is added.
+
+    A reading that is likelier a glitch counts as missing. Where most of late were, or the state
+    left all bounds, all begins anew from the prior.
+    """
+    n, p = setup.model.n, setup.model.p
+    if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
+        nodes = len(s.window.y) - 1
+        s = initial_state(setup.model, setup.prior, setup.tangents, nodes)
+    seen = np.isfinite(reading.y)
+    side = np.where(seen, reading.side, 0.0)
+    C, offset = setup.tangents.output(s.X[:n])
+    rows = np.stack([horizon.reading_row(C, i, side[i]) for i in range(p)])
+    y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
+    e = np.where(np.abs(side) == 1, y - rows @ s.X - offset, 0.0)
+    e_std = np.sqrt(horizon.variances(rows, s.cov) + setup.prior.prior.R)
+    if setup.doubt is not None:
+        refused = (np.abs(side) == 1) & (glitch_chance(setup.doubt, e, e_std) > 0.5)
+        e = np.clip(e, -CLIP * e_std, CLIP * e_std)
+        side, seen = np.where(refused, 0.0, side), seen & ~refused
+        s = s._replace(share=refused_share(setup.doubt, s.share, side, refused))
+    if s.since % setup.stride == 0:
+        s = with_node(setup, s, y, side, seen)
+    C, offset = setup.tangents.output(s.X[:n])
+    sums = np.hstack([np.zeros((p, n)), np.eye(p), np.eye(p)])
+    width_std = np.sqrt(horizon.variances(sums, s.cov))
+    std = np.sqrt(np.maximum(np.diag(s.cov), 0.0))
+    z = C @ s.X[:n] + offset
+    return s, numeric_estimate(s.X, z, reading, setup.sensor, e, std, width_std, e_std)
+
+
+def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> State:
+    """The state with a new node, and the programme solved.
+
+    Args:
+        setup: the estimator.
+        s: the state before the reading.
+        y: reading y / m, 0 where it is missing (p).
+        side: measured side, 0 where the reading is missing (p).
+        seen: whether there was a reading (p).
+    """
+    n, p, m = setup.model.n, setup.model.p, setup.model.m
+    cov = covariance_now(setup, s)
+    C, offset = setup.tangents.output(s.X[:n])
+    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    unknown = np.zeros((n, n)), f, G  # the motion on from this node
+    newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, *unknown)
+    window = moved_on(s, newest)
+    X = horizon.estimate(window, setup.weights, setup.solve)
+    for i in range(p):
+        if abs(side[i]) == 1:
+            cov = horizon.read_covariance(
+                cov, horizon.reading_row(C, i, side[i]), setup.prior.prior.R[i]
+            )
+    return State(window, s.X if X is None else X, cov, F, f, G, 0, s.share)
+
+
+def refused_share(doubt: Doubt, share: Floats, side: Floats, refused: Any) -> Floats:
+    """The mean share of refused readings after one more on some outputs (p)."""
+    mean = doubt.forget * share + (1 - doubt.forget) * refused
+    return np.where(refused | (side != 0), mean, share)
+
+
+def covariance_now(setup: Setup, s: State) -> Floats:
+    """The covariance of X now, from that of the newest node."""
+    n, p = setup.model.n, setup.model.p
+    T = np.eye(n + 2 * p)
+    T[:n, :n] = s.F
+    drift = np.concatenate([np.zeros(n), s.since * setup.prior.prior.drift])
+    cov: Floats = T @ s.cov @ T.T + np.diag(drift)
+    cov[:n, :n] += s.G @ s.G.T
+    return cov
+
+
+def moved_on(s: State, newest: Window) -> Window:
+    """The window without its oldest node and with a new one; the motion up to it is known now."""
+    motion = {}
+    for name in ("F", "f", "G"):
+        before = getattr(s.window, name)[:-1]
+        motion[name] = np.concatenate([before, getattr(s, name)[None]])
+    parts = []
+    for old, new in zip(s.window._replace(**motion), newest, strict=True):
+        parts.append(np.concatenate([old[1:], new[None]]))
+    return Window(*parts)
+
+
+def predict(setup: Setup, s: State, u: Floats) -> State:
+    """The state at the next sample."""
+    n = setup.model.n
+    x, A, B = setup.tangents.move(s.X[:n], u)
+    return s._replace(
+        X=np.concatenate([x, s.X[n:]]),
+        F=A @ s.F,
+        f=A @ s.f + x - A @ s.X[:n],
+        G=A @ s.G + B * setup.rms,
+        since=s.since + 1,
+    )

@@ -1,0 +1,1 @@
+"""What several observers of the literature share."""

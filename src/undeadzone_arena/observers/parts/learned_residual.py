@@ -1,0 +1,291 @@
+"""A Luenberger observer on z_I = y / m + W'psi learns what the sensor takes off z.
+
+Adaptive deadzone inverse, inverse network and residual networks differ in the known functions psi,
+in when they correct, and in how the weights W move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, exact
+from undeadzone.limits import Limits
+from undeadzone.numerics.gaussian import linearise
+from undeadzone.observers.parts.gain import hiding, injection
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import in_poles
+from undeadzone.sensor import Zone, present
+from undeadzone.support.arrays import Array, Floats, positive
+from undeadzone_arena.approximators import Basis
+from undeadzone_arena.observers.parts.adaptive_laws import Law, gradient
+
+
+class Compensator(NamedTuple):
+    """The functions of one output whose weights are learned.
+
+    Attributes:
+        params: their numbers.
+        psi: psi(params, y, side, z) is the N functions [z], with y / m and z in units of `scale`.
+        size: their number N.
+        gated: whether to correct and learn on an active side only.
+        scale: unit of y / m and z (p) [z].
+    """
+
+    params: Any
+    psi: Callable[[Any, Any, Any, Any], Any]
+    size: int
+    gated: bool
+    scale: Floats
+
+
+class Params(NamedTuple):
+    """Numbers of the observer.
+
+    Attributes:
+        model: numbers of the model.
+        L: gain of the innovation (n x p), per step when the model is sampled.
+        slope: slope m of the sensor (p).
+        psi: numbers of the functions.
+        law: numbers of the learning law.
+        scale: unit in which the functions see y / m and z (p) [z].
+        W0: weights at first (N p).
+        limit: upper bound of the weights (p), which are then >= 0; None: there is none.
+        rate: fastest rate of the law [1/s].
+    """
+
+    model: Any
+    L: Floats
+    slope: Floats
+    psi: Any
+    law: Any
+    scale: Floats
+    W0: Floats
+    limit: Any
+    rate: Any
+
+
+class State(NamedTuple):
+    """What the observer carries.
+
+    Attributes:
+        x: estimate x^ (n).
+        W: weights, those of the first output first (N p).
+        sensitivity: d x^ / d W (n x N p) where filtered, else nothing.
+        spread: the law's own state.
+    """
+
+    x: Any
+    W: Any
+    sensitivity: Any
+    spread: Any
+
+
+class Setup(NamedTuple):
+    """What the parts of one observer share.
+
+    Attributes:
+        model: the model.
+        compensator: the functions.
+        law: how the weights learn.
+        filtered: whether W learns by the sensitivity of e to it.
+        limited: whether the weights have bounds.
+        ends: limits of the readings, which are missing there; None: there are none.
+    """
+
+    model: System
+    compensator: Compensator
+    law: Law
+    filtered: bool
+    limited: bool
+    ends: Limits | None
+
+
+def learning(
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    compensator: Compensator,
+    law: Law,
+    *,
+    filtered: bool,
+    W0: Floats | None = None,
+    limit: Floats | None = None,
+) -> Observer:
+    """The observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi, of any model.
+
+    Filtered, W learns by the sensitivity of e to it, zeta = C Phi - psi with
+    Phi' = (A - L C) Phi + L psi', and x^ moves with W by Phi W' (Zhang 2002; the swapping lemma);
+    else by zeta = -psi, as if x^ stood still.
+
+    Args:
+        model: the model, continuous or sampled, linear or nonlinear.
+        sensor: the dead zone.
+        L: gain (n x p), per step when the model is sampled.
+        compensator: the functions psi.
+        law: how W moves.
+        filtered: whether W learns by the sensitivity of e to it.
+        W0: weights at first (N p); None: 0.
+        limit: upper bound of the weights (p), which needs `filtered`; None: there is none.
+
+    Raises:
+        InputError: for a jump sensor, which takes nothing off z.
+    """
+    if sensor.kind == "jump":
+        raise InputError(
+            "observer.method: a jump sensor takes nothing off z, this method has nothing to learn; "
+            "use 'certified' or 'censored'"
+        )
+    n, weights = model.n, compensator.size * model.p
+    setup = Setup(model, compensator, law, filtered, limit is not None, sensor.limits)
+    params = Params(
+        model=model.params,
+        L=L,
+        slope=sensor.slope,
+        psi=compensator.params,
+        law=law.numbers,
+        scale=compensator.scale,
+        W0=np.zeros(weights) if W0 is None else W0,
+        limit=limit,
+        rate=np.float64(law.rate),
+    )
+    sensitivity = np.zeros((n, weights if filtered else 0))
+
+    def init(q: Params) -> State:
+        return State(np.zeros(n), q.W0, sensitivity, law.spread0)
+
+    traits = Traits(L=L, rate=float(law.rate), width_max=limit)
+    step, project = partial(learning_step, setup), partial(into_bounds, setup)
+    return Observer(params, init, step, project, traits)
+
+
+def learning_step(
+    setup: Setup, q: Params, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """The state's derivative, or its next value when sampled, and the estimate."""
+    model, reading = setup.model, exact(reading, setup.ends)
+    sampled = model.Ts is not None
+    keep = 1.0 if sampled else 0.0
+    z, H = linearise(lambda x: model.output(q.model, x), s.x)
+    seen = present(reading.y)
+    y = ca.if_else(seen, reading.y / q.slope, 0.0)
+    used = 1.0 * (reading.side != 0) if setup.compensator.gated else seen
+    gate, psi = ca.diag(used), functions(setup, q, y, reading.side, z)
+    inverse = y + psi @ s.W
+    e = used * (inverse - z)
+    moved = model.pushed(q.model, s.x, u, q.L @ e)
+    zeta, sensitivity = -psi, s.sensitivity
+    if setup.filtered:
+        _, F = linearise(lambda x: model.move(q.model, x, u), s.x)
+        zeta = H @ s.sensitivity - psi
+        sensitivity = F @ s.sensitivity - q.L @ (gate @ zeta)
+    added, spread = setup.law.move(q.law, s.W, s.spread, gate @ zeta, e, used)
+    if setup.filtered:
+        moved += (sensitivity if sampled else s.sensitivity) @ added
+    after = State(moved, keep * s.W + added, sensitivity, keep * s.spread + spread)
+    if sampled:
+        after = into_bounds(setup, q, after)
+    right, left = learned_width(setup, q, s.W, 1.0), learned_width(setup, q, s.W, -1.0)
+    return after, Estimate(s.x, z, right, left, ca.if_else(seen, inverse, z), e)
+
+
+def functions(setup: Setup, q: Params, y: Any, side: Any, z: Any) -> Any:
+    """psi of every output (p x N p), of y / m and z [z]."""
+    y, z = y / q.scale, z / q.scale
+    psi = setup.compensator.psi
+    return ca.diagcat(*(psi(q.psi, y[i], side[i], z[i]).T for i in range(setup.model.p)))
+
+
+def learned_width(setup: Setup, q: Params, W: Any, side: float) -> Any:
+    """The width that W'psi stands for (p) [z]: what it takes off z at half the scale on a side."""
+    at = side * q.scale / 2
+    return side * (functions(setup, q, at, side * ca.SX.ones(setup.model.p), at) @ W)
+
+
+def into_bounds(setup: Setup, q: Params, s: State) -> State:
+    """The state with its weights in [0, limit], and x^ moved with them."""
+    if not setup.limited:
+        return s
+    upper = ca.kron(q.limit, ca.SX.ones(setup.compensator.size))
+    W = ca.fmax(ca.fmin(s.W, upper), 0.0)
+    return s._replace(W=W, x=s.x + s.sensitivity @ (W - s.W))
+
+
+class LearnedOptions(Options, frozen=True, kw_only=True):
+    """Options of every observer whose correction learns by the normalised gradient.
+
+    Attributes:
+        L: gain (n x p) [1/s], in place of poles and speed.
+        poles: poles of A - L C (n) [1/s], in place of L and speed.
+        speed: speed of A - L C [1/s], in place of L and poles; default 6 mean poles of the plant
+            (`inverse_network`: 30), fewer beyond second order.
+        gain: gain of the normalised gradient [1/s]; default 30 times the fastest pole
+            (`inverse_network`: 100 times).
+        leak: leak of the weights, e-modification; default 0, none.
+        filtered: learn by the sensitivity of the error, so that fast poles do less harm; false is
+            the law as published.
+    """
+
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    gain: float | None = None
+    leak: float = 0.0
+    filtered: bool = True
+
+
+def by_gradient(
+    model: System,
+    sensor: Zone,
+    options: LearnedOptions,
+    compensator: Compensator,
+    poles: float,
+    gain: float,
+) -> Observer:
+    """`learning` by the normalised gradient.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        options: the observer's.
+        compensator: the functions psi.
+        poles: default speed of A - L C, in mean poles of the plant (`hiding`).
+        gain: default gain of the gradient, in fastest poles of the plant.
+
+    Raises:
+        InputError, ShapeError, StructureError: for options that cannot be.
+    """
+    L = injection(model, options.L, options.poles, options.speed, hiding(model, poles))
+    rate = in_poles(model, "observer.gain", options.gain, gain)
+    law = gradient(model, rate, options.leak, compensator.size)
+    return learning(model, sensor, L, compensator, law, filtered=options.filtered)
+
+
+def residual(
+    model: System, sensor: Zone, options: LearnedOptions, reach: Array, basis: Basis
+) -> Observer:
+    """`learning` of W'phi(z^ / reach), a function of the estimate, by the normalised gradient.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        options: the observer's.
+        reach: |z| up to which the basis holds, one or one per output [z].
+        basis: the functions phi.
+
+    Raises:
+        InputError, ShapeError, StructureError: for options that cannot be.
+    """
+
+    def psi(params: Any, y: Any, side: Any, z: Any) -> Any:
+        return basis.phi(params, z)
+
+    scale = positive("observer.reach", reach, model.p, "one per output")
+    compensator = Compensator(basis.params, psi, basis.size, False, scale)
+    return by_gradient(model, sensor, options, compensator, poles=6.0, gain=30.0)

@@ -1,0 +1,111 @@
+"""Widths by gradient on the side where the estimate is, beside a robust term.
+
+It is the way of the paper's references.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError, StructureError
+from undeadzone.interfaces import Observer, Reading
+from undeadzone.observers.parts.gain import hiding, injection
+from undeadzone.observers.parts.output_error import State, adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.sensor import Zone, indicators
+from undeadzone.support.arrays import Array, Floats, scalar
+
+
+class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
+    """Gradient law on the side of the estimate, beside a robust tanh term.
+
+    The robust term is that of the paper's references [16], [17].
+
+    Attributes:
+        L: gain (n x p) [1/s], in place of poles and speed.
+        poles: poles of A - L C (n) [1/s], in place of L and speed.
+        speed: speed of A - L C [1/s], in place of L and poles; default 8 mean poles of the plant,
+            fewer beyond second order.
+        gamma: adaptation gain of the widths, one or one per output [1/s]; default 3 times the
+            fastest pole.
+        sharpness: sharpness of the indicators (8)-(10) at the edges that C x^ meets [1/z].
+        rho: how far the robust term, which enters by the inputs, moves z^ at most in steady state
+            [z].
+        width: |e| at which the robust term saturates [z].
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z]; default none.
+    """
+
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    gamma: Array | None = None
+    sharpness: float = 20.0
+    rho: float = 0.05
+    width: float = 0.1
+    widths0: Array = 0.0
+    width_max: Array | None = None
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled."""
+        if sensor.kind == "jump":
+            raise InputError(
+                "observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor "
+                "has not; use 'certified' or 'censored'"
+            )
+        gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
+        widths = adapted(gamma, self.widths0, self.width_max, model, sensor)
+        L = injection(model, self.L, self.poles, self.speed, hiding(model, 8.0))
+        rho = scalar("observer.rho", self.rho, least=0.0)
+        width = scalar("observer.width", self.width, above=0.0)
+        sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)
+        robust = rho * steady_input(model, L) if rho else np.zeros((model.n, model.p))
+        law = Law(robust, np.float64(width), np.float64(sharpness))
+        return output_error(model, sensor, L, widths, law, robust_term, estimated_side)
+
+
+class Law(NamedTuple):
+    """Numbers of the robust term and of the indicators.
+
+    Attributes:
+        robust: the robust term (n x p), per step when sampled.
+        width: |e| at which it saturates [z].
+        sharpness: sharpness of the indicators [1/z].
+    """
+
+    robust: Floats
+    width: Any
+    sharpness: Any
+
+
+def robust_term(law: Law, e: Any) -> Any:
+    """What the error adds to x^' beside L e (n)."""
+    return law.robust @ ca.tanh(e / law.width)
+
+
+def estimated_side(law: Law, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+    """How much z^ is beyond the right edge, beyond the left one (p each, 0 to 1)."""
+    right, _ = indicators(z - s.right, law.sharpness)
+    _, left = indicators(z + s.left, law.sharpness)
+    return right, left
+
+
+def steady_input(model: System, L: Floats) -> Floats:
+    """B G(0)^-1 (n x p), G of A - L C from inputs to outputs.
+
+    It moves each C x^ by 1 in steady state. Raises StructureError.
+    """
+    A, B, C = model.linear
+    closed = A - L @ C - (0.0 if model.Ts is None else np.eye(model.n))
+    still = -C @ np.linalg.solve(closed, B)
+    if np.linalg.matrix_rank(still, 1e-9 * float(np.linalg.norm(B))) < model.p:
+        raise StructureError(
+            "observer.rho: inputs cannot move every output in steady state (fewer inputs than "
+            "outputs, or a zero at s = 0); set rho = 0"
+        )
+    return B @ np.linalg.pinv(still)

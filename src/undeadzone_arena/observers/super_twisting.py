@@ -1,0 +1,121 @@
+"""The super-twisting observer and its higher-order kin are exact in finite time.
+
+They would be, were the reading the output.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError, StructureError
+from undeadzone.interfaces import Observer
+from undeadzone.linear.structure import output_chains
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, vector
+
+# Gains of the recursive differentiator, from the last derivative up.
+LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)
+
+
+class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
+    """Davila, Fridman and Levant (2005) for second order; Levant (1998, 2003) for higher orders.
+
+    The latter is the exact differentiator with the model in it. In coordinates z_i, z_i', ...
+    (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e: 1.5 and
+    1.1 for r = 2.
+
+    Attributes:
+        lipschitz: what exceeds the effect of a disturbance on the r-th derivative, one or one per
+            output [z/s^r]; default 5 times the fastest pole, to the power r, fit for z of order 1.
+        L: gain of a linear correction beside it (Moreno and Osorio 2012) (n x p) [1/s], which an
+            unstable plant needs; default none.
+        poles: poles of A - L C (n) [1/s], in place of L.
+        speed: speed of A - L C [1/s], in place of L.
+        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 takes
+            the reading for the output.
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
+            default none.
+    """
+
+    lipschitz: Array | None = None
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    gamma: Array = 0.0
+    widths0: Array = 0.0
+    width_max: Array | None = None
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled."""
+        widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
+        L = self._linear_gain(model)
+        flow = model.linear if model.flow is None else model.flow
+        chains = output_chains(flow.A, flow.C)
+        orders = [len(rows) for rows in chains.rows]
+        if max(orders) > len(LEVANT):
+            raise StructureError(
+                f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives "
+                f"of one output, this plant needs {max(orders)}"
+            )
+        bound = self._bound(model, orders)
+        scales = []
+        for r, size in zip(orders, bound, strict=True):
+            scales.append(differentiator_gains(r) * size ** (np.arange(1, r + 1) / r))
+        order = np.concatenate(chains.rows)
+        per_step = 1.0 if model.Ts is None else model.Ts
+        law = Law(np.linalg.inv(chains.O)[:, order] * per_step, np.concatenate(scales))
+        return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
+
+    def _linear_gain(self, model: System) -> Floats:
+        """L (n x p) of the linear correction, per step when sampled; 0 if none is given."""
+        if self.L is self.poles is self.speed is None:
+            return np.zeros((model.n, model.p))
+        return injection(model, self.L, self.poles, self.speed, 1.0)
+
+    def _bound(self, model: System, orders: list[int]) -> Floats:
+        """`lipschitz` as given, or its default (p) [z/s^r]. Raises InputError, ShapeError."""
+        default = (5 * fastest_pole(model)) ** np.array(orders, float)
+        chosen = default if self.lipschitz is None else self.lipschitz
+        bound = vector("observer.lipschitz", chosen, model.p, "one per output")
+        if (bound <= 0).any():
+            raise InputError(f"observer.lipschitz: must be positive, found {bound.min():g}")
+        return bound
+
+
+class Law(NamedTuple):
+    """Numbers of the correction.
+
+    Attributes:
+        inverse: from the derivatives of the outputs to x (n x n), per step when sampled.
+        scale: scales of their corrections (n).
+    """
+
+    inverse: Floats
+    scale: Floats
+
+
+def fractional_powers(orders: list[int], law: Law, e: Any) -> Any:
+    """What the error adds to x^' (n): |e|^((r-k)/r) sgn e in the k-th of r coordinates."""
+    powers = []
+    for i, r in enumerate(orders):
+        for k in range(1, r + 1):
+            powers.append(ca.sign(e[i]) * ca.fabs(e[i]) ** ((r - k) / r))
+    return law.inverse @ (law.scale * ca.vertcat(*powers))
+
+
+def differentiator_gains(r: int) -> Floats:
+    """lambda_1 ... lambda_r of the non-recursive differentiator of r coordinates."""
+    gains = [LEVANT[r - 1]]
+    for k in range(1, r):
+        gains.append(LEVANT[r - 1 - k] * gains[-1] ** ((r - 1 - k) / (r - k)))
+    return np.array(gains)

@@ -1,0 +1,32 @@
+"""A multidimensional Taylor network learns what the sensor takes off z."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from undeadzone.interfaces import Observer
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array
+from undeadzone_arena.approximators import monomials
+from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
+
+
+class TaylorResidual(LearnedOptions, frozen=True, kw_only=True, tag="taylor_residual"):
+    """Multidimensional Taylor network (Yan and Kang 2017): z - y / m = W'phi(z^).
+
+    phi are the powers of z^ / reach up to `degree`.
+
+    Attributes:
+        reach: |z| up to which it holds, one or one per output [z]; beyond, the powers stay as they
+            are.
+        degree: highest power.
+    """
+
+    reach: Array
+    degree: int = 7
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled."""
+        basis = monomials("observer.degree", np.ones(1), self.degree)
+        return residual(model, sensor, self, self.reach, basis)

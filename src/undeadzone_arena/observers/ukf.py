@@ -1,0 +1,84 @@
+"""Unscented Kalman filter on [x; d_r; d_l]: 2 N + 1 points are sent through the dead zone.
+
+More in docs/methods/ukf.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Observer
+from undeadzone.numerics.doubtful import Weighed, settle
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
+from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import scalar
+from undeadzone_arena import unscented
+from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
+
+# With less, points astride an edge soon pin the widths where they are not.
+DEFAULTS = Defaults(noise=0.15, drift=0.1, x_std=0.5)
+
+
+class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
+    """Unscented Kalman filter on [x; d_r; d_l], Julier and Uhlmann (1997); sampled time.
+
+    Weights of Wan and van der Merwe (2000). By default noise is at least 15 % of the range, drift
+    10 % and x_std 50 % of the largest width.
+
+    Attributes:
+        alpha, kappa: of N = n + 2p variables, points lie alpha sqrt(N + kappa) standard deviations
+            from the mean.
+        beta: weight of the mean's own point in covariances (2: Gaussian).
+    """
+
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.5
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The filter for a sampled model."""
+        weights = self._weights(model.n + 2 * model.p)
+
+        def correct(
+            q: Params,
+            belief: Gaussian,
+            i: int,
+            sight: Sight,
+            y: Any,
+            side: Any,
+            seen: Any,
+            odds: Any,
+        ) -> Weighed:
+            expected, S, K = unscented.gain(belief, sight, q.R[i], weights)
+            e = ca.if_else(seen, y - expected, 0.0)
+            return settle(belief, K, e, S, q.R[i], seen, odds, q.doubt.reach[i])
+
+        def predict(belief: Gaussian, move: Any, Q: Any) -> Gaussian:
+            return unscented.predict(belief, move, Q, weights)
+
+        prior = joint_prior(self, model, sensor, DEFAULTS)
+        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
+
+    def _weights(self, size: int) -> unscented.Weights:
+        """The weights of the points of `size` variables. Raises InputError."""
+        alpha = scalar("observer.alpha", self.alpha)
+        beta = scalar("observer.beta", self.beta)
+        kappa = scalar("observer.kappa", self.kappa)
+        if not (0 < alpha <= 1 and size + kappa > 0):
+            raise InputError(
+                f"observer.alpha: expected 0 < alpha <= 1 and kappa > -{size}, "
+                f"found alpha {alpha:g}, kappa {kappa:g}"
+            )
+        weights = unscented.weights(size, alpha, beta, kappa)
+        if weights.cov < 0:
+            raise InputError(
+                f"observer.alpha: the mean's own point would weigh {weights.cov:.3g} in "
+                "covariances, which need not stay positive then; raise alpha or beta"
+            )
+        return weights

@@ -1,0 +1,153 @@
+"""The sliding-mode observer of Walcott and Zak has a boundary layer; its widths may adapt."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError, StepError, StructureError
+from undeadzone.interfaces import Observer
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import lyapunov, weight
+from undeadzone.linear.scaling import sizes
+from undeadzone.observers.parts.gain import injection
+from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.plants.system import System
+from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.sensor import Zone
+from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
+
+
+class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
+    """x^' = A x^ + B u + L e + G rho sat(e / boundary), C G = I: Walcott and Zak (1987).
+
+    Also Edwards and Spurgeon (1998). G is P^-1 C' made so that C G = I, with
+    (A - L C)'P + P (A - L C) = -Q.
+
+    Attributes:
+        L: gain (n x p) [1/s], in place of poles and speed.
+        poles: poles of A - L C (n) [1/s], in place of L and speed.
+        speed: speed of A - L C [1/s], in place of L and poles; default ten times the fastest pole
+            of the plant.
+        rho: what the injection adds to e' at most, one or one per output [z/s]; default 5 times the
+            fastest pole, fit for z of order 1.
+        boundary: the layer in which the injection is linear, one or one per output [z]; fit for z
+            of order 1.
+        Q: weight of the Lyapunov equation, a number, one per state, or a matrix; default 1 in units
+            that make the states alike.
+        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 is the
+            classical observer, which takes the reading for the output.
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
+            default none.
+    """
+
+    L: Array | None = None
+    poles: Array | None = None
+    speed: float | None = None
+    rho: Array | None = None
+    boundary: Array = 0.1
+    Q: Array | None = None
+    gamma: Array = 0.0
+    widths0: Array = 0.0
+    width_max: Array | None = None
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a model, continuous or sampled."""
+        L = injection(model, self.L, self.poles, self.speed, 10.0)
+        rho, boundary = self._layer(model)
+        law = Law(direction(model, L, self.Q), rho, boundary)
+        if model.Ts is not None:
+            _require_fine_step(model, L, law)
+        widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
+        return output_error(model, sensor, L, widths, law, sliding)
+
+    def _layer(self, model: System) -> tuple[Floats, Floats]:
+        """(rho, per step when sampled, boundary) (p each). Raises InputError, ShapeError."""
+        p = model.p
+        default = 5 * fastest_pole(model)
+        chosen = default if self.rho is None else self.rho
+        rho = nonnegative("observer.rho", chosen, p, "one per output")
+        boundary = vector("observer.boundary", self.boundary, p, "one per output")
+        if (boundary <= 0).any():
+            raise InputError(f"observer.boundary: must be positive, found {boundary.min():g}")
+        if model.Ts is not None:
+            rho = rho * model.Ts
+        return rho, boundary
+
+
+class Law(NamedTuple):
+    """Numbers of the sliding mode.
+
+    Attributes:
+        G: direction (n x p).
+        rho: what the injection adds at most (p), per step when sampled.
+        boundary: the layer in which it is linear (p) [z].
+    """
+
+    G: Floats
+    rho: Floats
+    boundary: Floats
+
+
+def sliding(law: Law, e: Any) -> Any:
+    """What the error adds to x^' beside L e: G rho sat(e / boundary) (n)."""
+    return law.G @ (law.rho * ca.fmax(ca.fmin(e / law.boundary, 1.0), -1.0))
+
+
+def _require_fine_step(model: System, L: Floats, law: Law) -> None:
+    """Raise StepError where the sampled observer is not stable inside the boundary layer."""
+    gain = L + law.G * (law.rho / law.boundary)
+    fastest = np.abs(np.linalg.eigvals(model.linear.A - gain @ model.linear.C)).max()
+    if fastest >= 1:
+        raise StepError(
+            f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary "
+            f"layer (spectral radius {fastest:.4g}); "
+            "use a wider observer.boundary, a smaller rho or a shorter step"
+        )
+
+
+def direction(model: System, L: Floats, Q: Array | None) -> Floats:
+    """G (n x p), C G = I, along P^-1 C'.
+
+    The error that keeps C x~ = 0 then decays, as C (sI - A + L C)^-1 G is positive real.
+
+    Args:
+        model: the model, continuous or sampled.
+        L: gain (n x p), per step when the model is sampled.
+        Q: weight of the Lyapunov equation; None: 1 in units that make the states alike.
+
+    Raises:
+        InputError, ShapeError: for another weight.
+        StructureError: unless A - L C is stable, or where rounding spoils the sliding mode.
+    """
+    n, Ts = model.n, model.Ts
+    closed = model.linear.A - L @ model.linear.C
+    _require_stable(closed, Ts, "A - L C")
+    rate = closed if Ts is None else (closed - np.eye(n)) / Ts
+    unit = 1 / sizes(rate.T, model.linear.C.T)  # of each state
+    A, L, C = model.linear.A * unit / unit[:, None], L / unit[:, None], model.linear.C * unit
+    weights = np.eye(n) if Q is None else weight("observer.Q", Q, n) * np.outer(unit, unit)
+    P = lyapunov(Matrices(A, L, C), C, weights, Ts)
+    along = np.linalg.solve(P, C.T)
+    G = np.linalg.solve((C @ along).T, along.T).T
+    hidden = np.linalg.svd(C)[2][model.p :].T  # where C x~ = 0
+    mode = hidden.T @ (np.eye(n) - G @ C) @ (A - L @ C) @ hidden
+    _require_stable(mode, Ts, "the sliding mode")
+    return unit[:, None] * G
+
+
+def _require_stable(A: Floats, Ts: float | None, what: str) -> None:
+    """Raise StructureError unless x' = A x, or x+ = A x when sampled, is stable."""
+    if not A.size:
+        return
+    poles = np.linalg.eigvals(A)
+    unstable = poles.real.max() >= 0 if Ts is None else np.abs(poles).max() >= 1
+    if unstable:
+        raise StructureError(
+            f"observer.L: {what} is not stable, its poles are {listed(poles)}; choose another L, "
+            "or slower poles"
+        )

@@ -1,0 +1,82 @@
+"""undeadzone paper"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import common, folder_for, origin, print_json
+from undeadzone.support.progress import on_terminal as progress
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
+NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that hold numbers
+COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
+
+
+@click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
+@common
+def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
+    """Run the paper's example as printed and repaired, and check every claim.
+
+    Prints the table of claims with what was measured for each. Writes paper.json, figures 3-8 and
+    report.html to DIR (default: paper-results); with --no-figures and no --out it writes nothing.
+    """
+    from undeadzone_paper import audit, write
+
+    folder = folder_for(out, no_figures, "paper-results")
+    written: list[Path] = []
+    with progress("auditing the paper", None) as advance:
+        result = audit(progress=advance)
+        if folder is not None:
+            written = write(result, folder, not no_figures, progress=advance, origin=origin(None))
+    summary = result.summary()
+    if as_json:
+        print_json(summary, written)
+    else:
+        _print(summary, written)
+    return 0
+
+
+def _print(summary: dict[str, Any], written: list[Path]) -> None:
+    """Print the claims and what was measured."""
+    from rich.console import Console
+
+    console = Console()
+    console.print(_table(summary["claims"]))
+    printed, repaired = summary["printed"], summary["repaired"]
+    console.print(
+        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
+        f"{printed['max_abs_y']:g}: the sensor never speaks."
+    )
+    console.print(
+        f"Repaired: rms z - r = {repaired['rms_tracking']:.3g} over the last 2 s, "
+        f"d_r^ = {repaired['d_right']:.6g}, d_l^ = {repaired['d_left']:.6g} (true 1, 1)."
+    )
+    for path in written:
+        console.print(f"wrote {path}", highlight=False)
+
+
+def _table(claims: list[dict[str, Any]]) -> Table:
+    """The table of claims."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in COLUMNS:
+        table.add_column(column, justify="right" if column in NUMBERS else "left")
+    for claim in claims:
+        numbers = [_shown(claim[key]) for key in ("printed", "repaired", "limit")]
+        verdict = claim["verdict"]
+        colour = COLOURS.get(verdict, "red")
+        table.add_row(claim["claim"], claim["quantity"], *numbers, f"[{colour}]{verdict}[/]")
+    return table
+
+
+def _shown(value: float | None) -> str:
+    """A number; one that there is not comes of a run that diverges."""
+    return "diverges" if value is None else f"{value:.3g}"

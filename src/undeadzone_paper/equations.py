@@ -1,0 +1,273 @@
+"""The paper's equations (1)-(42) and figures 3-8.
+
+Each equation is listed with what it is, where it lives in the code, as printed or corrected, why.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+Status = Literal["as printed", "corrected", "not used"]
+
+
+class Equation(NamedTuple):
+    """One equation of the paper.
+
+    Attributes:
+        number: its number
+        what: what it is
+        where: the object of this package that holds it; None: nowhere
+        status: whether it is used as printed, corrected, or not at all
+        reason: why
+    """
+
+    number: int
+    what: str
+    where: str | None
+    status: Status
+    reason: str
+
+
+FIGURES: Final = {
+    3: "observer output y^ and reading y",
+    4: "error y^ - y",
+    5: "observer state x^1 and state x1",
+    6: "error x^1 - x1",
+    7: "error x^2 - x2",
+    8: "width estimates d^",
+}
+
+_TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
+    (1, "dead zone by branches", "sensor.deadzone", "as printed", "with d_l > 0 (A1)"),
+    (
+        2,
+        "bound on the width",
+        "sensor.bound",
+        "corrected",
+        "|d_r - d_l| is 0 for a symmetric zone; d_r + d_l <= d_M",
+    ),
+    (3, "dead zone = x - Sat x", "sensor.deadzone", "as printed", "times the slope m"),
+    (4, "saturation", "sensor.saturation", "as printed", "with d_l > 0"),
+    (
+        5,
+        "indicator chi_r",
+        "sensor.side",
+        "corrected",
+        "x > 0 is not x > d_r; the side of the measured y is used",
+    ),
+    (
+        6,
+        "indicator chi_l",
+        "sensor.side",
+        "corrected",
+        "as (5); silence is a third value, not half of each",
+    ),
+    (7, "sgn y", "sensor.side", "corrected", "0 within the noise threshold"),
+    (
+        8,
+        "tanh(k_s y) for sgn",
+        "sensor.indicators",
+        "as printed",
+        "offered, and used by the observer as printed; 1/2 and 1/2 at y = 0",
+    ),
+    (9, "smooth chi_r", "sensor.indicators", "as printed", "as (8)"),
+    (10, "smooth chi_l", "sensor.indicators", "as printed", "as (8)"),
+    (
+        11,
+        "y = x - chi_l d_l - chi_r d_r",
+        "sensor.branch",
+        "corrected",
+        "y = z - chi_r d_r + chi_l d_l with d_l > 0, outside the zone only",
+    ),
+    (12, "y = x - chi_bar d", "sensor.offset", "corrected", "chi_bar = [chi_r, -chi_l]"),
+    (13, "|Sat| = |chi_bar d| <= d_M", "sensor.bound", "corrected", "with d_M >= d_r + d_l"),
+    (
+        14,
+        "x' = A x + B u, y = Dz(C x)",
+        "simulation.close.close",
+        "as printed",
+        "any A, B, C, several outputs, nonlinear plants too",
+    ),
+    (
+        15,
+        "A, B, C: chain of integrators",
+        "linear.matrices.companion",
+        "corrected",
+        "(39) is not in this class; last row -a; no certificate exists for a pure chain, n >= 2",
+    ),
+    (
+        16,
+        "observer x^' = A x^ + L (y - y^)",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "B u was missing; L is n x 1; as printed in undeadzone_paper.observer",
+    ),
+    (
+        17,
+        "y^ = C x^ - Sat(C x^)",
+        "undeadzone_paper.observer.Printed",
+        "as printed",
+        "the repaired observer takes the measured side, not that of the estimate",
+    ),
+    (
+        18,
+        "(16) with (17) inserted",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "as (16)",
+    ),
+    (
+        19,
+        "(18) by indicators",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "needs one and the same side for plant and observer: the measured one",
+    ),
+    (20, "(19) in errors", "observers.parts.measured_side.measured_side", "corrected", "as (19)"),
+    (
+        21,
+        "d~ = d - d^, chi_bar",
+        "analysis.certificate.passivity.Certificate",
+        "corrected",
+        "chi_bar = [chi_r, -chi_l]",
+    ),
+    (
+        22,
+        "state error, first form",
+        "analysis.certificate.passivity.certify",
+        "corrected",
+        "B u cancels once the observer has it; L chi_bar d~, not L C chi_bar d~",
+    ),
+    (
+        23,
+        "state error, second form",
+        "analysis.certificate.passivity.certify",
+        "corrected",
+        "as (22)",
+    ),
+    (
+        24,
+        "state error, third form",
+        "analysis.certificate.passivity.certify",
+        "corrected",
+        "as (22), and a sign flips from (23)",
+    ),
+    (
+        25,
+        "adaptation of d^",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "shapes disagree; d^_r' = -gamma e on the right, d^_l' = gamma e on the left",
+    ),
+    (
+        26,
+        "dead zone inverse",
+        "sensor.inverse",
+        "corrected",
+        "y + chi_bar d^; C would multiply a scalar",
+    ),
+    (
+        27,
+        "output error by indicators",
+        "observers.parts.measured_side.measured_side",
+        "corrected",
+        "the innovation e, on the measured side",
+    ),
+    (
+        28,
+        "output error = C x~ - chi_bar d~",
+        "analysis.certificate.passivity.certify",
+        "as printed",
+        "contradicts y~ = C x~ before (22)",
+    ),
+    (
+        29,
+        "adaptive controller",
+        "controllers.state_feedback.StateFeedback",
+        "corrected",
+        "y~ is scalar where a state error is needed, d~ is unknown; u_ff - K (x^ - x_ref)",
+    ),
+    (
+        30,
+        "Lyapunov function",
+        "analysis.certificate.passivity.Certificate",
+        "corrected",
+        "of the state error: x~'P x~ + |d~|^2 / gamma",
+    ),
+    (31, "V', first form", None, "not used", "chi_bar d~' and the jumps of y~ are left out"),
+    (32, "V', regrouped", None, "not used", "a sign of d~ d~' / sigma flips"),
+    (
+        33,
+        "V' with the control law",
+        None,
+        "not used",
+        "a cross term is dropped, the sign flips back; u does not act on x~ at all",
+    ),
+    (
+        34,
+        "Riccati equation",
+        "linear.riccati.paper_riccati",
+        "corrected",
+        "with A for control; with A - L C, as printed, it destabilises (39)",
+    ),
+    (
+        35,
+        "V' simplified",
+        None,
+        "not used",
+        "off by a factor 2; V' is now one matrix inequality, see (36)",
+    ),
+    (
+        36,
+        "V' = -y~'Q y~",
+        "analysis.certificate.passivity.certify",
+        "corrected",
+        "the inequality M < 0, which implies x~ -> 0, and d~ -> 0 if both sides are visited",
+    ),
+    (
+        37,
+        "second-order plant",
+        "plants.options.SecondOrder",
+        "corrected",
+        "omega_n^2 x for omega_n x; all readings in paper.example.READINGS",
+    ),
+    (
+        38,
+        "the same as a state equation",
+        "undeadzone_paper.example.printed",
+        "as printed",
+        "omega_n = 1, though the text says 2 pi",
+    ),
+    (39, "its A, B, C", "undeadzone_paper.example.printed", "as printed", "the default plant"),
+    (
+        40,
+        "observer gain",
+        "linear.poles.observer_gain",
+        "corrected",
+        "(-1.25, -1.62) does not place -4, -10: with (39) that is (12, 15)",
+    ),
+    (
+        41,
+        "observer of the example",
+        "undeadzone_paper.observer.Printed",
+        "corrected",
+        "-x^1 - 2 x^2 for -x^2 - 2 x^2, and L (y - y^) of (16)",
+    ),
+    (
+        42,
+        "PD law",
+        "controllers.pd.PD",
+        "as printed",
+        "its right half; the left half has the other sign; y' - y^' filtered; r is a force",
+    ),
+)
+
+
+def _equation(number: int, what: str, where: str | None, status: Status, reason: str) -> Equation:
+    """A row of the table with the whole name of its object, the tool's without its package."""
+    if where is not None and not where.startswith("undeadzone_"):
+        where = f"undeadzone.{where}"
+    return Equation(number, what, where, status, reason)
+
+
+EQUATIONS: Final = tuple(_equation(*row) for row in _TABLE)

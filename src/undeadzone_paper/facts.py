@@ -1,0 +1,179 @@
+"""Numbers of the paper's example, each measured on the code and put beside its closed form."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.poles import observer_gain
+from undeadzone.linear.riccati import paper_riccati
+from undeadzone.plants.build import matrices, system
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.support.arrays import Floats
+from undeadzone_paper.example import (
+    ALPHA,
+    AMPLITUDES,
+    L_POLES,
+    L_PRINTED,
+    OMEGA,
+    POLES,
+    READINGS,
+    printed,
+)
+
+STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
+
+
+class Fact(NamedTuple):
+    """A number as measured and in closed form.
+
+    Attributes:
+        where: the reading of the plant and the equation that it belongs to
+        what: what it is
+        measured: as the code computes it
+        closed_form: as theory has it
+    """
+
+    where: str
+    what: str
+    measured: float
+    closed_form: float
+
+    @property
+    def error(self) -> float:
+        """Measured against closed form, relative where that is above 1."""
+        return abs(self.measured - self.closed_form) / max(1.0, abs(self.closed_form))
+
+
+def facts() -> list[Fact]:
+    """All of them.
+
+    Poles and gains of (40), gains of (34) as printed, the certificate of (12, 15), the answer to r
+    as a force.
+    """
+    plants = {name: matrices(reading.plant) for name, reading in READINGS.items()}
+    rows = []
+    for name, linear in plants.items():
+        rows += _poles(name, linear)
+    rows += _riccati(plants["omega_n = 1"])
+    rows += _certificate(plants["omega_n = 1"])
+    for amplitude in AMPLITUDES:
+        rows += _responses(amplitude)
+    return rows
+
+
+def _poles(name: str, linear: Matrices) -> list[Fact]:
+    """The rightmost and leftmost pole of A - L C with (40), and the gains that (-4, -10) need."""
+    a0, a1 = -linear.A[1]  # of the plant's polynomial s^2 + a1 s + a0
+    l1, l2 = L_PRINTED
+    roots = _quadratic(a1 + l1, a0 + a1 * l1 + l2)
+    poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
+    placed = observer_gain(linear, POLES, None).ravel()
+    p, q = -sum(POLES), POLES[0] * POLES[1]  # of the wanted polynomial s^2 + p s + q
+    wanted = (p - a1, q - a0 - a1 * (p - a1))
+    return [
+        Fact(name, "rightmost pole of A - L C, (40)", float(poles[1]), float(roots[0])),
+        Fact(name, "leftmost pole of A - L C, (40)", float(poles[0]), float(roots[1])),
+        Fact(name, "l1 for poles -4, -10", float(placed[0]), float(wanted[0])),
+        Fact(name, "l2 for poles -4, -10", float(placed[1]), float(wanted[1])),
+    ]
+
+
+def _quadratic(b: float, c: float) -> tuple[float, float]:
+    """The real parts of the roots of s^2 + b s + c, the larger first."""
+    root = np.sqrt(complex(b * b / 4 - c)).real
+    return -b / 2 + root, -b / 2 - root
+
+
+def _riccati(linear: Matrices) -> list[Fact]:
+    """K of (34) as printed, with A - L C at (-4, -10), used for control: it destabilises.
+
+    In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
+    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
+    f^2 - 2 g = p^2 - 2 q + 2 alpha, where A - L C has s^2 + p s + q.
+    """
+    A, B, C = linear
+    K = paper_riccati(A - np.array([L_POLES]).T @ C, B, ALPHA, np.eye(2)).K
+    rightmost = float(np.linalg.eigvals(A - B @ K).real.max())
+    l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
+    g = np.sqrt(q**2 + 2 * ALPHA * (1 + l1**2))
+    f = np.sqrt(p**2 - 2 * q + 2 * ALPHA + 2 * g)
+    k2 = (f - p) / 2
+    k1 = (g - q) / 2 - k2 * l1
+    where = "omega_n = 1, (34) with A - L C"
+    return [
+        Fact(where, "k1", float(K[0, 0]), k1),
+        Fact(where, "k2", float(K[0, 1]), k2),
+        Fact(where, "rightmost pole of A - B K", rightmost, _quadratic(2 + k2, 1 + k1)[0]),
+    ]
+
+
+def _certificate(linear: Matrices) -> list[Fact]:
+    """min Re(1 + G(jw)) for L = (12, 15), and whether the certificate's search agrees on its sign.
+
+    G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
+    """
+    A, _, C = linear
+    L = np.array([L_POLES]).T
+    w = np.linspace(0.0, 20.0, 20001)  # [rad/s]
+    G = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)
+    sampled = 1 + G.real.ravel()
+    a, b = 2 * L_POLES[0] + L_POLES[1], L_POLES[0]
+    # Re G = (a + (2 b - a) v) / (1 + v)^2; its derivative vanishes at v = (2 b - 3 a) / (2 b - a).
+    v = (2 * b - 3 * a) / (2 * b - a)
+    least = 1 + (a + (2 * b - a) * v) / (1 + v) ** 2
+    proof = certify(linear, L, np.array([2.0]))
+    where = "omega_n = 1, L = (12, 15)"
+    return [
+        Fact(where, "min Re(1 + G(jw))", float(sampled.min()), float(least)),
+        Fact(where, "w of that minimum [rad/s]", float(w[sampled.argmin()]), float(np.sqrt(v))),
+        Fact(where, "certified (1: yes)", float(proof.certified), float(least > 0)),
+    ]
+
+
+def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
+    """The answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
+
+    Returns:
+        Instants t [s], and z at them by reading of the plant.
+    """
+    problem = resolve_scenario(printed(amplitude))
+    loop, state, exogenous = prepare(problem)
+    law: Any = loop.params.controller
+    silent = loop.params._replace(controller=law._replace(k_p=0.0 * law.k_p, k_d=0.0 * law.k_d))
+    outputs = {}
+    for name, reading in READINGS.items():
+        driven = loop._replace(params=silent._replace(plant=system(reading.plant).params))
+        outputs[name] = run_loop(driven, state, exogenous).z[:, 0]
+    return np.arange(problem.steps + 1) * problem.scenario.simulation.step, outputs
+
+
+def _responses(amplitude: float) -> list[Fact]:
+    """Steady amplitude (and peak from rest where both poles are equal) with u = r."""
+    rows = []
+    t, outputs = forced(amplitude)
+    for name, z in outputs.items():
+        A, B, _ = matrices(READINGS[name].plant)
+        a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0
+        force = amplitude * B[1, 0]
+        where = f"{name}, u = {amplitude:g} sin 2 pi t"
+        last = float(np.abs(z[t >= t[-1] - STEADY]).max())
+        steady = float(force / np.hypot(a0 - OMEGA**2, a1 * OMEGA))
+        rows.append(Fact(where, "steady amplitude of z", last, steady))
+        if np.isclose(a1**2, 4 * a0):
+            peak = float(np.abs(_from_rest(force, a1 / 2, t)).max())
+            rows.append(Fact(where, "peak of |z| from rest", float(np.abs(z).max()), peak))
+    return rows
+
+
+def _from_rest(force: float, w: float, t: Floats) -> Floats:
+    """x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly."""
+    G = force / (w + 1j * OMEGA) ** 2
+    # x = Im(G e^{j OMEGA t}) + (c + e t) e^{-w t} with x(0) = x'(0) = 0
+    c = -G.imag
+    e = w * c - (1j * OMEGA * G).imag
+    return np.asarray((G * np.exp(1j * OMEGA * t)).imag + (c + e * t) * np.exp(-w * t))

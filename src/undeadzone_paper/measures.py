@@ -1,0 +1,141 @@
+"""What the paper plots and claims, measured on a `Run` of one output."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from undeadzone.linear.riccati import paper_riccati
+from undeadzone.plants.build import matrices
+from undeadzone.sensor import deadzone, indicators, zone
+from undeadzone.simulation.run import LAST, Run
+from undeadzone.simulation.scales import LIMIT
+from undeadzone.support.arrays import Floats
+from undeadzone_paper.example import ALPHA, L_PRINTED, printed
+
+
+def predicted_reading(run: Run) -> Floats:
+    """y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N)."""
+    return np.asarray(deadzone(run.z_hat[:, 0], run.d_hat[:, 0], run.d_hat[:, 1]))
+
+
+def width_errors(run: Run) -> Floats:
+    """d^ - d (N x 2)."""
+    return run.d_hat - np.array(run.info.widths)
+
+
+def with_printed_V(run: Run) -> Run:
+    """The run with V of (30) for sigma = 1.
+
+    The scalar C P C' stands for the n x n matrix P beside the scalar y~.
+    """
+    A, B, C = matrices(printed(1.0).plant)
+    P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
+    of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
+    of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
+    return dataclasses.replace(run, V=of_reading + of_widths)
+
+
+def rms(values: Floats) -> float:
+    """Root mean square; infinite where the values diverge."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = float(np.sqrt(np.mean(np.square(values))))
+    return size if size < LIMIT else np.inf
+
+
+def reading_error(run: Run) -> float:
+    """rms of y^ - y over the last 2 s."""
+    return rms((predicted_reading(run) - run.y[:, 0])[run.last])
+
+
+def state_error(run: Run, index: int) -> float:
+    """rms of x^ - x of one state over the last 2 s."""
+    return rms((run.x_hat - run.x)[run.last, index])
+
+
+def width_error(run: Run) -> float:
+    """Largest |d^ - d| over the last 2 s."""
+    return _largest(width_errors(run)[run.last])
+
+
+def largest_width(run: Run) -> float:
+    """Largest |d^| over the run."""
+    return _largest(run.d_hat)
+
+
+def difference(run: Run, other: Run) -> float:
+    """Largest difference of d^ between two runs."""
+    return _largest(run.d_hat - other.d_hat)
+
+
+def tracking_error(run: Run) -> float:
+    """rms of z - r over the last 2 s."""
+    return rms((run.z - run.r)[run.last])
+
+
+def inverse_error(run: Run) -> float:
+    """rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 without any."""
+    outside = np.flatnonzero(run.side[:, 0])[-round(LAST / run.info.step) :]
+    return rms((run.z_inverse - run.z)[outside]) if outside.size else 0.0
+
+
+def total_inverse_error(run: Run) -> float:
+    """rms of y + chi_bar d^ - z over the last 2 s, inside the zone and outside."""
+    return rms((run.z_inverse - run.z)[run.last])
+
+
+def indicator_error(run: Run, sharpness: float) -> float:
+    """Largest difference of the smooth indicators (8)-(10) of y from the true branch of z.
+
+    Args:
+        run: of one output
+        sharpness: k_s of tanh(k_s y)
+    """
+    where = zone(run.z, *np.array(run.info.widths))
+    right, left = indicators(run.y, sharpness)
+    return _largest(np.hstack([right - (where > 0), left - (where < 0)]))
+
+
+def side_error(run: Run) -> float:
+    """Largest difference of the measured side from the true branch of z."""
+    return _largest(run.side - zone(run.z, *np.array(run.info.widths)))
+
+
+def steep_share(run: Run, slope: float = 0.1) -> float:
+    """Share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s].
+
+    Infinite if the run diverges.
+    """
+    if run.diverged_at is not None:
+        return np.inf
+    error = (run.x_hat - run.x)[-round(5.0 / run.info.step) :, 0]
+    return float((np.abs(np.gradient(error, run.info.step)) > slope).mean())
+
+
+def rise(run: Run) -> float:
+    """Largest increase of V above an earlier value, relative to its largest.
+
+    Infinite if the run diverges.
+    """
+    if run.diverged_at is not None or run.largest_rise_of_V is None:
+        return np.inf
+    return run.largest_rise_of_V
+
+
+def rate(run: Run) -> float:
+    """Rate [1/s] at which |d^ - d| falls.
+
+    From its largest values in the last second and in one at half time.
+    """
+    size = np.abs(width_errors(run)).max(axis=1)
+    second = round(1.0 / run.info.step)  # in samples
+    half = size.size // 2
+    ratio = size[half - second : half].max() / size[-second:].max()
+    return float(np.log(ratio) / (run.t[-1] - run.t[half - 1]))
+
+
+def _largest(values: Floats) -> float:
+    """The largest size; infinite where the values diverge."""
+    size = float(np.abs(values).max())
+    return size if size < LIMIT else np.inf

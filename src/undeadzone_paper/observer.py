@@ -1,0 +1,119 @@
+"""The paper's observer as printed, (16)-(17), (25), with the least that makes its shapes agree."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.linear.riccati import paper_riccati, weight
+from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.widths import pairs
+from undeadzone.plants.system import System
+from undeadzone.sensor import Zone, indicators, saturation
+from undeadzone.support.arrays import Array, Floats, scalar
+
+STAND_INS = {
+    "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",
+    "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
+    "(25) P L C": (
+        "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L "
+        "and C"
+    ),
+    "(42) derivative": (
+        "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured"
+    ),
+}
+
+
+class Printed(Options, frozen=True, kw_only=True, tag="printed"):
+    """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi.
+
+    P is that of (34) with A - L C.
+
+    Attributes:
+        L: gains (n).
+        sigma: adaptation gain.
+        alpha, Q: of (34).
+        sharpness: k_s of (8).
+        widths0: d^(0) = right, left [z]; A2 sets it to the truth.
+        feed_input: add the B u that (16) lacks.
+        left_sign: -1 as printed, +1 with a signed d_l.
+    """
+
+    L: Array
+    sigma: float = 1.0
+    alpha: float = 10.0
+    Q: Array = 1.0
+    sharpness: float = 100.0
+    widths0: Array = 0.0
+    feed_input: bool = False
+    left_sign: float = -1.0
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer for a continuous-time linear model of one output."""
+        if model.Ts is not None or model.nonlinear or model.p != 1:
+            raise InputError(
+                "observer.method: 'printed' is defined for a linear plant of one output in "
+                "continuous time (simulation.time)"
+            )
+        params = self._params(model)
+
+        def init(p: Params) -> State:
+            return State(np.zeros(model.n), p.right0, p.left0)
+
+        def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+            z = model.output(p.model, s.x)
+            y_hat = z - saturation(z, s.right, s.left)
+            e = reading.y - y_hat
+            chi_r, chi_l = indicators(reading.y, p.sharpness)
+            rate = -p.sigma * e * p.cpl
+            x = model.move(p.model, s.x, p.feed_input * u) + p.L @ e
+            change = State(x, rate * chi_r, p.left_sign * -rate * chi_l)
+            return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
+
+        return Observer(params, init, step, traits=Traits(L=params.L))
+
+    def _params(self, model: System) -> Params:
+        """The observer's numbers. Raises InputError, ShapeError, StructureError."""
+        A, B, C = model.linear
+        L = gains(self.L, model)
+        alpha = scalar("observer.alpha", self.alpha, above=0.0)
+        P = paper_riccati(A - L @ C, B, alpha, weight("observer.Q", self.Q, model.n)).P
+        right, left = pairs("observer.widths0", self.widths0, 1)[0]
+        return Params(
+            model=model.params,
+            L=L,
+            sigma=np.float64(scalar("observer.sigma", self.sigma)),
+            cpl=C @ P @ L,
+            sharpness=np.float64(scalar("observer.sharpness", self.sharpness)),
+            feed_input=np.float64(self.feed_input),
+            left_sign=np.float64(scalar("observer.left_sign", self.left_sign)),
+            right0=np.array([right]),
+            left0=np.array([left]),
+        )
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; cpl = C P L, the others as in `Printed`."""
+
+    model: Any
+    L: Floats
+    sigma: Any
+    cpl: Floats
+    sharpness: Any
+    feed_input: Any
+    left_sign: Any
+    right0: Floats
+    left0: Floats
+
+
+class State(NamedTuple):
+    """x^ and the widths d_r^, d_l^."""
+
+    x: Any
+    right: Any
+    left: Any

@@ -1,0 +1,199 @@
+"""Every variant of the example as printed: what leaves the dead zone, what moves d^, what diverges.
+
+A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD
+law (the two halves of (42) contradict each other) and the sign convention of d_l: 48 for each plant
+and start. The loop's graph is built once; plant, gains and signs are its run-time parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import product
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.controllers import PD
+from undeadzone.linear.poles import observer_gain
+from undeadzone.plants.build import system
+from undeadzone.plants.system import System
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Simulation
+from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
+from undeadzone_paper.observer import Printed
+
+STEP: Final = 5e-3  # [s]
+DURATION: Final = 12.0  # [s]; what diverges has done so by then
+LAST: Final = 4.0  # [s] over which the steady amplitude is read
+LIMIT: Final = 1e6  # beyond it a variant has diverged
+MOVED: Final = 1e-9  # change of d^ that counts as a move
+
+GAINS: Final = ("printed", "negated", "placed")
+STARTS: Final = {
+    "from rest, d^(0) = 0": (0.0, 0.0),
+    f"x1(0) = {STARTED:g}, d^(0) = 0": (STARTED, 0.0),
+    "from rest, d^(0) = d": (0.0, D),
+}
+
+DEFINITION: Final = (
+    "per plant and start: L in {(-1.25, -1.62), its negative, the one that places -4, -10} "
+    "x observer with or without B u x sign of sigma x sign of the PD law x sign of d_l in (25) "
+    f"= 48; diverged: a signal beyond {LIMIT:g}; steady: over the last {LAST:g} s "
+    f"of {DURATION:g} s"
+)
+
+
+class Variant(NamedTuple):
+    """One choice of everything that the paper leaves open or contradicts.
+
+    Attributes:
+        plant: one of `READINGS`
+        start: one of `STARTS`
+        L: one of `GAINS`
+        feeds_input: whether the observer has B u
+        sigma: its sign
+        pd_sign: +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
+        left_sign: -1: (25) with d_l > 0; +1: with a signed d_l < 0
+    """
+
+    plant: str
+    start: str
+    L: str
+    feeds_input: bool
+    sigma: float
+    pd_sign: float
+    left_sign: float
+
+
+class Outcome(NamedTuple):
+    """What a variant did.
+
+    Attributes:
+        variant: which one
+        steady: max |z| over the last 4 s; None: diverged
+        peak: max |z| over all, up to where it diverged
+        leaves_zone: whether z leaves the dead zone
+        moves_widths: whether d^ moves
+        diverged_at: when a signal leaves +-LIMIT [s]; None: never
+    """
+
+    variant: Variant
+    steady: float | None
+    peak: float
+    leaves_zone: bool
+    moves_widths: bool
+    diverged_at: float | None
+
+
+class Count(NamedTuple):
+    """How many of the variants of one plant and start did what."""
+
+    plant: str
+    start: str
+    total: int
+    leave_zone: int
+    move_widths: int
+    diverge: int
+
+
+def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]:
+    """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t.
+
+    Args:
+        progress: called with the number of steps just done
+    """
+    simulation = Simulation(duration=DURATION, step=STEP)
+    problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=simulation))
+    loop, _, exogenous = prepare(problem)
+    outcomes = []
+    for plant, name in product(READINGS, GAINS):
+        with_gains = _with_gains(loop, problem, plant, name)
+        for choice in product(STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)):
+            start, feeds_input, sigma, pd_sign, left_sign = choice
+            variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
+            with_signs, state = _with_signs(with_gains, variant)
+            signal = run_loop(with_signs, state, exogenous, progress)
+            outcomes.append(_judge(variant, signal))
+    return outcomes
+
+
+def gain(name: str, model: System) -> Floats:
+    """L by name: (40), its negative, or the one that places the poles of (40) for this plant."""
+    if name == "placed":
+        return observer_gain(model.linear, POLES, None)
+    return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
+
+
+def count(outcomes: Iterable[Outcome]) -> list[Count]:
+    """The outcomes counted per plant and start, in the order they came."""
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        key = outcome.variant.plant, outcome.variant.start
+        groups.setdefault(key, []).append(outcome)
+    return [_count(*key, group) for key, group in groups.items()]
+
+
+def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
+    """The outcomes of one plant and start counted."""
+    return Count(
+        plant,
+        start,
+        total=len(outcomes),
+        leave_zone=sum(outcome.leaves_zone for outcome in outcomes),
+        move_widths=sum(outcome.moves_widths for outcome in outcomes),
+        diverge=sum(outcome.diverged_at is not None for outcome in outcomes),
+    )
+
+
+def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
+    """The loop with a reading of the plant and the gains L of that name."""
+    model = system(READINGS[plant].plant)
+    L = gain(name, model)
+    observer = Printed(L=L, alpha=ALPHA).build(model, problem.sensor)
+    law = PD(L=L, alpha=ALPHA).build(model)
+    params = loop.params._replace(
+        plant=model.params, observer=observer.params, controller=law.params
+    )
+    return loop._replace(params=params)
+
+
+def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
+    """The loop with a variant's signs, and its packed initial state."""
+    x1, width = STARTS[variant.start]
+    observer, law = loop.params.observer, loop.params.controller
+    observer = observer._replace(
+        sigma=np.float64(variant.sigma),
+        feed_input=np.float64(variant.feeds_input),
+        left_sign=np.float64(variant.left_sign),
+    )
+    law = law._replace(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d)
+    params = loop.params._replace(observer=observer, controller=law)
+    widths = np.array([width])
+    state = loop.state._replace(
+        plant=np.array([x1, 0.0]),
+        observer=loop.state.observer._replace(right=widths, left=widths),
+    )
+    return loop._replace(params=params), tree.pack(state)
+
+
+def _judge(variant: Variant, signal: Outputs) -> Outcome:
+    """The outcome, from the signals up to where one of them leaves +-LIMIT."""
+    largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
+    bad = np.flatnonzero(~(largest < LIMIT))
+    end = int(bad[0]) if bad.size else largest.size
+    z = np.abs(signal.z[:end, 0])
+    widths = np.hstack([signal.estimate.right, signal.estimate.left])[:end]
+    steady = float(z[-round(LAST / STEP) :].max())
+    return Outcome(
+        variant,
+        steady=None if bad.size else steady,
+        peak=float(z.max()),
+        leaves_zone=bool(z.max() > D),
+        moves_widths=bool(np.abs(widths - widths[0]).max() > MOVED),
+        diverged_at=end * STEP if bad.size else None,
+    )

@@ -1,0 +1,55 @@
+"""The audit's files: its numbers as JSON, its variants as CSV, figures 3-8, its page."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+from undeadzone.report.html import Origin
+from undeadzone.support.files import replacing, write_text
+from undeadzone_paper.audit import Paper, Progress
+from undeadzone_paper.page import write_figures, write_report
+from undeadzone_paper.printed import Outcome, Variant
+
+
+def write(
+    paper: Paper,
+    folder: Path,
+    figures: bool = True,
+    progress: Progress | None = None,
+    origin: Origin | None = None,
+) -> list[Path]:
+    """Write paper.json and variants.csv, and figures 3-8 and report.html where wanted.
+
+    Args:
+        paper: the audit
+        folder: where the files go; created if needed
+        figures: whether figures and report are written, too
+        progress: called with 1 for each figure written
+        origin: what it takes to get the same again; None: nobody can
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        FileError: a file cannot be written
+    """
+    numbers = json.dumps(paper.summary(), indent=2, allow_nan=False) + "\n"
+    written = [
+        write_text(numbers, folder / "paper.json"),
+        _write_variants(paper.variants, folder / "variants.csv"),
+    ]
+    if figures:
+        images = write_figures(paper, folder, progress)
+        written += [*images, write_report(paper, images, folder / "report.html", origin)]
+    return written
+
+
+def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
+    """Write a line for each variant and what it did."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*Variant._fields, *Outcome._fields[1:]])
+        writer.writerows([*outcome.variant, *outcome[1:]] for outcome in outcomes)
+    return path
