@@ -285,7 +285,7 @@ def test_two_records_become_certified_gains_and_a_run(written: Path, tmp_path: P
     for path, part in zip(halves, (rows[:400], rows[400:]), strict=True):
         path.write_text(text_of(part))
     answer = uz.identify([str(path) for path in halves], order=2, place="sensor")
-    assert answer.answer.evidence.grid.start.tolist() == [0, 400]
+    assert answer.answer.case.grid.start.tolist() == [0, 400]
     (tmp_path / "both.toml").write_text(answer.scenario())
     problem = read(tmp_path / "both.toml")
     proved = uz.design(problem, "rate")

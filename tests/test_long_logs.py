@@ -100,7 +100,7 @@ def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch, l
     assert isinstance(whole, uz.Identified)
     assert isinstance(found, uz.Identified)
     assert found.verdict == whole.verdict == "dead_zone"
-    assert found.answer.evidence.delay == whole.answer.evidence.delay == late
+    assert found.answer.found.delay == whole.answer.found.delay == late
     assert found.order == whole.order
     for name in ("right", "left", "width"):
         one, other = getattr(found, name), getattr(whole, name)

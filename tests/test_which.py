@@ -17,8 +17,8 @@ from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.identification.models.elements import PlayModel, fit_play
+from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.kalman import KalmanObjective
-from undeadzone.identification.models.kalman_fit import climbed
 from undeadzone.identification.models.least_squares import LeastSquares
 from undeadzone.identification.models.motion import (
     NAMES,
@@ -233,11 +233,11 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
         moving = heard._replace(ok=heard.ok & (heard.side != 0))
         kind, layout = ticks.kalman.model, fit.model.simulator.layout
         deaf = KalmanObjective(moving, layout, kind, Limits())
-        widths = slice(deaf.numbers.log_q + 2, deaf.numbers.log_q + 4)
+        widths = slice(deaf.log_q + 2, deaf.log_q + 4)
         found = [
             fit.theta[fit.model.base : fit.model.base + 2],
-            ticks.kalman.p[widths],
-            climbed(deaf, ticks.kalman.p, 50).theta[widths],
+            ticks.kalman.theta[widths],
+            climb(deaf, ticks.kalman.theta, 50).theta[widths],
         ]
         errors.append([float(np.sum(one)) - 0.55 for one in found])
     least_squares, by_ticks, _ = np.sqrt(np.mean(np.square(errors), axis=0))

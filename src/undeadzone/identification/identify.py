@@ -25,6 +25,7 @@ from undeadzone.identification.models.elements import better_rivals, static_riva
 from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.kalman_fit import fit_kalman
 from undeadzone.identification.models.least_squares import Density
+from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
 from undeadzone.identification.verdict.delays import fitted_with_delay, without_unreached
 from undeadzone.identification.verdict.orders import (
@@ -102,14 +103,6 @@ def identify(
         FileError: a log that cannot be read, or `keep`.
         InputError: a log from which nothing can be learnt, or an option that cannot be used.
     """
-    words = {
-        "noise": ("before", "after", "auto"),
-        "place": ("sensor", "auto"),
-        "kind": ("deadzone", "jump", "play", "auto"),
-    }
-    for name, value in (("noise", noise), ("place", place), ("kind", kind)):
-        if value not in words[name]:
-            raise InputError(f"{name}: expected {', '.join(words[name])}; found {value!r}")
     options = Options(
         order=str(order),
         right=None if right is None else str(right),
@@ -233,7 +226,7 @@ def identify_output(
         InputError: nothing can be learnt.
     """
     case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
-    found = Found(by_maps(case), case.delay)
+    found = Found(by_maps(case), case.fitted.delay)
     if found.verdict.word == "jump" and _shows_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance, climbs)
@@ -262,12 +255,9 @@ def _fitted(
     return Case(
         grid=grid,
         options=options,
-        prepared=fitted.prepared,
         recorded=prepared.data,
         unreached=unreached,
-        orders=fitted.fits,
-        delay=fitted.delay,
-        alike=fitted.alike,
+        fitted=fitted,
         chosen=chosen,
         no_zone=no_zone,
         residuals=residuals,
@@ -297,15 +287,14 @@ def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
-    right, left = (edge.value for edge in prepared.jumps)
-    shift = right * (data.side > 0) - left * (data.side < 0)
+    shift = taken_off(data.side, *[edge.value for edge in prepared.jumps])
     whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
     return fit._replace(objective=fit.objective.along(whole))
 
 
 def _shows_edges(case: Case) -> bool:
     """Whether the edges of a jump sensor can be read off, and were not."""
-    asked = case.options.kind == "auto" and not case.of_jump
+    asked = case.options.kind == "auto" and case.jumps is None
     return asked and case.data.silent_zeros and not case.options.integrators
 
 
@@ -314,12 +303,12 @@ def _shows_edges(case: Case) -> bool:
 
 def _without_jump(case: Case, found: Found) -> bool:
     """Whether the log was not taken for that of a jump sensor."""
-    return not case.of_jump
+    return case.jumps is None
 
 
 def _falls_silent(case: Case, found: Found) -> bool:
     """Whether there is a zone of the sensor in which noise falls silent."""
-    has_zone = found.verdict.word == ("jump" if case.of_jump else "dead_zone")
+    has_zone = found.verdict.word == ("jump" if case.jumps else "dead_zone")
     return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
 
 
@@ -330,7 +319,7 @@ def _with_filter(case: Case, found: Found) -> Found:
 
 def _has_a_place(case: Case, found: Found) -> bool:
     """Whether the place of the zone is asked."""
-    known = case.options.place == "sensor" or case.of_jump or found.element is not None
+    known = case.options.place == "sensor" or case.jumps or found.element is not None
     return not (known or case.unreached or case.options.integrators)
 
 
@@ -366,7 +355,7 @@ def _is_at_input(case: Case, found: Found) -> bool:
 
 def _with_actuator(case: Case, found: Found) -> Found:
     """The widths of the actuator's zone, and the plant behind it."""
-    return found._replace(element=of_input_zone([one.pairs for one in case.orders]))
+    return found._replace(element=of_input_zone([one.pairs for one in case.fitted.fits]))
 
 
 QUESTIONS = (

@@ -221,6 +221,16 @@ def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
     return entries
 
 
+def runs(flags: Flags) -> tuple[Integers, Integers]:
+    """The first and the last place of each run of True.
+
+    Args:
+        flags: in a row (N).
+    """
+    ends = np.diff(flags.astype(int), prepend=0, append=0)
+    return np.flatnonzero(ends > 0), np.flatnonzero(ends < 0) - 1
+
+
 def finite(value: Any) -> Any:
     """A value for JSON, which has no nan or inf: None in their place.
 

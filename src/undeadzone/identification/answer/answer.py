@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
-from undeadzone.identification.logs.prepare import JumpEdge
 from undeadzone.identification.models.estimates import DIRECTIONS, Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
 from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
-from undeadzone.identification.models.least_squares import Density
-from undeadzone.identification.models.motion import Offsets
 from undeadzone.identification.models.plant import Layout, Simulator
 from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.verdict.orders import (
-    NoZone,
     OrderFit,
-    ResidualMap,
     credible,
     hears_input,
     is_white,
     trained_part,
 )
-from undeadzone.identification.verdict.place import Place
 from undeadzone.identification.verdict.verdict import Case
 from undeadzone.identification.verdict.which import Element, Found, held_out_of
 from undeadzone.identification.verdict.widths import (
@@ -46,44 +38,6 @@ SURE = 0.999  # level of the ranges that an observer is told
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 Shown = dict[str, Interval | None]  # right, left, width, centre
-
-
-class Evidence(NamedTuple):
-    """All that was computed, in the scale of the fit (rms of y is 1).
-
-    Attributes:
-        grid: the log on its grid.
-        orders: every order.
-        chosen: the order that was chosen.
-        kalman: fits of (L3), best first.
-        no_zone: the test of a zone against none.
-        residuals: residual by z^.
-        rivals: static rivals.
-        place: where the zone is; None where that was not asked.
-        excitation: samples and visits a side.
-        widths: widths with intervals.
-        unreached: edges that no reading passes.
-        jumps: edges of a jump sensor, scaled; None for a dead zone.
-        delay: samples by which the input acts late.
-        element: what stands in the place of a sensor's dead zone; None: nothing does.
-        offsets: the four offsets along the log, with the element's plant; None: not looked at.
-    """
-
-    grid: Grid
-    orders: list[OrderFit]
-    chosen: OrderFit
-    kalman: Sequence[KalmanFit]
-    no_zone: NoZone
-    residuals: ResidualMap
-    rivals: dict[str, Density]
-    place: Place | None
-    excitation: Excitation
-    widths: Widths
-    unreached: tuple[str, ...]
-    jumps: tuple[JumpEdge, JumpEdge] | None
-    delay: int
-    element: Element | None
-    offsets: Offsets | None
 
 
 class Disturbance(NamedTuple):
@@ -113,12 +67,13 @@ class Answer(NamedTuple):
         reasons: why, in words.
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
-        order: poles of the plant.
-        poles: of the plant (n) [1/s], complex.
-        gain: DC gain from each input (m) [y/u].
         remarks: what was done to the log, and what to be careful about.
         options: what the user said.
-        evidence: all that was computed.
+        case: the log, fitted with a zone of the sensor.
+        found: what was found of it.
+        chosen: the order that was chosen, with the checks of what was found.
+        excitation: samples and visits a side.
+        widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
     """
 
     verdict: str
@@ -127,12 +82,13 @@ class Answer(NamedTuple):
     left: Interval | None
     width: Interval | None
     centre: Interval | None
-    order: int
-    poles: Any
-    gain: Floats
     remarks: list[str]
     options: Options
-    evidence: Evidence
+    case: Case
+    found: Found
+    chosen: OrderFit
+    excitation: Excitation
+    widths: Widths
 
     @property
     def zone(self) -> bool:
@@ -142,7 +98,7 @@ class Answer(NamedTuple):
     @property
     def fit(self) -> Fit:
         """The fit that every sample enters: (L2), or that of noise behind the zone."""
-        return self.evidence.chosen.pairs
+        return self.chosen.pairs
 
     @property
     def scale(self) -> float:
@@ -152,7 +108,7 @@ class Answer(NamedTuple):
     @property
     def element(self) -> Element | None:
         """What stands in the place of a sensor's dead zone."""
-        return self.evidence.element
+        return self.found.element
 
     @property
     def z(self) -> Floats:
@@ -165,6 +121,25 @@ class Answer(NamedTuple):
         if self.element is None:
             return self.fit.objective.simulator, self.fit.theta
         return self.element.simulator, self.element.theta
+
+    @property
+    def order(self) -> int:
+        """Poles of the plant."""
+        return self.plant[0].layout.n
+
+    @property
+    def poles(self) -> Any:
+        """Poles of the plant (n) [1/s], complex."""
+        simulator, theta = self.plant
+        with np.errstate(divide="ignore"):
+            return np.log(simulator.poles(theta).astype(complex)) / self.case.grid.step
+
+    @property
+    def gain(self) -> Floats:
+        """DC gain from each input (m) [y/u]; with integrators, of the rates."""
+        simulator, theta = self.plant
+        gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
+        return np.asarray(gain / self.case.grid.step**self.options.integrators)
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
@@ -185,22 +160,21 @@ class Answer(NamedTuple):
     @property
     def disturbance(self) -> Disturbance:
         """What disturbs z."""
-        step, scale = self.evidence.grid.step, self.scale
+        step, scale = self.case.grid.step, self.scale
         element, fit = self.element, self.fit
-        if element is not None and element.ahead is not None:
-            time = -step / math.log(element.ahead.phi) if element.ahead.phi > 0 else None
-            noise = element.noise * scale
-            return Disturbance(element.unseen * scale, time, noise, NAMES[AT_INPUT], True)
         if element is not None:
-            return Disturbance(element.unseen * scale, None, element.noise * scale, None, True)
+            phi = 0.0 if element.ahead is None else element.ahead.phi
+            time = -step / math.log(phi) if phi > 0 else None
+            model = None if element.ahead is None else NAMES[AT_INPUT]
+            return Disturbance(element.unseen * scale, time, element.noise * scale, model, True)
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
             left = fit.objective.residuals(fit.theta)[fit.objective.readings.ok]
             rms = math.sqrt(float(np.mean(left**2)))
             return Disturbance(rms * scale, time, None, None, False)
-        if not self.evidence.kalman:
+        if not self.found.kalman:
             return Disturbance(fit.s * scale, time, None, None, True)
-        best = self.evidence.kalman[0]
+        best = self.found.kalman[0]
         return Disturbance(fit.s * scale, time, best.r * scale, NAMES[best.model], True)
 
 
@@ -214,69 +188,55 @@ def to_answer(case: Case, found: Found) -> Answer:
         case: the log, fitted with a zone of the sensor.
         found: the verdict, and what stands in the zone's place.
     """
-    evidence = _evidence(case, found)
-    element, fit, step = found.element, evidence.chosen.pairs, case.grid.step
-    simulator, theta = fit.objective.simulator, fit.theta
-    if element is not None:
-        simulator, theta = element.simulator, element.theta
-    with np.errstate(divide="ignore"):
-        rates = np.log(simulator.poles(theta).astype(complex)) / step
-    gain = simulator.gain(theta) * case.data.y_scale / case.data.u_scale
-    gain /= step**case.options.integrators
-    word = found.verdict.word
-    shown: Shown = dict.fromkeys(DIRECTIONS)
-    remarks = [*case.prepared.remarks, *found.verdict.cautions]
-    if element is not None:
-        shown = dict(element.widths)
-        remarks += [*element.remarks, *_late(evidence)]
-    elif word == "dead_zone" or (word == "jump" and case.of_jump):
-        heard = hears_input(fit)
-        shown = _shown_jump(evidence) if case.of_jump else _shown(case, evidence, heard)
-        remarks += [*_late(evidence), *_edge_remarks(evidence, shown, heard)]
-        remarks += _hardly_passed(evidence, shown, case.data.y_scale)
-        word = "unreached" if case.unreached else word
-    return Answer(
-        verdict=word,
-        reasons=found.verdict.reasons,
-        **shown,
-        order=simulator.layout.n,
-        poles=rates,
-        gain=gain,
-        remarks=remarks,
-        options=case.options,
-        evidence=evidence,
-    )
-
-
-def _evidence(case: Case, found: Found) -> Evidence:
-    """All that was computed, the widths and the check on held-out data among it."""
-    chosen, best = case.chosen, next(iter(found.kalman), None)
-    offset, held_out = case.offset, case.options.held_out
-    orders = credible(case.orders)
-    widths = find_widths(chosen, orders, case.alike, best, case.quantum, offset)
+    chosen, data = case.chosen, case.data
+    best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
+    widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
-    excited = excitation(case.data.readings(), chosen.pairs.z, *edges, case.data.silent_zeros)
+    answer = Answer(
+        verdict=found.verdict.word,
+        reasons=found.verdict.reasons,
+        **dict.fromkeys(DIRECTIONS),
+        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
+        options=case.options,
+        case=case,
+        found=found,
+        chosen=_checked(case, found),
+        excitation=excitation(data.readings(), chosen.pairs.z, *edges, data.silent_zeros),
+        widths=widths,
+    )
+    if found.element is not None:
+        remarks = [*found.element.remarks, *_late(answer)]
+        return _showing(answer, found.element.widths, remarks)
+    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jumps):
+        return _with_edges(answer)
+    return answer
+
+
+def _checked(case: Case, found: Found) -> OrderFit:
+    """The chosen order with the check on held-out data of what was found in the end."""
+    chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
         chosen = chosen._replace(**held_out_of(found.element, held_out)._asdict())
-    if best is not None:
-        chosen = chosen._replace(white=_white_after_filter(best, held_out))
-    return Evidence(
-        grid=case.grid,
-        orders=case.orders,
-        chosen=chosen,
-        kalman=found.kalman,
-        no_zone=case.no_zone,
-        residuals=case.residuals,
-        rivals=case.rivals,
-        place=found.place,
-        excitation=excited,
-        widths=widths,
-        unreached=case.unreached,
-        jumps=case.prepared.jumps,
-        delay=found.delay,
-        element=found.element,
-        offsets=found.offsets,
-    )
+    if found.kalman:
+        chosen = chosen._replace(white=_white_after_filter(found.kalman[0], held_out))
+    return chosen
+
+
+def _with_edges(answer: Answer) -> Answer:
+    """The answer with the edges of a sensor's zone."""
+    heard = hears_input(answer.fit)
+    shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
+    remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
+    remarks += _hardly_passed(answer, shown)
+    word = "unreached" if answer.case.unreached else answer.verdict
+    return _showing(answer, shown, remarks)._replace(verdict=word)
+
+
+def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
+    """The answer with widths, and more to be careful about."""
+    right, left, width, centre = (shown[name] for name in DIRECTIONS)
+    remarks = [*answer.remarks, *remarks]
+    return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
 
 
 def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
@@ -286,29 +246,30 @@ def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
     return is_white(innovations(kalman), use)
 
 
-def _late(evidence: Evidence) -> list[str]:
+def _late(answer: Answer) -> list[str]:
     """That the input acts late, where it does."""
-    if not evidence.delay:
+    delay, grid = answer.found.delay, answer.case.grid
+    if not delay:
         return []
-    time = "" if evidence.grid.counted else f" ({evidence.delay * evidence.grid.step:.4g} s)"
-    return [f"the input acts {evidence.delay} samples late{time}"]
+    time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
+    return [f"the input acts {delay} samples late{time}"]
 
 
-def _edge_remarks(evidence: Evidence, shown: Shown, heard: bool) -> list[str]:
+def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
     """What to know of edges that are given."""
-    remarks = list(evidence.widths.remarks) if evidence.jumps is None else []
+    remarks = [] if answer.case.jumps else list(answer.widths.remarks)
     if heard:
         remarks.append(
             "past inputs explain part of the one-step residual: a delay, or too few poles; the"
             " plant model does not fit, and the intervals are doubled; try a higher --order, or"
             " shift the input by the delay"
         )
-    for name in evidence.unreached:
+    for name in answer.case.unreached:
         remarks.append(
             f"no reading lies beyond the {name} edge: record with a larger input, or say"
             f" --{name} inf if there is none"
         )
-    if _tied(evidence):
+    if _tied(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
             " zone, so both edges are half of the width; the place of the zone is not asked"
@@ -323,25 +284,26 @@ def _edge_remarks(evidence: Evidence, shown: Shown, heard: bool) -> list[str]:
     return remarks
 
 
-def _tied(evidence: Evidence) -> bool:
+def _tied(answer: Answer) -> bool:
     """Whether both edges are one number, of a plant that integrates."""
-    return evidence.chosen.pairs.objective.limits.tied
+    return answer.fit.objective.limits.tied
 
 
-def _hardly_passed(evidence: Evidence, shown: Shown, scale: float) -> list[str]:
+def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
     """Widen the intervals of edges that are hardly passed, and say so."""
     remarks: list[str] = []
-    if evidence.jumps is not None or _tied(evidence):
+    if answer.case.jumps or _tied(answer):
         return remarks
-    for name, visits in zip(("right", "left"), evidence.excitation.visits, strict=True):
+    for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
         edge = shown[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
             continue
-        wider = widened(evidence.chosen.pairs, name, edge, scale)
+        wider = widened(answer.fit, name, edge, answer.scale)
         more = (edge.low - wider.low, wider.high - edge.high)
         shown[name] = wider
-        shown["width"] = _grown(shown["width"], *more)
-        shown["centre"] = _grown(shown["centre"], max(more), max(more))
+        for sum_of_both, further in (("width", more), ("centre", [max(more)] * 2)):
+            interval = shown[sum_of_both]
+            shown[sum_of_both] = None if interval is None else interval.reaching(*further)
         remarks.append(
             f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
             " the profile likelihood where that is wider"
@@ -349,20 +311,13 @@ def _hardly_passed(evidence: Evidence, shown: Shown, scale: float) -> list[str]:
     return remarks
 
 
-def _grown(interval: Interval | None, below: float, above: float) -> Interval | None:
-    """An interval that reaches further."""
-    if interval is None:
-        return None
-    return Interval(interval.value, interval.low - below, interval.high + above)
-
-
-def _shown_jump(evidence: Evidence) -> Shown:
+def _shown_jump(case: Case) -> Shown:
     """The edges of a jump sensor in the units of the log; the others are on the safe side."""
-    assert evidence.jumps is not None
-    scale = evidence.chosen.pairs.objective.data.y_scale
-    sides = []
-    for edge in evidence.jumps:
-        wider = 0.5 * evidence.grid.quantum if edge.high > edge.low else 0.0
+    if case.jumps is None:
+        return {}
+    scale, sides = case.data.y_scale, []
+    for edge in case.jumps:
+        wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
         low, high = edge.low * scale - wider, edge.high * scale + wider
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
@@ -371,23 +326,22 @@ def _shown_jump(evidence: Evidence) -> Shown:
     return {"right": right, "left": left, "width": width, "centre": twice.scaled(0.5)}
 
 
-def _shown(case: Case, evidence: Evidence, heard: bool) -> Shown:
+def _shown(answer: Answer, wider: float) -> Shown:
     """The widths in the units of the log; an edge never reached has a lower bound alone."""
-    scale, wider = case.data.y_scale, 2.0 if heard else 1.0
+    case, scale = answer.case, answer.scale
     shown: Shown = {}
     for name in DIRECTIONS:
-        value, low, high = getattr(evidence.widths, name).scaled(scale)
-        shown[name] = Interval(value, value - wider * (value - low), value + wider * (high - value))
+        shown[name] = getattr(answer.widths, name).scaled(scale).grown(wider)
     for name in ("right", "left"):
         low, high = case.options.bounds(name)
         if low == high:
             shown[name] = None if low == math.inf else Interval(low, low, high)
         if low == math.inf:
             shown["width"] = shown["centre"] = None
-    if _tied(evidence):
+    if _tied(answer):
         shown["centre"] = None
-    for name in evidence.unreached:
-        bound = lower_bound(evidence.chosen.singles, name) * scale
+    for name in case.unreached:
+        bound = lower_bound(case.chosen.singles, name) * scale
         shown[name] = Interval(bound, bound, math.inf)
         shown["width"] = shown["centre"] = None
     return shown
@@ -416,8 +370,8 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
     low, high = answer.options.bounds(side)
-    below, above = _reach(answer, side, edge)
-    low, high = max(edge.value - below, low, 0.0), min(edge.value + above, high)
+    told = _told(answer, side, edge)
+    low, high = max(told.low, low, 0.0), min(told.high, high)
     if not math.isfinite(high):
         raise InputError(
             f"scenario: the log gives no upper bound of d_{side}; bound it by --{side} LOW,HIGH"
@@ -427,9 +381,8 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
 
 def told_element(element: Element, interval: Interval) -> tuple[float, float]:
     """The 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
-    wider = _growth(element.degrees)
-    low = max(interval.value - wider * (interval.value - interval.low), 0.0)
-    return _not_too_narrow(low, interval.value + wider * (interval.high - interval.value))
+    told = interval.grown(_growth(element.degrees))
+    return _not_too_narrow(max(told.low, 0.0), told.high)
 
 
 def _not_too_narrow(low: float, high: float) -> tuple[float, float]:
@@ -443,15 +396,12 @@ def _growth(degrees: float) -> float:
     return quantile(degrees, SURE) / quantile(degrees)
 
 
-def _reach(answer: Answer, side: str, edge: Interval) -> tuple[float, float]:
-    """How far the range goes below and above a width [y]."""
-    below, above = edge.value - edge.low, edge.high - edge.value
-    jumps = answer.evidence.jumps
+def _told(answer: Answer, side: str, edge: Interval) -> Interval:
+    """The 99.9 % interval of a width [y]."""
+    jumps, element = answer.case.jumps, answer.element
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]
-        return below + (jump.low - jump.lowest) * answer.scale, above
-    degrees = answer.evidence.widths.degrees[side]
-    if answer.element is not None:
-        degrees = answer.element.degrees
-    wider = _growth(degrees)
-    return wider * below, wider * above
+        below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
+        return edge.grown(1.0)._replace(low=edge.value - below)
+    degrees = answer.widths.degrees[side] if element is None else element.degrees
+    return edge.grown(_growth(degrees))

@@ -122,7 +122,7 @@ class Identified:
             simulation.
         """
         answer, scale = self.answer, self.answer.scale
-        t, kalman = answer.evidence.grid.t, answer.evidence.kalman
+        t, kalman = answer.case.grid.t, answer.found.kalman
         if answer.element is None and kalman and kalman[0].model != 0:
             smoothed, std = smoothed_with_spread(kalman[0])
             return States(t, smoothed.z * scale, std * scale, smoothed.x[:, : self.order] * scale)
@@ -147,7 +147,7 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        known = self.answer.zone or self.answer.evidence.jumps is not None
+        known = self.answer.zone or self.answer.case.jumps is not None
         if not known and self.verdict not in WRITTEN:
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"

@@ -7,7 +7,7 @@ from scipy.linalg import logm
 
 from undeadzone.errors import InputError
 from undeadzone.identification.models.plant import Layout
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.support.arrays import Floats
 
 SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
@@ -84,20 +84,15 @@ def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -
     rates = np.abs(np.roots(polynomial)).max()
     reach = np.abs(numerator) * rates ** np.arange(n)
     scale = numerator[0] if abs(numerator[0]) > SMALL * reach.max() else 1.0
-    companion = np.eye(n, k=1)
-    companion[-1] = -polynomial[:0:-1]
-    gain = np.zeros((n, 1))
-    gain[-1, 0] = scale
-    return Matrices(companion, gain, (numerator / scale)[None, :])
+    form = companion(polynomial[:0:-1], numerator / scale)
+    return form._replace(B=np.where(form.B > 0, scale, 0.0))
 
 
 def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
     """The states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
     n = A.shape[0]
     T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
-    companion = np.eye(n, k=1)
-    companion[-1] = -polynomial[:0:-1]
-    return Matrices(companion, T @ B, np.eye(1, n))
+    return companion(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
 
 
 def entry_spread(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,7 +22,9 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
 
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
-NARROWEST = 1e-9  # the range of a width that is 0
+SIDES = ("right", "left")
+NO_ZONE = ("right = 0.0  # the sensor has no zone", "left = 0.0")
+NO_ZONE_CLAIMED = ("right = [0.0, 1e-09]  # no zone", "left = [0.0, 1e-09]")
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
@@ -40,17 +42,15 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         InputError: no plant in continuous time fits, the input acts late, or a zone that does not
             hold z = 0.
     """
-    parts = [_part(answer) for answer in answers]
+    plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
     first = answers[0]
-    step = first.evidence.grid.step
-    plant = _joined([part.plant for part in parts])
-    spread_A = block_diag(*[part.spread_A for part in parts])
-    spread_B = np.vstack([part.spread_B for part in parts])
-    zones = [] if first.verdict == "input_zone" else [_edges(answer) for answer in answers]
-    right, left = [edges[0] for edges in zones], [edges[1] for edges in zones]
-    driven = plant.B.shape[1] >= len(parts)
+    step = first.case.grid.step
+    plant = _joined(plants)
+    spread_A, spread_B = block_diag(*spreads_A), np.vstack(spreads_B)
+    at_input = first.verdict == "input_zone"
+    driven = plant.B.shape[1] >= len(answers)
     lines = [
-        f'title = "Identified from {_name(first)}"',
+        f'title = "Identified from a log of {first.case.grid.t.size} samples"',
         "",
         "[plant]  # from the sampled plant by the matrix logarithm, companion form",
         f"A = {_rows(plant.A)}",
@@ -59,16 +59,16 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         "",
         "[sensor]",
         *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
-        *_widths(right, left),
+        *(NO_ZONE if at_input else _widths(answers)),
         *_gaps(first),
         *_noise(answers),
         "",
         *_told_gaps(first),
-        *(_actuator(first) if first.verdict == "input_zone" else []),
+        *(_actuator(first) if at_input else []),
         *(_reference(answers, plant.A) if driven else []),
         "[observer]",
         'method = "censored"',
-        *(_claimed(answers) if right else _unclaimed()),
+        *(NO_ZONE_CLAIMED if at_input else _claimed(answers)),
         *_disturbance(answers),
         f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
         "",
@@ -79,8 +79,8 @@ def scenario_text(answers: Sequence[Answer]) -> str:
         f"step = {float(f'{step:.12g}')!r}  # of the log",
         "",
         "[units]",
-        f"output = {_text(first.evidence.grid.output_unit)}",
-        f"input = {_text(first.evidence.grid.input_unit)}",
+        f"output = {_text(first.case.grid.output_unit)}",
+        f"input = {_text(first.case.grid.input_unit)}",
     ]
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
@@ -89,30 +89,28 @@ def scenario_text(answers: Sequence[Answer]) -> str:
     return "\n".join(["# Written by undeadzone identify.", *cautions, *lines]) + "\n"
 
 
-def _widths(right: Sequence[Interval], left: Sequence[Interval]) -> list[str]:
-    """The sensor's widths."""
-    if not right:
-        return ["right = 0.0  # the sensor has no zone", "left = 0.0"]
-    return [
-        f"right = {_each(right)}  # 95 %: {_intervals(right)}",
-        f"left = {_each(left)}  # 95 %: {_intervals(left)}",
-    ]
+def _widths(answers: Sequence[Answer]) -> list[str]:
+    """The widths of a sensor, or of an actuator. Raises InputError."""
+    zones = [_edges(answer) for answer in answers]
+    lines = []
+    for side, edges in zip(SIDES, zip(*zones, strict=True), strict=True):
+        values = _numbers(edge.value for edge in edges)
+        lines.append(f"{side} = {values}  # 95 %: {_intervals(edges)}")
+    return lines
 
 
 def _claimed(answers: Sequence[Answer]) -> list[str]:
     """The widths as the observer knows them. Raises InputError."""
-    element = answers[0].element
-    if answers[0].verdict == "both" and element is not None and element.edges is not None:
-        ranges = [told_element(element, edge) for edge in element.edges]
-        remark = "99.9 % interval, if c_r = c_l"
-        return [
-            f"{side} = {_pairs([pair])}  # {remark}"
-            for side, pair in zip(("right", "left"), ranges, strict=True)
-        ]
-    return [
-        f"right = {_pairs([told_range(one, 'right') for one in answers])}  # 99.9 % interval",
-        f"left = {_pairs([told_range(one, 'left') for one in answers])}  # 99.9 % interval",
-    ]
+    element, remark = answers[0].element, "99.9 % interval"
+    edges = None if element is None else element.edges
+    lines = []
+    for place, side in enumerate(SIDES):
+        if element is not None and edges is not None:
+            ranges, remark = [told_element(element, edges[place])], "99.9 % interval, if c_r = c_l"
+        else:
+            ranges = [told_range(one, side) for one in answers]
+        lines.append(f"{side} = {_listed([_pair(*ends) for ends in ranges])}  # {remark}")
+    return lines
 
 
 def _gaps(answer: Answer) -> list[str]:
@@ -120,9 +118,9 @@ def _gaps(answer: Answer) -> list[str]:
     if answer.verdict != "both":
         return []
     gap = _gap(answer)
-    even = _number(gap.value / 2)
+    even = _pair(gap.value / 2, gap.value / 2)
     remark = "the sum of both centres stands in right and left"
-    return [f"play = [{even}, {even}]  # c_r + c_l, 95 %: {_intervals([gap])}; {remark}"]
+    return [f"play = {even}  # c_r + c_l, 95 %: {_intervals([gap])}; {remark}"]
 
 
 def _told_gaps(answer: Answer) -> list[str]:
@@ -131,7 +129,7 @@ def _told_gaps(answer: Answer) -> list[str]:
     if answer.verdict != "both" or element is None:
         return []
     low, high = told_element(element, _gap(answer))
-    half = f"[{_number(low / 2)}, {_number(high / 2)}]"
+    half = _pair(low / 2, high / 2)
     return ["[model]", f"play = [{half}, {half}]  # 99.9 % interval of the gap, even", ""]
 
 
@@ -142,42 +140,22 @@ def _gap(answer: Answer) -> Interval:
     return answer.width
 
 
-def _unclaimed() -> list[str]:
-    """The widths of a sensor without a zone as the observer knows them."""
-    return [f"right = [0.0, {NARROWEST}]  # no zone", f"left = [0.0, {NARROWEST}]"]
-
-
 def _actuator(answer: Answer) -> list[str]:
     """The actuator's dead zone, and what is known of it. Raises InputError."""
-    right, left = _edges(answer)
-    return [
-        "[actuator]",
-        *_widths([right], [left]),
-        "",
-        "[model.actuator]",
-        *_claimed([answer]),
-        "",
-    ]
+    widths, claimed = _widths([answer]), _claimed([answer])
+    return ["[actuator]", *widths, "", "[model.actuator]", *claimed, ""]
 
 
-class _Part(NamedTuple):
-    """What one output adds: its plant, relative spreads of A and B."""
-
-    plant: Matrices
-    spread_A: Floats
-    spread_B: Floats
-
-
-def _part(answer: Answer) -> _Part:
-    """The part of one output. Raises InputError."""
-    grid, delay = answer.evidence.grid, answer.evidence.delay
+def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
+    """The plant of one output, and relative spreads of its A and B. Raises InputError."""
+    grid, delay = answer.case.grid, answer.found.delay
     if delay and answer.options.delay == "auto":
         raise InputError(
             f"scenario: the input acts {delay} samples ({delay * grid.step:.4g} s) late, and"
             f" scenarios have no delay; if only the recording is late, say --delay {delay}"
         )
     layout, a, b, V = answer.plant_numbers
-    return _Part(*entry_spread(a, b, layout, grid.step, V))
+    return entry_spread(a, b, layout, grid.step, V)
 
 
 def _joined(plants: Sequence[Matrices]) -> Matrices:
@@ -189,9 +167,9 @@ def _joined(plants: Sequence[Matrices]) -> Matrices:
     )
 
 
-def _each(edges: Sequence[Interval]) -> str:
-    """The widths of all outputs: a number, or a list."""
-    return _listed([_number(edge.value) for edge in edges])
+def _numbers(values: Iterable[float]) -> str:
+    """The numbers of all outputs: one, or a list."""
+    return _listed([_number(value) for value in values])
 
 
 def _intervals(edges: Sequence[Interval]) -> str:
@@ -199,9 +177,9 @@ def _intervals(edges: Sequence[Interval]) -> str:
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
-def _pairs(ranges: Sequence[tuple[float, float]]) -> str:
-    """The ranges of all outputs."""
-    return _listed([f"[{_number(low)}, {_number(high)}]" for low, high in ranges])
+def _pair(low: float, high: float) -> str:
+    """Two numbers in TOML."""
+    return f"[{_number(low)}, {_number(high)}]"
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -235,28 +213,16 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
     return right, left
 
 
-def _name(answer: Answer) -> str:
-    """The log in a title."""
-    return f"a log of {answer.evidence.grid.t.size} samples"
-
-
 def _noise(answers: Sequence[Answer]) -> list[str]:
     """Noise of the sensor, its threshold and quantum."""
-    before, behind, thresholds = [], [], []
-    for answer in answers:
-        ahead, after = _rms_of_noise(answer)
-        before.append(ahead)
-        behind.append(after)
-        thresholds.append(max(0.5 * answer.evidence.grid.quantum, answer.options.threshold or 0.0))
+    before, behind = zip(*[_rms_of_noise(answer) for answer in answers], strict=True)
     lines = []
     if any(before):
-        texts = [_number(rms) for rms in before]
-        lines.append(f"noise_before = {_listed(texts)}  # white part of what disturbs z")
-        silent = [_number(threshold) for threshold in thresholds]
-        lines.append(f"threshold = {_listed(silent)}  # the log has exact zeros")
+        silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
+        lines.append(f"noise_before = {_numbers(before)}  # white part of what disturbs z")
+        lines.append(f"threshold = {_numbers(silent)}  # the log has exact zeros")
     if any(behind):
-        texts = [_number(rms) for rms in behind]
-        lines.append(f"noise = {_listed(texts)}  # rms of the residual")
+        lines.append(f"noise = {_numbers(behind)}  # rms of the residual")
     return lines
 
 
@@ -271,14 +237,11 @@ def _rms_of_noise(answer: Answer) -> tuple[float, float]:
 
 def _reference(answers: Sequence[Answer], A: Floats) -> list[str]:
     """A sine within the range of z and the bandwidth of the plant."""
-    amplitudes = []
-    for answer in answers:
-        z = np.abs(answer.z) * answer.scale
-        amplitudes.append(_number(float(np.quantile(z, 0.98))))
+    reached = [np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers]
     return [
         "[reference]  # fits the range of z in the log",
         'kind = "sine"',
-        f"amplitude = {_listed(amplitudes)}",
+        f"amplitude = {_numbers(reached)}",
         f"frequency = {_number(_frequency(answers[0], A))}",
         "",
     ]
@@ -289,19 +252,19 @@ def _frequency(answer: Answer, A: Floats) -> float:
     rates = np.abs(np.linalg.eigvals(A))
     moving = rates[rates > 1e-6 * rates.max()]
     slowest = float(moving.min()) if moving.size else _rate_of_motion(answer)
-    return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.evidence.grid.step):.3g}")
+    return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.case.grid.step):.3g}")
 
 
 def _rate_of_motion(answer: Answer) -> float:
     """rms of z' over that of z along the log [1/s]: of a sine its frequency."""
-    grid = answer.evidence.grid
+    grid = answer.case.grid
     around = float(np.std(answer.z))
     return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
 def _duration(answers: Sequence[Answer], A: Floats) -> float:
     """A whole number of steps that hold 20 periods of the reference, 20,000 at most."""
-    step = answers[0].evidence.grid.step
+    step = answers[0].case.grid.step
     periods = 20 / _frequency(answers[0], A)
     return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
 
@@ -321,14 +284,14 @@ def _disturbance(answers: Sequence[Answer]) -> list[str]:
 
 def _claim(answer: Answer) -> tuple[float, float] | None:
     """rms at the input and correlation time [s] of what disturbs an output; None: not known."""
-    step = answer.evidence.grid.step
+    step = answer.case.grid.step
     layout = answer.fit.objective.layout
-    kalman = answer.evidence.kalman
+    kalman = answer.found.kalman
     data = answer.fit.objective.data
     if answer.element is not None:
         return _claim_ahead(answer.element, step, float(data.u_scale[0]))
     if not kalman:
-        return (0.0, 0.5 * step) if answer.evidence.chosen.white else None
+        return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
     phi = best.phi
     rms = best.q / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
@@ -370,8 +333,7 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
 
 def _rows(matrix: Any) -> str:
     """A matrix in TOML."""
-    rows = ["[" + ", ".join(_number(entry) for entry in row) + "]" for row in matrix]
-    return "[" + ", ".join(rows) + "]"
+    return str(np.asarray(matrix, dtype=float).tolist())
 
 
 def _number(value: float) -> str:

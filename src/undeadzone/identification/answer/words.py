@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from undeadzone.identification.answer.answer import Answer
-from undeadzone.identification.models.estimates import Interval
+from undeadzone.identification.models.estimates import DIRECTIONS, Interval
 from undeadzone.identification.verdict.verdict import MODELS, winning_rival
 
 HEADS = {
@@ -24,7 +24,6 @@ HEADS = {
     "unclear": "nothing can be said",
 }
 AT_ZERO = "  assumes z = 0 at u = 0"
-TITLES = {"right": "d_right", "left": "d_left", "width": "width", "centre": "centre"}
 
 
 # --- Numbers
@@ -40,16 +39,12 @@ def numbers(answer: Answer) -> dict[str, Any]:
         zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
         alternatives, held_out, and more.
     """
-    evidence = answer.evidence
-    grid, chosen = evidence.grid, evidence.chosen
+    grid, chosen = answer.case.grid, answer.chosen
     return {
         "zone": answer.zone,
         "verdict": answer.verdict,
         "reasons": answer.reasons,
-        "right": _listed(answer.right),
-        "left": _listed(answer.left),
-        "width": _listed(answer.width),
-        "centre": _listed(answer.centre),
+        **{name: _listed(getattr(answer, name)) for name in DIRECTIONS},
         "order": answer.order,
         "plant": {
             "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
@@ -67,20 +62,20 @@ def numbers(answer: Answer) -> dict[str, Any]:
         },
         "orders": [
             {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
-            for one in evidence.orders
+            for one in answer.case.fitted.fits
         ],
-        "no_zone": evidence.no_zone.chance,
+        "no_zone": answer.case.no_zone.chance,
         "residual_map": {
-            "share": evidence.residuals.share,
-            "p": evidence.residuals.chance,
-            "moving_share": evidence.residuals.moving_share,
-            "moving_p": evidence.residuals.moving_chance,
+            "share": answer.case.residuals.share,
+            "p": answer.case.residuals.chance,
+            "moving_share": answer.case.residuals.moving_share,
+            "moving_p": answer.case.residuals.moving_chance,
         },
         "excitation": {
-            "samples": list(evidence.excitation.samples),
-            "visits": list(evidence.excitation.visits),
-            "silent": evidence.excitation.silent,
-            "longest_silence": evidence.excitation.longest * grid.step,
+            "samples": list(answer.excitation.samples),
+            "visits": list(answer.excitation.visits),
+            "silent": answer.excitation.silent,
+            "longest_silence": answer.excitation.longest * grid.step,
         },
         "stages": _stages(answer),
         "record": {
@@ -102,7 +97,7 @@ def _listed(interval: Interval | None) -> list[float] | None:
 
 def _offsets(answer: Answer) -> dict[str, Any] | None:
     """What the four offsets of the readings say."""
-    offsets = answer.evidence.offsets
+    offsets = answer.found.offsets
     if offsets is None:
         return None
     pairs = zip(offsets.widths * answer.scale, offsets.std * answer.scale, strict=True)
@@ -112,33 +107,30 @@ def _offsets(answer: Answer) -> dict[str, Any] | None:
 
 def behind_the_best(answer: Answer) -> dict[str, Any]:
     """Nats per sample by which static rivals and other places are behind the best of their kind."""
-    rivals = answer.evidence.rivals
+    rivals = answer.case.rivals
     best = min(one.bic for one in rivals.values())
     return {name: (one.bic - best) / (2 * one.value.size) for name, one in rivals.items()}
 
 
 def _place(answer: Answer) -> dict[str, Any] | None:
     """The place of the zone, lambda, and how far other places are behind."""
-    place = answer.evidence.place
+    place = answer.found.place
     if place is None:
         return None
     u_scale = answer.fit.objective.data.u_scale[0]
-    levels = {}
-    for name, (right, left) in place.levels.items():
-        levels[name] = [right * u_scale, left * u_scale]
     return {
         "verdict": place.verdict,
         "lambda": [place.lam, place.lam - place.half, place.lam + place.half],
         "by_rivals": place.by_rivals,
         "by_lambda": place.by_lambda,
         "behind": place.behind,
-        "levels": levels,
+        "levels": {name: [u_scale * one for one in two] for name, two in place.levels.items()},
     }
 
 
 def _stages(answer: Answer) -> dict[str, Any]:
     """Widths and half intervals by stage of the fit."""
-    widths = answer.evidence.widths
+    widths = answer.widths
     stages = {}
     for name, (right, left) in widths.stages.items():
         halves = widths.halves[name]
@@ -167,11 +159,11 @@ def in_words(answer: Answer) -> dict[str, Any]:
     lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
-    place = answer.evidence.place
+    place = answer.found.place
     if place is not None:
         lines["where"] = _where(answer)
-    unit = _unit(answer.evidence.grid.output_unit)
-    lines |= _edges(answer, unit) if answer.element is None else _element(answer)
+    unit = _unit(answer.case.grid.output_unit)
+    lines |= _widths(answer)
     lines["disturbance"] = _disturbance(answer, unit)
     lines["held out"] = _held_out(answer, unit)
     if answer.remarks:
@@ -179,41 +171,30 @@ def in_words(answer: Answer) -> dict[str, Any]:
     return lines
 
 
-def _element(answer: Answer) -> dict[str, str]:
-    """The widths of what stands in the place of a sensor's dead zone, and the four offsets."""
-    element, grid = answer.element, answer.evidence.grid
-    assert element is not None
-    letter, unit = "c", _unit(grid.output_unit)
-    if element.kind == "input_zone":
-        letter, unit = "b", _unit(grid.input_unit)
+def _widths(answer: Answer) -> dict[str, str]:
+    """The widths of the sensor's zone, or of what stands in its place, and the four offsets."""
+    element, grid = answer.element, answer.case.grid
+    letter, unit = "d", _unit(grid.output_unit)
+    if element is not None:
+        letter = "c"
+        if element.kind == "input_zone":
+            letter, unit = "b", _unit(grid.input_unit)
     lines = {}
-    for name, interval in element.widths.items():
-        if interval is not None:
-            title = f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
-            lines[title] = _in_words(interval, unit)
-            if title == "c centre" and np.isfinite(interval.high):
-                lines[title] += AT_ZERO
-    if element.zone is not None:
-        lines["d width"] = _in_words(element.zone, unit)
-    if answer.evidence.offsets is not None:
-        lines["four offsets"] = answer.evidence.offsets.name.replace("_", " ")
-    return lines
-
-
-def _edges(answer: Answer, unit: str) -> dict[str, str]:
-    """The widths of the sensor's zone."""
-    lines = {}
-    excitation = answer.evidence.excitation
-    for place, (name, title) in enumerate(TITLES.items()):
+    for place, name in enumerate(DIRECTIONS):
         interval: Interval | None = getattr(answer, name)
         if interval is None:
             continue
+        title = f"{letter}_{name}" if place < 2 else f"{letter} {name}".removeprefix("d ")
         lines[title] = _in_words(interval, unit)
-        if place < 2:
-            visits, samples = excitation.visits[place], excitation.samples[place]
+        if element is None and place < 2:
+            visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
-        if name == "centre" and np.isfinite(interval.high):
+        if name == "centre" and letter != "b" and np.isfinite(interval.high):
             lines[title] += AT_ZERO
+    if element is not None and element.zone is not None:
+        lines["d width"] = _in_words(element.zone, unit)
+    if element is not None and answer.found.offsets is not None:
+        lines["four offsets"] = answer.found.offsets.name.replace("_", " ")
     return lines
 
 
@@ -238,13 +219,13 @@ def _in_words(interval: Interval, unit: str) -> str:
 
 def _record(answer: Answer) -> str:
     """Samples, step, names and units, silence."""
-    grid = answer.evidence.grid
+    grid = answer.case.grid
     names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
     step = "times count samples" if grid.counted else f"{grid.step:.6g} s"
     text = f"{grid.t.size} samples, {step}, {names}, {grid.output} [{grid.output_unit}]"
     if grid.start.size > 1:
         text += f", {grid.start.size} records"
-    silent = answer.evidence.excitation.silent
+    silent = answer.excitation.silent
     if answer.fit.objective.kind != "behind":
         return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
     if not answer.zone:
@@ -254,7 +235,7 @@ def _record(answer: Answer) -> str:
 
 def _plant(answer: Answer) -> str:
     """Order, poles, gains."""
-    grid = answer.evidence.grid
+    grid = answer.case.grid
     rate = "1/sample" if grid.counted else "1/s"
     shown = []
     for pole in answer.poles:
@@ -278,11 +259,11 @@ def _certainty(answer: Answer) -> str:
     """How sure the zone is."""
     if not answer.zone:
         return ""
-    chance = answer.evidence.no_zone.chance
+    chance = answer.case.no_zone.chance
     sure = chance_in_words(chance)
     if answer.fit.objective.kind != "behind":
         sure = "silence"
-    if winning_rival(answer.evidence.rivals) is None:
+    if winning_rival(answer.case.rivals) is None:
         return f" ({sure}; no other static map, no play explains it better)"
     return f" ({sure})"
 
@@ -294,7 +275,7 @@ def chance_in_words(chance: float) -> str:
 
 def _where(answer: Answer) -> str:
     """The place of the zone."""
-    place = answer.evidence.place
+    place = answer.found.place
     assert place is not None
     text = f"{place.verdict}: lambda {place.lam:.2f} +- {place.half:.2g} (1 sensor, 0 friction)"
     behind = []
@@ -314,7 +295,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
         where = "in what the plant leaves of the readings"
     text = f"rms {disturbance.rms:.3g}{unit} {where}"
     if disturbance.correlation_time is not None:
-        unit_of_time = "samples" if answer.evidence.grid.counted else "s"
+        unit_of_time = "samples" if answer.case.grid.counted else "s"
         text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
     if disturbance.model is not None:
         text += f", {disturbance.model}, white part {disturbance.white:.2g}{unit}"
@@ -323,7 +304,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
 
 def _held_out(answer: Answer, unit: str) -> str:
     """How the fit does on data that had no part in it."""
-    chosen = answer.evidence.chosen
+    chosen = answer.chosen
     share = f"last {100 * answer.options.held_out:.0f} %"
     white = "white" if chosen.white else "not white"
     return (

@@ -13,8 +13,6 @@ from undeadzone.support.arrays import Flags, Floats, Integers
 
 JITTER = 0.01  # of a step, by which regular times may differ
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
-
-
 MOST = 100_000  # samples that are used; more would take minutes and say little more
 MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
 STRETCHES = 5  # into which these are cut, of a longer log
@@ -67,7 +65,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         FileError: an irregular step.
         InputError: logs with different steps or numbers of inputs.
     """
-    pieces = []
+    pieces, steps = [], []
     remarks: list[str] = []
     for log in logs:
         remarks += log.remarks
@@ -75,12 +73,9 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
-        step = find_step(log) if resample is None else resample
-        if resample is None:
-            pieces.append(_regular(log, step, remarks))
-        else:
-            pieces.append(_resampled(log, step, remarks))
-    steps = [piece.step for piece in pieces]
+        steps.append(find_step(log) if resample is None else resample)
+        on_grid = _regular if resample is None else _resampled
+        pieces.append(on_grid(log, steps[-1], remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
             f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s; use --resample STEP"
@@ -88,11 +83,11 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
     starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
     first = logs[0]
-    y = np.concatenate([piece.y for piece in pieces])
-    ok = np.concatenate([piece.ok for piece in pieces])
+    t, u, y, _ = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    ok = np.isfinite(y)
     return Grid(
-        np.concatenate([piece.t for piece in pieces]),
-        np.concatenate([piece.u for piece in pieces]),
+        t,
+        u,
         np.where(ok, y, 0.0),
         ok,
         np.concatenate(starts),
@@ -137,14 +132,12 @@ def shortened(grid: Grid, integrators: int = 0) -> Grid:
 
 
 class _Piece(NamedTuple):
-    """One log on its grid."""
+    """One log on its grid; a reading that is missing is NaN."""
 
     t: Floats
     u: Floats
     y: Floats
-    ok: Flags
     start: Integers
-    step: float
 
 
 def find_step(log: Log) -> float:
@@ -208,8 +201,7 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
             " begins after each"
         )
     starts = np.concatenate([[0], place[start]])
-    y = whole.y[:, 0]
-    return _Piece(whole.t, whole.u[held], y, np.isfinite(y), starts, step)
+    return _Piece(whole.t, whole.u[held], whole.y[:, 0], starts)
 
 
 def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
@@ -229,7 +221,7 @@ def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
         f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
         " a tenth of a step of the grid and are kept"
     )
-    return _Piece(t, log.u[held], y, np.isfinite(y), np.zeros(1, int), step)
+    return _Piece(t, log.u[held], y, np.zeros(1, int))
 
 
 def find_quantum(y: Floats) -> float:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -22,6 +22,8 @@ from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of
 from undeadzone.support.arrays import LARGEST, Floats
 from undeadzone.support.files import LARGEST_TABLE
+
+T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
@@ -64,12 +66,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def orders(self) -> range:
         """The orders to try. Raises InputError."""
-        parts = self.order.split("-")
-        try:
-            ends = [int(part) for part in parts]
-        except ValueError:
-            ends = []
-        if len(ends) not in (1, 2) or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
+        ends = _one_or_two(self.order, "-", int)
+        if not ends or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
             raise InputError(
                 f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
                 f" found {self.order!r}"
@@ -93,19 +91,21 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         text = self.right if side == "right" else self.left
         if text is None:
             return (-math.inf, math.inf)
-        try:
-            numbers = [float(part) for part in text.split(",")]
-        except ValueError:
-            numbers = []
-        if len(numbers) not in (1, 2) or not 0 <= numbers[0] <= numbers[-1]:
+        ends = _one_or_two(text, ",", float)
+        if not ends or not 0 <= ends[0] <= ends[-1]:
             raise InputError(
                 f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf;"
                 f" found {text!r}"
             )
-        return (numbers[0], numbers[-1])
+        return (ends[0], ends[-1])
 
     def checked(self) -> Options:
         """These options, every one of them usable. Raises InputError."""
+        for name in ("noise", "place", "kind"):
+            words = get_args(get_type_hints(Options)[name])
+            if getattr(self, name) not in words:
+                found = getattr(self, name)
+                raise InputError(f"{name}: expected {', '.join(words)}; found {found!r}")
         if self.integrators not in (0, 1, 2):
             raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
         if self.kind == "jump" and self.integrators:
@@ -125,6 +125,15 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if self.threshold is not None and not 0 <= self.threshold < math.inf:
             raise InputError(f"threshold: must not be negative, found {self.threshold:g}")
         return self
+
+
+def _one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
+    """One number or two; empty where the text is something else."""
+    try:
+        numbers = [kind(part) for part in text.split(between)]
+    except ValueError:
+        return []
+    return numbers if len(numbers) in (1, 2) else []
 
 
 # --- A log

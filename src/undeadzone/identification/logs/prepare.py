@@ -16,10 +16,11 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
+from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone import Limits
 from undeadzone.logs.range_ends import range_ends
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, runs
 
 STRETCH = 250  # samples of an integrating plant that have one state at their start
 PER_NUMBER = 50  # readings needed for each pole, and one more
@@ -259,7 +260,7 @@ def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Jump
             " give --threshold, |y| up to which a reading counts as silent"
         )
     right, left = (_edge(data, sign, name, options) for name, sign in SIDES.items())
-    shift = right.value * (data.side > 0) - left.value * (data.side < 0)
+    shift = taken_off(data.side, right.value, left.value)
     limits = Limits((right.value, right.value), (left.value, left.value))
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
@@ -310,7 +311,6 @@ def edge_of(least: Floats) -> JumpEdge:
 def _least_by_passage(data: Data, sign: int) -> Floats:
     """The least |reading| of each passage of an edge, sorted; one visit has two ends."""
     beyond = data.ok & (data.side == sign)
-    ends = np.diff(np.concatenate([[0], beyond.astype(int), [0]]))
-    first, last = np.flatnonzero(ends == 1), np.flatnonzero(ends == -1) - 1
+    first, last = runs(beyond)
     size = np.abs(data.y)
     return np.sort(np.concatenate([size[first], size[last[last > first]]]))

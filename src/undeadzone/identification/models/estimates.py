@@ -33,6 +33,18 @@ class Target(Protocol):
 
     free: Integers
 
+    @property
+    def gain(self) -> float:
+        """Two steps in a row that gain less than this end a climb."""
+
+    @property
+    def longest(self) -> Floats | float:
+        """The longest step of each free number, or of all."""
+
+    @property
+    def climbs(self) -> KeptClimbs | None:
+        """Tops that are on disk; None: none are."""
+
     def value(self, theta: Floats) -> float:
         """The log likelihood; -inf where theta makes no sense."""
 
@@ -85,23 +97,14 @@ class KeptClimbs:
         return Top(np.array(theta), value)
 
 
-def climb(
-    target: Target,
-    start: Floats,
-    steps: int,
-    gain: float = 1e-4,
-    longest: Floats | None = None,
-    kept: KeptClimbs | None = None,
-) -> Top:
+def climb(target: Target, start: Floats, steps: int, gain: float | None = None) -> Top:
     """Raise a log likelihood by damped Newton steps.
 
     Args:
         target: the log likelihood.
         start: where to start (P).
         steps: how many trials at most.
-        gain: two steps in a row that gain less than this end the climb.
-        longest: the longest step of each free number; default any.
-        kept: tops that are on disk; None: none are.
+        gain: in place of the target's own.
 
     Returns:
         The best theta found; the start with a value of -inf where that makes no sense.
@@ -109,12 +112,11 @@ def climb(
     theta = target.project(start.copy())
     if not math.isfinite(target.value(theta)):
         return Top(theta, -math.inf)
-    if kept is None:
-        return _climbed(target, theta, steps, gain, longest)
-    return kept.top(theta, partial(_climbed, target, theta, steps, gain, longest))
+    compute = partial(_climbed, target, theta, steps, target.gain if gain is None else gain)
+    return compute() if target.climbs is None else target.climbs.top(theta, compute)
 
 
-def _climbed(target: Target, theta: Floats, steps: int, gain: float, longest: Floats | None) -> Top:
+def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
     """The top above theta, which makes sense."""
     top, best = theta, target.quadratic(theta)
     damping, small = 1e-2, 0
@@ -122,7 +124,7 @@ def _climbed(target: Target, theta: Floats, steps: int, gain: float, longest: Fl
         current, score, hessian = best
         step = _step(score, hessian, damping)
         trial = top.copy()
-        trial[target.free] += step if longest is None else np.clip(step, -longest, longest)
+        trial[target.free] += np.clip(step, -target.longest, target.longest)
         trial = target.project(trial)
         reached = target.value(trial)
         if not reached > current:
@@ -151,7 +153,7 @@ def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
 
 
 def best_top(
-    climbed: Callable[[Floats, int], Top],
+    target: Target,
     starts: Sequence[Floats],
     first: int,
     last: int,
@@ -160,7 +162,7 @@ def best_top(
     """The best of the climbs from several starts.
 
     Args:
-        climbed: climbs from a start, that many steps at most.
+        target: the log likelihood.
         starts: where to start.
         first: steps of all of them; 0: all go to the end.
         last: steps of the best two after that.
@@ -171,12 +173,12 @@ def best_top(
     """
     begun = list(starts)
     if first:
-        tops = [climbed(start, first) for start in starts]
+        tops = [climb(target, start, first) for start in starts]
         tops.sort(key=lambda top: -top.value)
         alone = len(tops) > 1 and tops[0].value - tops[1].value > lead
         best = tops[:1] if alone else tops[:2]
         begun = [top.theta for top in best]
-    ends = [climbed(theta, last) for theta in begun]
+    ends = [climb(target, theta, last) for theta in begun]
     ends = [top for top in ends if math.isfinite(top.value)]
     return max(ends, key=lambda top: top.value, default=None)
 
@@ -203,6 +205,22 @@ class Latest(Generic[Found]):
         return self._found
 
 
+# --- Derivatives by differences
+
+
+def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
+    """The numbers, then each free one a step larger, then each a step smaller (1 + 2 free, P)."""
+    moves = np.zeros((free.size, theta.size))
+    moves[np.arange(free.size), free] = steps
+    return np.vstack([theta, theta + moves, theta - moves])
+
+
+def differences(moved: Floats, steps: Floats) -> Floats:
+    """Derivatives by the free numbers (free x ...), of values at all points but the first one."""
+    more, less = np.split(moved, 2)
+    return np.asarray((more - less).T / (2 * steps)).T
+
+
 # --- How surely it is known
 
 
@@ -221,6 +239,15 @@ class Interval(NamedTuple):
     def scaled(self, factor: float) -> Interval:
         """The interval in other units."""
         return Interval(self.value * factor, self.low * factor, self.high * factor)
+
+    def grown(self, factor: float) -> Interval:
+        """An interval whose halves are so many times as long."""
+        below, above = self.value - self.low, self.high - self.value
+        return Interval(self.value, self.value - factor * below, self.value + factor * above)
+
+    def reaching(self, below: float, above: float) -> Interval:
+        """An interval that reaches further down and up by so much."""
+        return Interval(self.value, self.low - below, self.high + above)
 
     @property
     def half(self) -> float:

@@ -7,13 +7,21 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.engine import lanes
-from undeadzone.identification.models.estimates import Latest, Spread, above, sandwich
+from undeadzone.identification.models.estimates import (
+    Latest,
+    Spread,
+    above,
+    around,
+    differences,
+    sandwich,
+    weighing,
+)
 from undeadzone.identification.models.likelihood import LOG_ROOT
 from undeadzone.identification.models.plant import Data, Layout, input_gain, roots
 from undeadzone.identification.models.zone import Limits
@@ -186,43 +194,10 @@ def _zeros(rows: int, columns: int) -> Any:
 # --- The records
 
 
-class Numbers(NamedTuple):
-    """Places in [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
-
-    Attributes:
-        n, m: order of the plant, inputs.
-        model: of the disturbance.
-        integrators: of the plant; a holds the other poles.
-    """
-
-    n: int
-    m: int
-    model: int
-    integrators: int = 0
-
-    @property
-    def moving(self) -> int:
-        """Coefficients of the denominator without its integrators."""
-        return self.n - self.integrators
-
-    @property
-    def log_q(self) -> int:
-        """ln q; ln r, d_r, d_l and atanh phi follow."""
-        return self.moving + self.n * self.m
-
-    @property
-    def lane_q(self) -> int:
-        """q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first, slack follow."""
-        return self.n * (1 + self.m)
-
-    @property
-    def size(self) -> int:
-        """How many numbers there are."""
-        return self.log_q + 4 + (self.model > 0)
-
-
 class KalmanObjective:
     """(L3) of a record for one order and one model of the disturbance.
+
+    theta = [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
 
     Args:
         data: the records.
@@ -230,53 +205,64 @@ class KalmanObjective:
         model: WHITE, AT_INPUT or AT_OUTPUT.
         limits: of the widths.
         slack: by how much what a play passes on may be beside a reading that holds.
+
+    Attributes:
+        log_q: place of ln q; ln r, d_r, d_l and atanh phi follow.
+        lane_q: place of q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first
+            and the slack follow.
+        size: how many numbers there are.
     """
+
+    gain = 2e-3
 
     def __init__(
         self, data: Data, layout: Layout, model: int, limits: Limits, slack: float = 0.0
     ) -> None:
         self.data = data
         self.layout = layout
-        self.numbers = Numbers(layout.n, layout.m, model, layout.integrators)
+        self.model = model
         self.limits = limits
         self.slack = slack
+        self.climbs = data.climbs
+        self.log_q, self.lane_q = layout.b.stop, layout.n * (1 + layout.m)
+        self.size = self.log_q + 4 + (model > 0)
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
         rows = [data.u, data.y, data.side, data.ok, starts]
         self.exogenous = np.column_stack(rows)
-        free = np.ones(self.numbers.size, bool)
-        widths = self.numbers.log_q + 2
+        free = np.ones(self.size, bool)
+        widths = self.log_q + 2
         free[widths] = limits.right[0] != limits.right[1]
         free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
         self.free: Integers = np.flatnonzero(free)
+        by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
+        self.longest = np.where(by_noise, 1.0, np.inf)
         self._scores: Latest[tuple[Floats, Floats]] = Latest()
         self._spread: Latest[Spread] = Latest()
 
     def admissible(self, p: Floats) -> bool:
         """Whether the filter can be run with these numbers."""
-        numbers = self.numbers
         if not np.isfinite(p).all():
             return False
-        log_q, log_r, right, left = p[numbers.log_q : numbers.log_q + 4]
+        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
         if right + left < 0 or abs(log_q) > 25 or abs(log_r) > 25:
             return False
-        if numbers.model and abs(p[-1]) > 4:
+        if self.model and abs(p[-1]) > 4:
             return False
-        poles = roots(p[: numbers.moving])
+        poles = roots(p[self.layout.a])
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
     def lane(self, p: Floats) -> Floats:
         """The numbers of `kalman_step.kernel` for p."""
-        numbers = self.numbers
-        log_q, log_r, right, left = p[numbers.log_q : numbers.log_q + 4]
+        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
         left = right if self.limits.tied else left
         q = math.exp(log_q)
         r = max(math.exp(log_r), QUIETEST)
-        phi = math.tanh(p[-1]) if numbers.model else 0.0
+        phi = math.tanh(p[-1]) if self.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
         tail = [q * q, r * r, right, left, phi, 5.0, at_first, self.slack]
-        a = self.layout.denominator(p[: numbers.moving])
-        return np.concatenate([a, p[numbers.moving : numbers.log_q], tail])
+        a = self.layout.denominator(p[self.layout.a])
+        return np.concatenate([a, p[self.layout.b], tail])
 
     def densities(self, points: Floats) -> Floats:
         """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
@@ -285,10 +271,9 @@ class KalmanObjective:
 
     def outputs(self, points: Floats, moments: bool = False) -> Floats:
         """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
-        numbers = self.numbers
         rows = np.array([self.lane(p) for p in points])
-        compiled = kernel(numbers.n, numbers.m, numbers.model, moments)
-        size = numbers.n + (numbers.model > 0)
+        compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
+        size = self.layout.n + (self.model > 0)
         state = np.zeros(size + size * (size + 1) // 2)
         outputs, _ = lanes.run(
             compiled,
@@ -306,20 +291,13 @@ class KalmanObjective:
 
     def _differences(self, p: Floats) -> tuple[Floats, Floats]:
         """`scores`, computed."""
-        points, steps = self._around(p)
-        values = self.densities(points)
-        count = self.free.size
-        slopes = (values[1 : 1 + count] - values[1 + count :]) / (2 * steps[:, None])
-        return values[0], slopes.T
+        steps = self._steps(p)
+        value, *moved = self.densities(around(p, self.free, steps))
+        return value, differences(np.array(moved), steps).T
 
-    def _around(self, p: Floats) -> tuple[Floats, Floats]:
-        """p, then p with each free number a little larger, then a little smaller; the steps."""
-        steps = STEP * np.maximum(np.abs(p[self.free]), 0.05)
-        points = np.tile(p, (1 + 2 * self.free.size, 1))
-        for place, (index, step) in enumerate(zip(self.free, steps, strict=True)):
-            points[1 + place, index] += step
-            points[1 + self.free.size + place, index] -= step
-        return points, steps
+    def _steps(self, p: Floats) -> Floats:
+        """By how much each free number is moved."""
+        return STEP * np.maximum(np.abs(p[self.free]), 0.05)
 
     def value(self, p: Floats) -> float:
         """The log likelihood; -inf where p makes no sense."""
@@ -356,29 +334,28 @@ class KalmanObjective:
             white: rms of white noise.
             rho: correlation of the disturbance over one sample, as far as it is known.
         """
-        numbers = self.numbers
-        p = np.zeros(numbers.size)
-        p[: numbers.log_q] = plant[: numbers.log_q]
+        p = np.zeros(self.size)
+        p[: self.log_q] = plant[: self.log_q]
         white = max(white, 2 * QUIETEST)
         phi = min(max(rho, 0.5), 0.99)
-        gain = math.sqrt(self._gain(p, phi if numbers.model == AT_INPUT else 0.0))
+        colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
+        gain = math.sqrt(input_gain(p[layout.a], p[layout.b], layout.n, colour))
         root = math.sqrt(1 - phi * phi)
-        if numbers.model == AT_OUTPUT:
+        if self.model == AT_OUTPUT:
             log_q = math.log(disturbance * root)
-        elif numbers.model == AT_INPUT:
+        elif self.model == AT_INPUT:
             log_q = math.log(disturbance * root / gain)
         else:
             log_q = math.log(disturbance / gain)
-        p[numbers.log_q : numbers.log_q + 2] = log_q, math.log(white)
-        p[numbers.log_q + 2 : numbers.log_q + 4] = widths
-        if numbers.model:
+        p[self.log_q : self.log_q + 4] = log_q, math.log(white), *widths
+        if self.model:
             p[-1] = math.atanh(phi)
         return p
 
-    def _gain(self, p: Floats, phi: float) -> float:
-        """Variance at z of unit noise at the inputs, first order with that correlation."""
-        moving = self.numbers.moving
-        return input_gain(p[:moving], p[moving : self.numbers.log_q], self.numbers.n, phi)
+    def direction(self, right: float, left: float) -> Floats:
+        """The row that weighs d_r and d_l over the free numbers."""
+        first, tied = self.log_q + 2, self.limits.tied
+        return weighing(self.free, self.size, first, (right, left), tied)
 
     def spread(self, p: Floats) -> Spread:
         """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
@@ -390,23 +367,13 @@ class KalmanObjective:
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
-        points, inner = [], []
-        for index, step in zip(self.free, steps, strict=True):
-            for sign in (1.0, -1.0):
-                moved = p.copy()
-                moved[index] += sign * step
-                around, small = self._around(moved)
-                points.append(around[1:])
-                inner.append(small)
-        totals = self.densities(np.concatenate(points)).sum(axis=1)
-        hessian = np.empty_like(outer)
-        count = self.free.size
-        for place, step in enumerate(steps):
-            score = []
-            for part in (2 * place, 2 * place + 1):
-                block = totals[part * 2 * count : (part + 1) * 2 * count]
-                score.append((block[:count] - block[count:]) / (2 * inner[part]))
-            hessian[place] = -(score[0] - score[1]) / (2 * step)
+        moved = around(p, self.free, steps)[1:]
+        small = [self._steps(point) for point in moved]
+        pairs = zip(moved, small, strict=True)
+        points = [around(point, self.free, steps)[1:] for point, steps in pairs]
+        totals = self.densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
+        scores_there = [differences(*one) for one in zip(totals, small, strict=True)]
+        hessian = -differences(np.array(scores_there), steps)
         if not np.isfinite(hessian).all():
             hessian = outer
         return sandwich(scores, above(hessian, outer))

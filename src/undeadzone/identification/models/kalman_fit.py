@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.models.estimates import Top, best_top, climb, weighing
+from undeadzone.identification.models.estimates import best_top, climb
 from undeadzone.identification.models.kalman import (
     AT_INPUT,
     AT_OUTPUT,
@@ -30,12 +29,12 @@ class KalmanFit(NamedTuple):
 
     Attributes:
         objective: what was maximised.
-        p: where its top is.
+        theta: where its top is.
         value: the log likelihood there.
     """
 
     objective: KalmanObjective
-    p: Floats
+    theta: Floats
     value: float
 
     @property
@@ -47,39 +46,33 @@ class KalmanFit(NamedTuple):
     @property
     def model(self) -> int:
         """The model of the disturbance."""
-        return self.objective.numbers.model
+        return self.objective.model
 
     @property
     def right(self) -> float:
         """d_r, scaled."""
-        return float(self.p[self.objective.numbers.log_q + 2])
+        return float(self.theta[self.objective.log_q + 2])
 
     @property
     def left(self) -> float:
         """d_l, scaled."""
         tied = self.objective.limits.tied
-        return self.right if tied else float(self.p[self.objective.numbers.log_q + 3])
+        return self.right if tied else float(self.theta[self.objective.log_q + 3])
 
     @property
     def r(self) -> float:
         """rms of white noise ahead of the zone, scaled."""
-        return max(math.exp(float(self.p[self.objective.numbers.log_q + 1])), QUIETEST)
+        return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
 
     @property
     def q(self) -> float:
         """rms of what drives the disturbance, scaled."""
-        return math.exp(float(self.p[self.objective.numbers.log_q]))
+        return math.exp(float(self.theta[self.objective.log_q]))
 
     @property
     def phi(self) -> float:
         """Correlation of the disturbance over one sample."""
-        return math.tanh(float(self.p[-1])) if self.model else 0.0
-
-    def direction(self, right: float, left: float) -> Floats:
-        """The row of right d_r + left d_l over the free numbers."""
-        objective, size = self.objective, self.objective.numbers.size
-        first, tied = objective.numbers.log_q + 2, objective.limits.tied
-        return weighing(objective.free, size, first, (right, left), tied)
+        return math.tanh(float(self.theta[-1])) if self.model else 0.0
 
 
 def fit_kalman(fit: Fit) -> list[KalmanFit]:
@@ -97,21 +90,14 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
     for model in MODELS:
         objective = KalmanObjective(part, layout, model, fit.objective.limits)
         begun = [objective.start(fit, share) for share in SHARES]
-        top = best_top(partial(climbed, objective), begun, 12, 50, -math.inf)
+        top = best_top(objective, begun, 12, 50, -math.inf)
         if top is None:
             continue
         if part is not data:
             objective = KalmanObjective(data, layout, model, fit.objective.limits)
-            top = climbed(objective, top.theta, 50)
-        fits.append(KalmanFit(objective, top.theta, top.value))
+            top = climb(objective, top.theta, 50)
+        fits.append(KalmanFit(objective, *top))
     return sorted(fits, key=lambda one: one.bic)
-
-
-def climbed(objective: KalmanObjective, p: Floats, steps: int) -> Top:
-    """The top that a climb from p reaches."""
-    longest = np.full(objective.numbers.size, np.inf)
-    longest[objective.numbers.log_q : objective.numbers.log_q + 2] = 1.0
-    return climb(objective, p, steps, 2e-3, longest[objective.free], objective.data.climbs)
 
 
 # --- States, by the filter run forth and back
@@ -169,8 +155,8 @@ def smooth(fit: KalmanFit) -> Smoothed:
     Returns:
         Means and covariances along the record.
     """
-    forth = _forth(fit, fit.p)
-    back = _back(fit, fit.p, forth)
+    forth = _forth(fit, fit.theta)
+    back = _back(fit, fit.theta, forth)
     P = forth.P.copy()
     for part in fit.objective.data.records():
         for t in range(part.stop - 2, part.start - 1, -1):
@@ -181,13 +167,13 @@ def smooth(fit: KalmanFit) -> Smoothed:
 
 def innovations(fit: KalmanFit) -> Floats:
     """One-step prediction errors over their standard deviations (N); 0 where missing."""
-    return _forth(fit, fit.p).g
+    return _forth(fit, fit.theta).g
 
 
 def _forth(fit: KalmanFit, p: Floats) -> _Pass:
     """The filter along the records."""
     rows = fit.objective.outputs(p[None, :], moments=True)[0]
-    size = fit.objective.numbers.n + (fit.objective.numbers.model > 0)
+    size = fit.objective.layout.n + (fit.model > 0)
     entries = size * (size + 1) // 2
     ends = np.cumsum([size, entries, size, entries])
     x_ahead, ahead, x, after, g = np.split(rows, ends, axis=1)
@@ -205,8 +191,8 @@ def _square(triangles: Floats, size: int) -> Floats:
 
 def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
     """The smoothed means, from the end of each record to its beginning."""
-    numbers = fit.objective.numbers
-    F, _, _, H = matrices(numbers.n, numbers.m, numbers.model, fit.objective.lane(p))
+    layout = fit.objective.layout
+    F, _, _, H = matrices(layout.n, layout.m, fit.model, fit.objective.lane(p))
     ridge = 1e-12 * np.eye(F.shape[0])
     gains = np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
     x = forth.x.copy()
@@ -226,14 +212,14 @@ def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
         States, and deviations of z (N), by the delta method from the covariance of (I1).
     """
     middle = smooth(fit)
-    V = fit.objective.spread(fit.p).V
+    V = fit.objective.spread(fit.theta).V
     values, vectors = np.linalg.eigh(V)
     variance = middle.z_std**2
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 1e-14:
             continue
         scale = 0.1 * math.sqrt(value)
-        moved = fit.p.copy()
+        moved = fit.theta.copy()
         moved[fit.objective.free] += scale * vector
         if fit.objective.admissible(moved):
             back = _back(fit, moved, _forth(fit, moved))

@@ -14,9 +14,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.identification.models.estimates import (
     Spread,
-    Top,
     best_top,
-    climb,
     long_run_covariance,
     sandwich,
 )
@@ -96,10 +94,12 @@ class LeastSquares(Generic[M]):
         model: the plant and the element.
     """
 
+    longest = math.inf
+
     def __init__(self, model: M) -> None:
         self.model = model
         self.data = model.simulator.data
-        self.free = model.free
+        self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
 
     def residual(self, theta: Floats) -> Floats:
@@ -150,18 +150,9 @@ class LeastSquares(Generic[M]):
         variance, hessian = self._gauss_newton(e, rows)
         return sandwich(rows * e[:, None] / variance, hessian)
 
-    def climbed(self, theta: Floats, steps: int, gain: float | None = None) -> Top:
-        """The top that a climb from theta reaches."""
-        least = self.model.gain if gain is None else gain
-        return climb(self, theta, steps, least, kept=self.data.climbs)
-
-    def top(self, starts: Sequence[Floats], last: int) -> Top | None:
-        """The best top from several starts, by that many steps to the end; None: from none."""
-        return best_top(self.climbed, starts, self.model.first, last)
-
     def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
         """The best fit from several starts; None where no start makes sense."""
-        top = self.top(starts, self.model.last)
+        top = best_top(self, starts, self.model.first, self.model.last)
         return None if top is None else Fitted(self, top.theta, self.density(top.theta))
 
     def density(self, theta: Floats) -> Density:

@@ -66,10 +66,14 @@ def dead_zone(z: Floats, right: float, left: float) -> Floats:
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
+def taken_off(side: Integers, right: float, left: float) -> Floats:
+    """What a zone takes off z where it speaks (N): d_r on the right, -d_l on the left."""
+    return np.asarray(right * (side > 0) - left * (side < 0))
+
+
 def residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
     """e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
-    shift = right * (readings.side > 0) - left * (readings.side < 0)
-    return readings.y + shift - z
+    return readings.y + taken_off(readings.side, right, left) - z
 
 
 def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:

@@ -188,7 +188,6 @@ class Offsets(NamedTuple):
     Attributes:
         beta: the four offsets (4) [y].
         covariance: (4 x 4).
-        samples: readings that each of them had (4).
         rms: of the readings [y].
         side: direction of each reading that was used, 0 of others (N).
         heard: the readings; those of an encoder where z was when they came (N) [y].
@@ -196,7 +195,6 @@ class Offsets(NamedTuple):
 
     beta: Floats
     covariance: Floats
-    samples: Integers
     rms: float
     side: Integers
     heard: Floats
@@ -263,7 +261,7 @@ def four_offsets(
     F = np.eye(n + 4)
     F[:n, :n] = plant.F
     drive = u @ plant.B.T
-    side, heard, samples = np.zeros(y.size, int), y.copy(), np.zeros(4, int)
+    side, heard = np.zeros(y.size, int), y.copy()
     which = classes(y, moves, max(how.noise, how.quantum / BEYOND))
     z = 0.0
     for t in range(y.size):
@@ -283,13 +281,12 @@ def four_offsets(
                 S = float(h @ gain) + variance
                 X += gain * ((heard[t] - h @ X) / S)
                 P -= np.outer(gain, gain / S)
-                samples[k] += 1
         z = float(plant.H @ X[:n])
         X[:n] = plant.F @ X[:n] + drive[t]
         P = F @ P @ F.T
         P[:n, :n] += plant.Q
         P = 0.5 * (P + P.T)
-    return Offsets(X[n:].copy(), P[n:, n:].copy(), samples, rms, side, heard)
+    return Offsets(X[n:].copy(), P[n:, n:].copy(), rms, side, heard)
 
 
 def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> tuple[float, float]:
@@ -341,9 +338,9 @@ def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Mov
 
 def moving_with_disturbance(fit: KalmanFit) -> Moving:
     """A plant of (L3), with its disturbance, as the filter of the four offsets takes it."""
-    numbers, lane = fit.objective.numbers, fit.objective.lane(fit.p)
-    F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
-    q2, r2, *_, first_w, _ = lane[numbers.lane_q :]
+    layout, lane = fit.objective.layout, fit.objective.lane(fit.theta)
+    F, B, G, H = matrices(layout.n, layout.m, fit.model, lane)
+    q2, r2, *_, first_w, _ = lane[fit.objective.lane_q :]
     at_first = np.full(F.shape[0], AT_FIRST**2)
-    at_first[numbers.n :] = first_w
+    at_first[layout.n :] = first_w
     return Moving(F, B, H[0], q2 * G, np.diag(at_first), math.sqrt(r2))

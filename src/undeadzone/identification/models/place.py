@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.engine import lanes
-from undeadzone.identification.models.estimates import Latest
+from undeadzone.identification.models.estimates import Latest, around, differences
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
@@ -123,6 +123,13 @@ class Shape(NamedTuple):
     sticks: bool = False
     free: int = 0
 
+    @property
+    def kind(self) -> str:
+        """Where the zone is: sensor, input, friction, both (sensor and another) or none."""
+        places = {"sensor": self.sensor, "input": self.input, "friction": self.inner}
+        there = [place for place, is_there in places.items() if is_there]
+        return "both" if len(there) > 1 else next(iter(there), "none")
+
 
 class PlaceModel:
     """y on a plant with a zone somewhere, by a compiled recursion and differences.
@@ -187,23 +194,17 @@ class PlaceModel:
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """The readings (N), and their derivatives by the free numbers (N x free)."""
         z = self._runs.of(theta, self._run)
-        pairs = zip(z, self._around(theta), strict=True)
+        steps = self._steps(theta)
+        pairs = zip(z, around(theta, self.free, steps), strict=True)
         y, *moved = [self.readings(one, point) for one, point in pairs]
-        more, less = np.split(np.array(moved), 2)
-        return y, ((more - less) / (2 * self._steps(theta)[:, None])).T
+        return y, differences(np.array(moved), steps).T
 
     def _run(self, theta: Floats) -> Floats:
         """z of the numbers, and of those around them ((1 + 2 free) x N)."""
         tail = slice(self.base + 2, self.base + WIDTHS)
-        points = self._around(theta)
+        points = around(theta, self.free, self._steps(theta))
         rows = [np.concatenate([p[: self.base], self.c(p), p[tail]]) for p in points]
         return simulate(self.n, self.m, self.shape.position, self.exogenous, np.array(rows))
-
-    def _around(self, theta: Floats) -> Floats:
-        """The numbers, then each free one a little larger, then each a little smaller."""
-        moves = np.zeros((self.free.size, theta.size))
-        moves[np.arange(self.free.size), self.free] = self._steps(theta)
-        return np.vstack([theta, theta + moves, theta - moves])
 
     def _steps(self, theta: Floats) -> Floats:
         """By how much each free number is moved."""

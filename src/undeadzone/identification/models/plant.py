@@ -195,6 +195,16 @@ class Layout(NamedTuple):
         """Numbers in theta."""
         return self.right + 4
 
+    def at_rest(self, other: Layout, theta: Floats) -> Floats:
+        """Numbers of the same plant along other records, which begin at rest.
+
+        Args:
+            other: layout of the numbers.
+            theta: a, b, x0, and what follows.
+        """
+        x0 = np.zeros(self.n * self.records)
+        return np.concatenate([theta[: other.b.stop], x0, theta[other.right :]])
+
 
 class Simulator:
     """z and its gradient for one order, with the lagged inputs kept.

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.models.elements import PlayFit, PlayModel
-from undeadzone.identification.models.estimates import Interval, quantile
+from undeadzone.identification.models.estimates import DIRECTIONS, Interval, climb, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, AT_OUTPUT, QUIETEST, KalmanObjective
-from undeadzone.identification.models.kalman_fit import MODELS, KalmanFit, climbed
+from undeadzone.identification.models.kalman_fit import MODELS, KalmanFit
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.motion import (
     Moving,
@@ -58,11 +58,9 @@ STRONGEST_OF_BOTH = 0.15  # the same where a dead zone follows, which makes y sm
 FINEST = 2e-4  # rms of y: no interval is narrower
 FIRST, LAST, AGAIN = 30, 50, 10  # steps of climbs: with the first ticks, the final ones, simulated
 
-ROWS = {
-    "right": (1.0, 0.0, 0.0, 0.0),
-    "left": (0.0, 1.0, 0.0, 0.0),
-    "width": (1.0, 1.0, 0.0, 0.0),
-    "centre": (0.5, -0.5, 0.0, 0.0),
+# Weights of c_r, c_l, and of d_r, d_l after them.
+ROWS: dict[str, tuple[float, ...]] = {
+    **DIRECTIONS,
     "zone": (0.0, 0.0, 1.0, 1.0),
     "zone_right": (0.0, 0.0, 1.0, 0.0),
     "zone_left": (0.0, 0.0, 0.0, 1.0),
@@ -126,7 +124,7 @@ def _intervals(theta: Floats, model: PlayModel, halves: dict[str, float]) -> dic
     """Values with their half intervals."""
     intervals = {}
     for name, row in ROWS.items():
-        value = float(np.dot(row, theta[model.base :]))
+        value = float(np.dot(row, theta[model.base :][: len(row)]))
         intervals[name] = Interval.around(value, math.hypot(halves[name], FINEST))
     return intervals
 
@@ -156,7 +154,7 @@ def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
     scatter = np.cov(fits.T)
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
-        weights[model.base :] = row
+        weights[model.base :][: len(row)] = row
         std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
         own = max(halves[name], quantile(RUNS - 1) * std)
         halves[name] = math.hypot(own, float(weights @ (moved - theta)))
@@ -214,9 +212,8 @@ def _refitted(
     for w, e in zip(ahead, behind, strict=True):
         y = _rounded(model.readings(z + w, theta) + e, quantum)
         squares = LeastSquares(model.of_readings(y))
-        top = squares.climbed(theta, STEPS, 1e-3)
-        fits.append(top.theta)
-        residuals.append(squares.rms(top.theta))
+        fits.append(climb(squares, theta, STEPS, 1e-3).theta)
+        residuals.append(squares.rms(fits[-1]))
     return np.array(fits), np.array(residuals)
 
 
@@ -242,9 +239,9 @@ class TickFit(NamedTuple):
     @property
     def theta(self) -> Floats:
         """The numbers of the play's model; what (L4) does not fit stays."""
-        model, numbers = self.play.model, self.kalman.objective.numbers
+        model, log_q = self.play.model, self.kalman.objective.log_q
         theta = self.play.theta.copy()
-        theta[: numbers.log_q] = self.kalman.p[: numbers.log_q]
+        theta[:log_q] = self.kalman.theta[:log_q]
         theta[model.base : model.base + 2] = self.kalman.right, self.kalman.left
         return theta
 
@@ -275,7 +272,7 @@ def _of_order(play: PlayFit, how: Sensing) -> list[TickFit]:
         widths = theta[model.base : model.base + 2]
         begun = objective.begun(theta, widths, max(ahead.rms, 2 * QUIETEST), 0.0, ahead.phi)
         if objective.admissible(begun):
-            first.append(_fitted(objective, begun, FIRST))
+            first.append(KalmanFit(objective, *climb(objective, begun, FIRST)))
     if not first:
         return []
     best = min(first, key=lambda one: one.bic)
@@ -283,7 +280,7 @@ def _of_order(play: PlayFit, how: Sensing) -> list[TickFit]:
     fits = []
     for one in first:
         objective = objective_of(heard, play, one.model, how)
-        fits.append(TickFit(play, _fitted(objective, one.p, LAST)))
+        fits.append(TickFit(play, KalmanFit(objective, *climb(objective, one.theta, LAST))))
     return fits
 
 
@@ -291,11 +288,6 @@ def objective_of(heard: Data, play: PlayFit, kind: int, how: Sensing) -> KalmanO
     """(L4) of readings that were heard, for a model of the disturbance."""
     layout = play.model.simulator.layout
     return KalmanObjective(heard, layout, kind, Limits(), how.quantum / 2)
-
-
-def _fitted(objective: KalmanObjective, p: Floats, steps: int) -> KalmanFit:
-    """The top that a climb from p reaches."""
-    return KalmanFit(objective, *climbed(objective, p, steps))
 
 
 def ticked(data: Data, plant: Moving, how: Sensing) -> Data:
@@ -306,13 +298,13 @@ def ticked(data: Data, plant: Moving, how: Sensing) -> Data:
 
 def disturbance_of(fit: KalmanFit) -> Ahead:
     """The disturbance of a fit, as first-order noise at the first input."""
-    numbers, phi = fit.objective.numbers, fit.phi
-    a, b = fit.p[: numbers.moving], fit.p[numbers.moving : numbers.log_q]
+    layout, phi = fit.objective.layout, fit.phi
+    a, b = fit.theta[layout.a], fit.theta[layout.b]
     own = fit.q / math.sqrt(max(1 - phi**2, 1e-9))
-    first = math.sqrt(input_gain(a, b[: numbers.n], numbers.n, phi))
+    first = math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
     if fit.model == AT_OUTPUT:
         return Ahead(own, phi, own / first)
-    every = first if fit.model == AT_INPUT else math.sqrt(input_gain(a, b, numbers.n, phi))
+    every = first if fit.model == AT_INPUT else math.sqrt(input_gain(a, b, layout.n, phi))
     return Ahead(own * every, phi, own * every / first)
 
 
@@ -324,13 +316,12 @@ def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
     bias = found.mean(axis=0) - moved[model.base : model.base + 2]
     moved[model.base : model.base + 2] -= bias
     moved = model.project(moved)
-    spread = kalman.objective.spread(kalman.p)
+    spread = kalman.objective.spread(kalman.theta)
     halves = dict.fromkeys(ROWS, 0.0)
-    for name in ("right", "left", "width", "centre"):
-        row = np.array(ROWS[name][:2])
+    for name, row in DIRECTIONS.items():
         std = float(np.std(found @ row, ddof=1)) * math.sqrt(1 + 1 / RUNS)
-        own = max(spread.half_width(kalman.direction(*row)), quantile(RUNS - 1) * std)
-        halves[name] = math.hypot(own, float(row @ bias))
+        own = max(spread.half_width(kalman.objective.direction(*row)), quantile(RUNS - 1) * std)
+        halves[name] = math.hypot(own, float(np.dot(row, bias)))
     intervals = _intervals(moved, model, halves)
     count = model.simulator.layout.b.stop
     ahead = disturbance_of(kalman)
@@ -352,6 +343,7 @@ def simulated(fit: TickFit, how: Sensing, runs: int) -> Floats:
     for one in w:
         y = _rounded(model.readings(z + one, theta), how.quantum)
         heard = ticked(model.of_readings(y).data, plant, how)
-        again = _fitted(objective_of(heard, fit.play, kalman.model, how), kalman.p, AGAIN)
+        objective = objective_of(heard, fit.play, kalman.model, how)
+        again = KalmanFit(objective, *climb(objective, kalman.theta, AGAIN))
         found.append([again.right, again.left])
     return np.array(found)

@@ -65,6 +65,8 @@ class Objective:
         use: samples that count (N); default all with a reading.
     """
 
+    gain, longest = 1e-4, math.inf
+
     def __init__(
         self,
         simulator: Simulator,
@@ -75,6 +77,7 @@ class Objective:
         self.simulator = simulator
         self.layout = simulator.layout
         self.data: Data = simulator.data
+        self.climbs = self.data.climbs
         self.kind = kind
         self.limits = limits or Limits()
         self.readings = self.data.readings(use)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -79,11 +78,6 @@ def _rounded(x: Floats) -> Floats:
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
 
-def climbed(objective: Objective, theta: Floats, steps: int = 60) -> Top:
-    """The top that a climb from theta reaches."""
-    return climb(objective, theta, steps, kept=objective.data.climbs)
-
-
 def fit_zone(simulator: Simulator, kind: Kind, limits: Limits, use: Flags | None = None) -> Fit:
     """The fit of singles (L1) or of noise behind the zone, from several starts.
 
@@ -99,13 +93,13 @@ def fit_zone(simulator: Simulator, kind: Kind, limits: Limits, use: Flags | None
     objective = Objective(simulator, kind, limits, use)
     begun = starts(objective)
     clearly = 0.02 * objective.readings.ok.sum()
-    top = best_top(partial(climbed, objective), begun, 10, 50, clearly)
+    top = best_top(objective, begun, 10, 50, clearly)
     best = top or Top(objective.project(begun[0]), -math.inf)
     if limits.zone:
-        again = climbed(objective, _centred(objective, best.theta), 50)
+        again = climb(objective, _centred(objective, best.theta), 50)
         if again.value > best.value:
             best = again
-    return Fit(objective, best.theta, best.value)
+    return Fit(objective, *best)
 
 
 def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
@@ -115,8 +109,7 @@ def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fi
     theta = fit.theta.copy()
     if kind == "pairs" and fit.rho == 0.0:
         theta[-1] = math.atanh(speaking_correlation(fit))
-    top = climbed(objective, theta, steps)
-    return Fit(objective, top.theta, top.value)
+    return Fit(objective, *climb(objective, theta, steps))
 
 
 def polished(fit: Fit) -> Fit:
@@ -147,8 +140,7 @@ def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
     theta[objective.layout.a] = stabilised(a)
     theta[objective.layout.b] = b
     theta[objective.layout.right + 2] = math.log(0.5)
-    top = climbed(objective, theta, 40)
-    return Fit(objective, top.theta, top.value)
+    return Fit(objective, *climb(objective, theta, 40))
 
 
 def speaking_correlation(fit: Fit) -> float:
@@ -268,10 +260,8 @@ def moved(fit: Fit, data: Data) -> Fit:
         fit: of some records.
         data: the others.
     """
-    old, objective = fit.objective.layout, fit.objective.along(data)
-    theta = np.zeros(objective.layout.size)
-    theta[: old.b.stop] = fit.theta[: old.b.stop]
-    theta[objective.layout.right :] = fit.theta[old.right :]
+    objective = fit.objective.along(data)
+    theta = objective.layout.at_rest(fit.objective.layout, fit.theta)
     return refit(Fit(objective, theta, objective.value(theta)), objective.kind)
 
 

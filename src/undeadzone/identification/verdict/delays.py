@@ -14,8 +14,9 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.identification.logs.log import MOST_LATE, Options
 from undeadzone.identification.logs.prepare import FAR_EDGE, Prepared
+from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.plant import Simulator, delayed, part_of
-from undeadzone.identification.models.zone_fit import Fit, climbed, fit_linear
+from undeadzone.identification.models.zone_fit import Fit, fit_linear
 from undeadzone.identification.verdict.orders import OrderFit, at_limit, best_order, fit_orders
 from undeadzone.support.arrays import Floats, Integers
 
@@ -59,7 +60,7 @@ def without_unreached(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]:
     return prepared._replace(limits=changed), tuple(unreached)
 
 
-class Found(NamedTuple):
+class FittedOrders(NamedTuple):
     """Every order, fitted.
 
     Attributes:
@@ -77,7 +78,7 @@ class Found(NamedTuple):
 
 def fitted_with_delay(
     prepared: Prepared, options: Options, advance: Callable[[int], None]
-) -> Found:
+) -> FittedOrders:
     """Every order, fitted; once more where the input turns out to act later.
 
     Delay and starts of a long log are found in a part of it.
@@ -100,7 +101,7 @@ def fitted_with_delay(
     return _fitted(late, options, advance, begun.fits)._replace(delay=begun.delay)
 
 
-def _searched(prepared: Prepared, options: Options, advance: Callable[[int], None]) -> Found:
+def _searched(prepared: Prepared, options: Options, advance: Callable[[int], None]) -> FittedOrders:
     """`fitted_with_delay` with all samples. Raises InputError."""
     if options.delay != "auto":
         samples = int(options.delay)
@@ -116,7 +117,9 @@ def _searched(prepared: Prepared, options: Options, advance: Callable[[int], Non
     return late._replace(prepared=late.prepared._replace(orders=prepared.orders))
 
 
-def _refined(found: Found, first: int, options: Options, advance: Callable[[int], None]) -> Found:
+def _refined(
+    found: FittedOrders, first: int, options: Options, advance: Callable[[int], None]
+) -> FittedOrders:
     """Fits with the delay near the first one that serves best; a delay takes no more poles."""
     prepared, most = found.prepared, best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
@@ -136,7 +139,7 @@ def _fitted(
     options: Options,
     advance: Callable[[int], None],
     begun: Sequence[OrderFit] = (),
-) -> Found:
+) -> FittedOrders:
     """Every order, fitted; once more where a few readings turn out to be glitches."""
     for _ in range(3):
         data, limits = prepared.data, prepared.limits
@@ -159,7 +162,7 @@ def _fitted(
             data=data._replace(ok=ok, y=np.where(ok, data.y, 0.0)),
             remarks=[*prepared.remarks, remark],
         )
-    return Found(prepared, fits, 0, [])
+    return FittedOrders(prepared, fits, 0, [])
 
 
 def _glitches(chosen: OrderFit) -> Integers:
@@ -283,8 +286,8 @@ def _late(fit: Fit, samples: int) -> Fit:
     """
     objective = fit.objective.along(delayed(fit.objective.data, samples))
     begun = [_near(fit, objective.simulator), _linear(fit, objective.simulator)]
-    top = max((climbed(objective, theta, STEPS) for theta in begun), key=lambda one: one.value)
-    return Fit(objective, top.theta, top.value)
+    tops = [climb(objective, theta, STEPS) for theta in begun]
+    return Fit(objective, *max(tops, key=lambda one: one.value))
 
 
 def _near(fit: Fit, simulator: Simulator) -> Floats:

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.identification.models.zone_fit import (
     Fit,
-    climbed,
     expected_reading,
     fit_linear,
     fit_zone,
@@ -338,7 +338,6 @@ def _from_linear(objective: Objective, linear: Fit, fit: Fit) -> Fit:
     """The fit, or a better one that starts at a small zone."""
     theta = linear.theta.copy()
     theta[objective.layout.right : objective.layout.right + 2] = 0.05
-    top = climbed(objective, theta, 60)
-    if math.isfinite(top.value) and top.value > fit.value:
-        return Fit(objective, top.theta, top.value)
-    return fit
+    top = climb(objective, theta, 60)
+    better = math.isfinite(top.value) and top.value > fit.value
+    return Fit(objective, *top) if better else fit

@@ -20,19 +20,6 @@ from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.verdict.verdict import Verdict, explains_better
 from undeadzone.support.arrays import Floats
 
-KINDS = {
-    "none": "none",
-    "sensor": "sensor",
-    "input": "input",
-    "friction": "friction",
-    "friction, sticking": "friction",
-    "friction, free": "friction",
-    "friction, free, sticking": "friction",
-    "friction of a position": "friction",
-    "sensor and friction": "both",
-    "sensor and friction, free": "both",
-    "sensor and input": "both",
-}
 SENSOR_LOW, SENSOR_HIGH = 0.5, 0.95  # lambda's interval that says sensor
 FRICTION_HIGH = 0.5
 BOTH_LOW = 0.3
@@ -126,8 +113,8 @@ def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
 def _winner(fits: dict[str, PlaceFit]) -> str:
     """The place whose best model beats every model of every other place."""
     best: dict[str, PlaceFit] = {}
-    for name, one in fits.items():
-        kind = KINDS[name]
+    for one in fits.values():
+        kind = one.model.shape.kind
         if kind not in best or one.density.bic < best[kind].density.bic:
             best[kind] = one
     order = sorted(best, key=lambda kind: best[kind].density.bic)
@@ -211,8 +198,8 @@ def _together(rivals: str, lam: str) -> str:
 def _levels(fits: dict[str, PlaceFit]) -> dict[str, tuple[float, float]]:
     """Friction and the zone of the input in units of the input, scaled."""
     levels = {}
-    for name, one in fits.items():
-        kind, model, theta = KINDS[name], one.model, one.theta
+    for one in fits.values():
+        kind, model, theta = one.model.shape.kind, one.model, one.theta
         if kind == "friction" and kind not in levels:
             b = theta[model.n : 2 * model.n]
             force = abs(b.sum()) / max(abs(1 + model.c(theta).sum()), 1e-9)

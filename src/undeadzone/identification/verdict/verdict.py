@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
-from undeadzone.identification.logs.prepare import Prepared
+from undeadzone.identification.logs.prepare import JumpEdge
 from undeadzone.identification.models.estimates import long_run_covariance, quantile
 from undeadzone.identification.models.least_squares import (
     CHANCE,
@@ -23,6 +23,7 @@ from undeadzone.identification.models.least_squares import (
 )
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone_fit import Fit
+from undeadzone.identification.verdict.delays import FittedOrders
 from undeadzone.identification.verdict.orders import (
     NoZone,
     OrderFit,
@@ -57,12 +58,9 @@ class Case(NamedTuple):
     Attributes:
         grid: the log on its grid.
         options: what the user said.
-        prepared: the log as it was fitted, without glitches, its input shifted.
         recorded: the records with the input as it was recorded.
         unreached: edges that no reading passes.
-        orders: every order.
-        delay: samples by which the input acts late.
-        alike: fits with another delay that explain the log as well.
+        fitted: every order.
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
         residuals: residual by z^.
@@ -72,12 +70,9 @@ class Case(NamedTuple):
 
     grid: Grid
     options: Options
-    prepared: Prepared
     recorded: Data
     unreached: tuple[str, ...]
-    orders: list[OrderFit]
-    delay: int
-    alike: list[OrderFit]
+    fitted: FittedOrders
     chosen: OrderFit
     no_zone: NoZone
     residuals: ResidualMap
@@ -87,17 +82,17 @@ class Case(NamedTuple):
     @property
     def data(self) -> Data:
         """The records as they were fitted."""
-        return self.prepared.data
+        return self.fitted.prepared.data
 
     @property
     def quantum(self) -> float:
         """Of the readings, scaled."""
-        return self.prepared.quantum
+        return self.fitted.prepared.quantum
 
     @property
-    def of_jump(self) -> bool:
-        """Whether the log was taken for that of a jump sensor."""
-        return self.prepared.jumps is not None
+    def jumps(self) -> tuple[JumpEdge, JumpEdge] | None:
+        """Edges of a jump sensor, scaled, where the log was taken for one's; None elsewhere."""
+        return self.fitted.prepared.jumps
 
     @property
     def offset(self) -> float | None:
@@ -137,10 +132,10 @@ def by_maps(case: Case) -> Verdict:
     Returns:
         dead_zone or jump, or what it is instead.
     """
-    if case.of_jump:
+    if case.jumps:
         return _by_jump(case)
     verdict = _by_maps(case)
-    ends = case.prepared.ends
+    ends = case.fitted.prepared.ends
     if verdict.word != "none" or not ends:
         return verdict
     reason = f"readings stick at the ends of the range {ends}, and between them they need no zone"

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, weighing
+from undeadzone.identification.models.estimates import DIRECTIONS, Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.least_squares import (
     CLEARLY,
@@ -132,18 +132,18 @@ def with_play(case: Case, found: Found) -> Found:
     found = found._replace(offsets=offsets)
     if not _is_asked(case, found.verdict.word, offsets, brief):
         return found
-    logs = [case.data]
-    if case.options.delay == "auto" and case.delay:  # a play is late, so a delay may be one
+    logs, orders = [case.data], [one.n for one in case.fitted.fits]
+    if case.options.delay == "auto" and case.fitted.delay:  # a play is late, so a delay may be one
         logs = [case.recorded, case.data]
     plays = []
     for data in logs:
-        fits = fit_play(part_of(data), [one.n for one in case.orders], case.options.integrators)
+        fits = fit_play(part_of(data), orders, case.options.integrators)
         if fits and fits[0].density.value.size == case.rivals["none"].value.size:
             plays.append((_without_glitches(fits[0]), fits[1:], data))
     if not plays:
         return found
     play, others, whole = min(plays, key=lambda one: one[0].density.bic)
-    begun = [reduced(one.pairs) for one in case.orders] if whole is case.data else []
+    begun = [reduced(one.pairs) for one in case.fitted.fits] if whole is case.data else []
     for fit in _better(case, play, fit_both([play, *begun])):
         gap = find_gap(fit, others, case.quantum)
         case.advance(1)
@@ -218,7 +218,7 @@ def _with_gap(case: Case, found: Found, gap: Gap, offsets: Offsets, whole: Data)
     if not gap.fit.model.zone and not is_there(gap.intervals["width"]) and gap.sure:
         return found._replace(verdict=_no_gap(found.verdict, gap))
     element = of_play(gap, whole, case.offset)
-    delay = case.delay if whole is case.data else 0
+    delay = case.fitted.delay if whole is case.data else 0
     return found._replace(verdict=_named(element, offsets), element=element, delay=delay)
 
 
@@ -299,11 +299,8 @@ def _of_all(gap: Gap, whole: Data) -> tuple[PlayModel, Floats]:
     old = gap.fit.model
     if old.data.y.size == whole.y.size:
         return old, gap.theta
-    model, b = old.along(whole), old.simulator.layout.b
-    theta = np.zeros(model.size)
-    theta[: b.stop] = gap.theta[: b.stop]
-    theta[model.base :] = gap.theta[old.base :]
-    return model, theta
+    model = old.along(whole)
+    return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
 
 
 def _hidden(element: Element, strong: float) -> Element:
@@ -420,7 +417,7 @@ def held_out_of(element: Element, held_out: float) -> HeldOut:
     fit, data = element.fit, element.fit.squares.data
     train = trained_part(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = trained.top([fit.theta], LAST[element.kind])
+    top = best_top(trained, [fit.theta], fit.model.first, LAST[element.kind])
     theta = fit.theta if top is None else top.theta
     test = data.ok & ~train
     e = fit.squares.residual(theta)

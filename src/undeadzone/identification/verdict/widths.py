@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, Spread
+from undeadzone.identification.models.estimates import DIRECTIONS, Interval, climb
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.likelihood import Noise, Readings, singles
 from undeadzone.identification.models.zone import Limits, Objective
-from undeadzone.identification.models.zone_fit import Fit, climbed
+from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.verdict.orders import OrderFit
-from undeadzone.support.arrays import Flags, Floats
+from undeadzone.support.arrays import Floats, runs
 
 FEW_VISITS = 3  # below these an edge is hardly reached
 POINTS = 8  # of a profile, on each side of the edge
@@ -92,7 +91,8 @@ def find_widths(
             half = math.inf if offset is None else math.hypot(half, offset)
         intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
         for other in alike:
-            intervals[name] = _reaching(intervals[name], _difference(row, other, chosen))
+            gap = _difference(row, other, chosen)
+            intervals[name] = intervals[name].reaching(max(-gap, 0.0), max(gap, 0.0))
     if apart:
         remarks.append(
             "fits of single samples and of pairs disagree: the plant model does not fit; the"
@@ -119,27 +119,21 @@ class _Stage(NamedTuple):
 
 def _stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
     """The stages that were run, by name."""
-    stages = {"L1": _of_zone(chosen.singles)}
+    stages = {"L1": _told(chosen.singles)}
     drifts = chosen.pairs.objective.limits.tied and kalman is not None
     if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
-        stages["L2"] = _of_zone(chosen.pairs)
+        stages["L2"] = _told(chosen.pairs)
     if kalman is not None:
-        stages["L3"] = _told(kalman, kalman.objective.spread(kalman.p), kalman.direction)
+        stages["L3"] = _told(kalman)
     return stages
 
 
-def _of_zone(fit: Fit) -> _Stage:
-    """What a fit of singles or pairs says."""
-    return _told(fit, fit.objective.spread(fit.theta), fit.objective.direction)
-
-
-def _told(
-    fit: Fit | KalmanFit, spread: Spread, direction: Callable[[float, float], Floats]
-) -> _Stage:
+def _told(fit: Fit | KalmanFit) -> _Stage:
     """What a fit says of the widths."""
-    halves, degrees = {}, {}
+    spread, halves, degrees = fit.objective.spread(fit.theta), {}, {}
     for name, weights in DIRECTIONS.items():
-        halves[name], degrees[name] = spread.half_and_degrees(direction(*weights))
+        row = fit.objective.direction(*weights)
+        halves[name], degrees[name] = spread.half_and_degrees(row)
     return _Stage((fit.right, fit.left), halves, degrees)
 
 
@@ -153,12 +147,6 @@ def _difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> 
     """By how much a width is larger in another fit."""
     one, own = other.pairs, chosen.pairs
     return float(np.dot(row, (one.right - own.right, one.left - own.left)))
-
-
-def _reaching(interval: Interval, gap: float) -> Interval:
-    """An interval that also holds itself, moved by a gap."""
-    low, high = interval.low + min(gap, 0.0), interval.high + max(gap, 0.0)
-    return Interval(interval.value, low, high)
 
 
 def lower_bound(fit: Fit, side: str) -> float:
@@ -219,7 +207,7 @@ def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
                 fixed if both or side == "left" else objective.limits.left,
             )
             held = Objective(objective.simulator, objective.kind, limits, objective.readings.ok)
-            top = climbed(held, theta, steps)
+            top = climb(held, theta, steps)
             out[k] = top.value - fit.value
             theta = top.theta if math.isfinite(top.value) else theta
     return out
@@ -308,16 +296,7 @@ def excitation(readings: Readings, z: Floats, right: float, left: float, ahead: 
     side = np.where(readings.ok, side, 0)
     silent = readings.ok & (side == 0)
     samples = (int((side > 0).sum()), int((side < 0).sum()))
-    visits = (_runs(side > 0), _runs(side < 0))
-    return Excitation(samples, visits, float(silent.sum() / readings.ok.sum()), _longest(silent))
-
-
-def _runs(flags: Flags) -> int:
-    """How many runs of True there are."""
-    return int(flags[0]) + int((np.diff(flags.astype(int)) > 0).sum())
-
-
-def _longest(flags: Flags) -> int:
-    """The length of the longest run of True."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return int((ends[1::2] - ends[::2]).max(initial=0))
+    visits = (runs(side > 0)[0].size, runs(side < 0)[0].size)
+    first, last = runs(silent)
+    longest = int((last - first + 1).max(initial=0))
+    return Excitation(samples, visits, float(silent.sum() / readings.ok.sum()), longest)
