@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
+from undeadzone.ends.sensor import resolve
 from undeadzone.ensemble.metrics import Tally, rows
 from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
 from undeadzone.linear.matrices import Matrices, companion
@@ -22,7 +23,6 @@ from undeadzone.plants.time_scales import pace, rates_of_motion, state_units, ti
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import resolve
 from undeadzone.simulation.scales import plant_scales
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]

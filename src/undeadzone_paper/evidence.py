@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
+from undeadzone.ends.sensor import Sensor
 from undeadzone.observers import Certified, Luenberger
 from undeadzone.scenario.schema import Model, Scenario, Simulation
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate

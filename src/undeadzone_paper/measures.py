@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from undeadzone.ends.sensor import deadzone, indicators, zone
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices
-from undeadzone.sensor import deadzone, indicators, zone
 from undeadzone.simulation.run import LAST, Run
 from undeadzone.simulation.scales import LIMIT
 from undeadzone.support.arrays import Floats

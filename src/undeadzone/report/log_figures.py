@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undeadzone.observers.parts.doubt import CHANCE
-from undeadzone.observers.parts.innovation_sums import FAR
+from undeadzone.observers.parts.claims import CHANCE
+from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.report.style import (
     ESTIMATE,
     FORBIDDEN,

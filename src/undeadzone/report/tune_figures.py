@@ -23,7 +23,7 @@ from undeadzone.report.style import (
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import Tuned
-from undeadzone.tuning.sweep import Sweep, sweep
+from undeadzone.tuning.tune import Sweep, sweep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

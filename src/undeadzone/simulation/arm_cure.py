@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.edges import MARGIN
 from undeadzone.analysis.identifiability.linear import Verdict
-from undeadzone.analysis.reading_levels import reading_levels
+from undeadzone.analysis.side_schedule import reading_levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.support.arrays import Floats
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Drive
+from undeadzone.ends.actuator import Drive
+from undeadzone.ends.sensor import Zone
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Observer
-from undeadzone.numerics.event_location import StepAttempt
+from undeadzone.numerics.dense_output import StepAttempt
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.simulation.loop import (
     HELD,
     RUNGE_KUTTA,

@@ -11,12 +11,12 @@ import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
+from undeadzone.ends.play import levels
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
-from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.arm_cure import with_cures

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.log_words import in_words
@@ -21,9 +21,6 @@ from undeadzone.simulation.run_file import read, table_size, write
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import Verdict
-from undeadzone.gaps import gaps_of
+from undeadzone.ends.gaps import gaps_of
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.scenario.problem import Problem
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from undeadzone.logs.grid import Grid, Regular
-from undeadzone.logs.samples import LogReader
+from undeadzone.logs.samples import Grid, LogReader, Regular
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.log_info import LogInfo

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from undeadzone.ends.limits import beyond
+from undeadzone.ends.sensor import Zone, side
 from undeadzone.engine.interpret import CHUNK
 from undeadzone.interfaces import Estimate, InPython, Reading
-from undeadzone.limits import beyond
-from undeadzone.sensor import Zone, side
 from undeadzone.support.arrays import Floats
 
 

@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone, present
 from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer, Reading, received
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

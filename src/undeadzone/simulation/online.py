@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import ActuatorModel, believed
 from undeadzone.catalogue import ObserverOptions
+from undeadzone.ends.actuator import ActuatorModel, believed
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.engine.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, graph_of
@@ -20,7 +21,6 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.observer_graph import BlockRunner, Out, observer_graph
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar

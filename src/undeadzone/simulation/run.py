@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from undeadzone.simulation.run_words import Errors, in_words
 from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block, in_notebook, in_text, plot
-
-if TYPE_CHECKING:
-    pass
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.analysis.identifiability.words import yes_no
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
 from undeadzone.simulation.gap_words import in_words as gaps_in_words
 from undeadzone.simulation.listening_words import in_words as listening_in_words
 from undeadzone.simulation.run_info import Info

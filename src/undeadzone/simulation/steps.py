@@ -11,8 +11,16 @@ from typing import Any
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.numerics.dense_output import DenseStep, runge_kutta, taylor
-from undeadzone.numerics.event_location import Crossing, Levels, StepAttempt, located_step, met
+from undeadzone.numerics.dense_output import (
+    Crossing,
+    DenseStep,
+    Levels,
+    StepAttempt,
+    located_step,
+    met,
+    runge_kutta,
+    taylor,
+)
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, Exogenous, State
 from undeadzone.simulation.wiring import Mode, Wiring
@@ -68,7 +76,7 @@ def located_steps(
     columns: list[ca.SX],
     order: int,
 ) -> list[StepAttempt]:
-    """Attempts at a step with its changes of side located (`event_location.located_step`).
+    """Attempts at a step with its changes of side located (`dense_output.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
 

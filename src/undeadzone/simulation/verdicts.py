@@ -16,7 +16,7 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.play_and_zone import Readings, Told, told_of_both
 from undeadzone.analysis.side_schedule import Schedule
-from undeadzone.gaps import gaps_of
+from undeadzone.ends.gaps import gaps_of
 from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem

@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.identification.logs.log import Log, where
-from undeadzone.logs.grid import Regular, filled
+from undeadzone.logs.samples import Regular, filled
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 JITTER = 0.01  # of a step, by which regular times may differ

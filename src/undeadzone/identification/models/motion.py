@@ -24,10 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.play import ticked
 from undeadzone.identification.models.kalman import matrices
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.plant import Simulator, input_gain
-from undeadzone.play import ticked
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
