@@ -367,7 +367,8 @@ def _bounded_input(node: Node) -> str:
     """The name of the input of w < huge or -huge < w; empty: a node is neither."""
     if node.op != "lt":
         return ""
-    for bound, value, sign in ((*node.args, -1.0), (*node.args[::-1], 1.0)):
+    low, high = node.args
+    for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
         is_huge = sign * (bound.value or 0.0) >= held(HUGE, bound.kind)
         if is_huge and value.op == "input":
             return value.text

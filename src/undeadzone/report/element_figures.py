@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.identification.element import Element
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified
+    from undeadzone.identification.verdict.which import Element
     from undeadzone.support.arrays import Floats
 
 MOST = 600  # samples of a figure over time: the last ones
@@ -34,7 +34,7 @@ def figures(found_log: Identified, element: Element) -> dict[str, Figure]:
 def _over_time(found_log: Identified, element: Element) -> Figure:
     """z^, what is read of it, and the readings; contacts or sides below."""
     answer = found_log.answer
-    grid, scale = answer.evidence.grid, answer.scale
+    grid, scale = answer.case.grid, answer.scale
     part = slice(max(0, grid.t.size - MOST), grid.t.size)
     unit = grid.output_unit
     time = "t [samples]" if grid.counted else "t [s]"
@@ -60,7 +60,7 @@ def _over_time(found_log: Identified, element: Element) -> Figure:
 def _by_output(found_log: Identified, element: Element) -> Figure:
     """Readings by z^ with the path of what is expected; by u where the input has the zone."""
     answer = found_log.answer
-    grid, scale = answer.evidence.grid, answer.scale
+    grid, scale = answer.case.grid, answer.scale
     figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
     axes, unit = panels["map"], grid.output_unit
     z = element.z * scale

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
     from undeadzone.simulation.estimation import Estimation
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
@@ -159,8 +158,7 @@ def _of_check(result: Check) -> Drawing:
 
 def _of_identified(result: Identified | IdentifiedOutputs) -> Drawing:
     """How identified logs are drawn. Raises InputError for what is no result at all."""
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
     from undeadzone.report.identify_figures import overview, signals
 
     if isinstance(result, Identified):
