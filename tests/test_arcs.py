@@ -12,7 +12,7 @@ from scenes import scene, slopes
 from undeadzone.errors import InputError
 from undeadzone.numerics.dense_output import DenseStep, _moved, runge_kutta, taylor
 from undeadzone.numerics.event_location import Levels, _crossing, _secant
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 
 TWO = {

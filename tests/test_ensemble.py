@@ -28,10 +28,10 @@ from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError
+from undeadzone.results.run import LAST, Run
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous
-from undeadzone.simulation.run import LAST, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.toml import dumps
 

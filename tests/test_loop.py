@@ -16,8 +16,8 @@ from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
 from undeadzone.numerics.event_location import Crossing
+from undeadzone.results.run import Run
 from undeadzone.signals import noise
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.simulation.steps import entered, exogenous_at
 from undeadzone.simulation.wiring import Mode

@@ -35,9 +35,9 @@ from undeadzone.observers.parts.limited_reading import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.sensor import Sensor, Zone, deadzone, quantised, resolve
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter

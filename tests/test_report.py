@@ -33,9 +33,9 @@ from undeadzone.report.run_page import run_page
 from undeadzone.report.style import image, png, sheet, write
 from undeadzone.report.trade_figures import ELLIPSE, ellipse
 from undeadzone.report.tune_figures import history
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.files import write_text
 from undeadzone.synthesis.assessment import assess

@@ -32,12 +32,12 @@ from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
 from undeadzone.report import animation, arm_figures
 from undeadzone.report.figures import overview
 from undeadzone.report.run_files import write_run as write
+from undeadzone.results.run import FRAMES, Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.sensor import quantised, side
 from undeadzone.simulation.compare import labels as _told_apart
-from undeadzone.simulation.run import FRAMES, Run
 from undeadzone.simulation.simulate import simulate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -11,10 +11,10 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from undeadzone.observers import Certified, Luenberger
+from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Sine
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper.example import (
     AMPLITUDES,

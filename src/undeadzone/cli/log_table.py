@@ -9,7 +9,7 @@ import click
 from undeadzone.cli.common import Command
 
 if TYPE_CHECKING:
-    from undeadzone.simulation.log_info import LogInfo
+    from undeadzone.results.info import LogInfo
 
 
 def strict_option(command: Command) -> Command:

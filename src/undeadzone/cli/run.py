@@ -23,8 +23,8 @@ from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
+    from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
-    from undeadzone.simulation.run import Run
 
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 

@@ -17,11 +17,11 @@ from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.bands import EDGES, Bands, bands
 from undeadzone.ensemble.batch import Batch
 from undeadzone.errors import InputError
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.sensor import Zone
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import named
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, Integers

@@ -19,7 +19,7 @@ from undeadzone.ensemble.influence import Sensitivity, sensitivities
 from undeadzone.ensemble.info import Info, unit_of_column
 from undeadzone.ensemble.words import in_words
 from undeadzone.errors import InputError
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL, describe, proportion
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite

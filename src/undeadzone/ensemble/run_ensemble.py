@@ -18,10 +18,10 @@ from undeadzone.ensemble.info import Info
 from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import FileError
+from undeadzone.results.run import Run
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.reader import anchored, parse
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.support import toml
 from undeadzone.support.progress import in_notebook
 

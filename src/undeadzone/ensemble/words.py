@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from undeadzone.ensemble.info import Info, unit_of_column
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.support.shown import Block
 from undeadzone.support.text import label
 

@@ -23,7 +23,7 @@ from undeadzone.report.style import (
     plot_magnitude,
     sheet,
 )
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:

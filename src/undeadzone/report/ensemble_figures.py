@@ -17,7 +17,7 @@ from undeadzone.report.style import (
     floor_of,
     sheet,
 )
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support.arrays import Floats
 

@@ -17,7 +17,7 @@ from undeadzone.report.ensemble_figures import distributions, over_time, words
 from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
 from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.sensitivity_figures import influence, tornado
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label
 

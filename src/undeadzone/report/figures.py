@@ -21,7 +21,7 @@ from undeadzone.report.style import (
     sheet,
 )
 from undeadzone.report.width_lines import width_lines
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.html import Html, folded, join, paragraph, table, tag
-from undeadzone.simulation.listening_words import in_words, on_trust
+from undeadzone.results.listening_words import in_words, on_trust
 from undeadzone.support.text import label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 

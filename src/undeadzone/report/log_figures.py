@@ -23,7 +23,7 @@ from undeadzone.report.style import (
     sheet,
 )
 from undeadzone.report.width_lines import width_lines
-from undeadzone.simulation.estimation import Estimation
+from undeadzone.results.estimation import Estimation
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Any, Final
 from undeadzone.report.html import Origin, page, paragraph, picture, section, table, tag
 from undeadzone.report.log_figures import log_overview
 from undeadzone.report.style import write as write_figure
-from undeadzone.simulation.estimation import Estimation
-from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
+from undeadzone.results.estimation import Estimation
+from undeadzone.results.gap_words import SYMBOLS, gaps_with_deviations
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 

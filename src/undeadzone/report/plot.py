@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, runtime_check
 from undeadzone.errors import InputError
 from undeadzone.report import figures
 from undeadzone.report.style import plain, sheet, write
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.identification.outputs import IdentifiedOutputs
     from undeadzone.identification.result import Identified
-    from undeadzone.simulation.estimation import Estimation
+    from undeadzone.results.estimation import Estimation
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
 
@@ -106,7 +106,7 @@ def _drawing(result: Result) -> Drawing:
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
     from undeadzone.report import log_figures, proof_figures, tune_figures
-    from undeadzone.simulation.estimation import Estimation
+    from undeadzone.results.estimation import Estimation
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
 

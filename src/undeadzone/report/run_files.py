@@ -12,7 +12,7 @@ from undeadzone.report.style import write as write_figure
 from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
-    from undeadzone.simulation.run import Run
+    from undeadzone.results.run import Run
 
 TIP = "The tip against its path, its distance from it, and the torques."
 PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."

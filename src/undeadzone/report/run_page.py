@@ -8,8 +8,8 @@ from typing import Any, Final
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report.gains_sections import trust
 from undeadzone.report.html import Html, Origin, page, paragraph, picture, section, table, tag
-from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
-from undeadzone.simulation.run import Run
+from undeadzone.results.gap_words import SYMBOLS, gaps_with_deviations
+from undeadzone.results.run import Run
 from undeadzone.support.text import label, with_deviation, with_unit
 
 _OVERVIEW: Final = (

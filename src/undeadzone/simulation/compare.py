@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 
 from undeadzone.errors import InputError
+from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate, steps
 from undeadzone.support.progress import in_notebook
 from undeadzone.support.toml import tables

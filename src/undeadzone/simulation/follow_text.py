@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.samples import LogReader
+from undeadzone.results.info import LogInfo
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
-from undeadzone.simulation.log_info import LogInfo
 
 
 class TextLog:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -14,12 +13,12 @@ from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE
 from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.results.info import LogInfo
+from undeadzone.results.signals import final, of_estimate
 from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
-from undeadzone.simulation.gap_words import gap_numbers, gap_signals
-from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.numeric_along import numeric_along
 from undeadzone.simulation.online import Online, built_for
 from undeadzone.support.arrays import Floats
@@ -168,7 +167,7 @@ class Follower:
         if verdict.consistent is False and grid.gaps:
             reason = "the inputs in its gaps are not known, and were taken as constant"
             verdict = verdict._replace(reasons=[*verdict.reasons, reason])
-        p = self.model.p
+        p, last_row = self.model.p, Estimate(*[field[None] for field in last])
         right, left, silent, limited = self._counts.tolist()
         return LogInfo(
             title=scenario.title,
@@ -203,7 +202,7 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
-            play=_final_gaps(last),
+            play=final(of_estimate(last_row), "c_hat", "c_std", "gap_std"),
             remarks=self._remarks(),
         )
 
@@ -218,13 +217,6 @@ class Follower:
                     f"they only bound z: set sensor.range = {ends.text}"
                 )
         return remarks
-
-
-def _final_gaps(last: Estimate) -> dict[str, Any]:
-    """The gaps of the last estimate, with their deviations; nothing where none are estimated."""
-    whole = Estimate(*[field[None] for field in last])
-    signals = gap_signals(whole)
-    return gap_numbers(*signals.values()) if signals else {}
 
 
 def require_units(layout: Layout, units: Units, source: str) -> None:

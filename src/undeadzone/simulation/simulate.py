@@ -17,6 +17,8 @@ import numpy as np
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError
 from undeadzone.interfaces import graph_of
+from undeadzone.results.info import IntegrationError
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
@@ -24,8 +26,6 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.close import close
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook

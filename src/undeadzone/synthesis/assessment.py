@@ -24,9 +24,9 @@ from undeadzone.analysis.convergence.trajectories import (
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.errors import StructureError
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.simulation.listening import listening
-from undeadzone.simulation.run import Run
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.knowledge import knowledge, plan, trial_run
 

@@ -17,9 +17,9 @@ from undeadzone.analysis.identifiability.linear import (
 from undeadzone.analysis.identifiability.play_and_zone import states_told
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers import StateFeedback
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.false_claims import with_false_claims
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.verdicts import (
     actuator_unknown,
     constant_inputs,

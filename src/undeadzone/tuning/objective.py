@@ -11,10 +11,10 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.bands import EDGES, true_width
 from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.results.scales import LIMIT
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.simulation.scales import LIMIT
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats
 from undeadzone.tuning.candidates import TestRuns, prepare_test_runs

@@ -10,14 +10,14 @@ import numpy as np
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.metrics import Tally
 from undeadzone.interfaces import graph_of
+from undeadzone.results.run import last_samples
+from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.collect import tips
 from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import last_samples
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
-from undeadzone.simulation.scales import plant_scales
 from undeadzone.support.arrays import Floats
 
 

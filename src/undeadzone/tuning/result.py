@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 import undeadzone
+from undeadzone.results.scales import LIMIT
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import anchored
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.simulation.scales import LIMIT
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from undeadzone.logs.samples import counted_lines
-from undeadzone.simulation.gap_words import in_words as gaps_in_words
-from undeadzone.simulation.log_info import LogInfo
-from undeadzone.simulation.run_columns import output_names
+from undeadzone.results.gap_words import in_words as gaps_in_words
+from undeadzone.results.info import LogInfo
+from undeadzone.results.signals import output_names
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label, with_deviation, with_unit
 

@@ -5,32 +5,28 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from undeadzone.simulation.log_info import LogInfo
-from undeadzone.simulation.log_words import in_words
-from undeadzone.simulation.run_columns import (
-    arrays_of,
-    output_names,
-    signals_of,
-    to_columns,
-    to_pandas,
-    unit_of,
-)
-from undeadzone.simulation.run_file import read, table_size, write
+from undeadzone.results import files
+from undeadzone.results.info import LogInfo
+from undeadzone.results.log_words import in_words
+from undeadzone.results.signals import LOG, Signals, final, output_names
 from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite, one_or_list
+from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block
 
-if TYPE_CHECKING:
-    pass
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Estimation:
     """What an observer makes of a log, one row per sample.
 
-    A signal is None where the method does not estimate it.
+    Each signal is an attribute, None where the method does not estimate it: those of a log, and
+    what observers give (`results.signals.ESTIMATED`).
+
+    Args:
+        info: what is known besides the signals.
+        signals: by name; None: those that are given alone.
+        given: signals in their place, or besides them.
 
     Attributes:
         t: time (N) [s].
@@ -43,6 +39,7 @@ class Estimation:
         z_inverse: the dead-zone inverse (26) (N x p) [z].
         innovation: what each reading adds to the prediction (N x p).
         info: counts, final widths, and whether the record is consistent.
+        signals: all of them by name.
         x_std: standard deviation of x_hat (N x n).
         d_std: standard deviation of d_hat (N x 2p) [z].
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
@@ -59,32 +56,25 @@ class Estimation:
         x_smooth_std, d_smooth_std: their standard deviations.
     """
 
-    t: Floats
-    y: Floats
-    u: Floats
-    side: Floats
-    x_hat: Floats
-    z_hat: Floats
-    d_hat: Floats
-    z_inverse: Floats
-    innovation: Floats
+    signals: Signals
     info: LogInfo
-    x_std: Floats | None = None
-    d_std: Floats | None = None
-    width_std: Floats | None = None
-    innovation_std: Floats | None = None
-    B: Floats | None = None
-    w_hat: Floats | None = None
-    theta_hat: Floats | None = None
-    theta_std: Floats | None = None
-    c_hat: Floats | None = None
-    c_std: Floats | None = None
-    gap_std: Floats | None = None
-    x_smooth: Floats | None = None
-    z_smooth: Floats | None = None
-    d_smooth: Floats | None = None
-    x_smooth_std: Floats | None = None
-    d_smooth_std: Floats | None = None
+
+    def __init__(
+        self, info: LogInfo, signals: Signals | None = None, **given: Floats | None
+    ) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(LOG, {**before, **given}))
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        if name not in LOG.names:
+            raise AttributeError(f"an estimation has no attribute {name!r}")
+        return self.signals.arrays.get(name)
+
+    def __dir__(self) -> list[str]:
+        """The attributes, signals among them."""
+        return [*object.__dir__(self), *LOG.names]
 
     @property
     def consistent(self) -> bool | None:
@@ -99,8 +89,7 @@ class Estimation:
     def summary(self) -> dict[str, Any]:
         """The numbers of the log, ready for JSON; lists where there are several outputs."""
         numbers = self.info.summary()
-        if self.width_std is not None:
-            numbers["width_std"] = one_or_list(self.width_std[-1])
+        numbers |= final(self.signals.arrays, "width_std")
         if self.theta_hat is not None and self.theta_std is not None:
             ends = zip(self.info.uncertain, self.theta_hat[-1], self.theta_std[-1], strict=True)
             numbers["parameters"] = {
@@ -119,38 +108,11 @@ class Estimation:
     plot = shown.plot
     """Draw it."""
 
-    def columns(self) -> dict[str, Floats]:
-        """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..."""
-        return to_columns(signals_of(self))
-
-    def unit(self, name: str) -> str:
-        """The unit of a signal or of one of its columns.
-
-        Args:
-            name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
-        """
-        return unit_of(name, self.info.units)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the estimates to a file.
-
-        Args:
-            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
-                first line after #).
-
-        Returns:
-            The path.
-
-        Raises:
-            FileError: it cannot be written.
-            InputError: the name ends otherwise.
-        """
-        return write(Path(path), self.info, signals_of(self))
-
-    @property
-    def table_size(self) -> float:
-        """About how many bytes its `.csv` has."""
-        return table_size(signals_of(self))
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Estimation:
@@ -162,10 +124,4 @@ class Estimation:
         Raises:
             FileError: it cannot be read, or holds no estimates of a log.
         """
-        values = read(Path(path), *arrays_of(cls), LogInfo)
-        values.pop("V")  # which runs of a simulation have
-        return cls(**values)
-
-    def to_pandas(self) -> Any:
-        """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        return to_pandas(self)
+        return cls(*files.read(Path(path), LOG, LogInfo))

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.analysis.identifiability.words import yes_no
-from undeadzone.simulation.gap_words import in_words as gaps_in_words
-from undeadzone.simulation.listening_words import in_words as listening_in_words
-from undeadzone.simulation.run_info import Info
+from undeadzone.results.gap_words import in_words as gaps_in_words
+from undeadzone.results.info import Info
+from undeadzone.results.listening_words import in_words as listening_in_words
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label, with_deviation, with_unit
 

@@ -5,41 +5,34 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.simulation.gap_words import gap_numbers
-from undeadzone.simulation.run_columns import (
-    actuator_widths,
-    arrays_of,
-    judgement,
-    output_names,
-    signals_of,
-    to_columns,
-    to_pandas,
-    unit_of,
-)
-from undeadzone.simulation.run_file import read, table_size, write
-from undeadzone.simulation.run_info import Info as Info
-from undeadzone.simulation.run_words import Errors, in_words
-from undeadzone.simulation.scales import LIMIT, Scales, shares
+from undeadzone.results import files
+from undeadzone.results.info import Info
+from undeadzone.results.run_words import Errors, in_words
+from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.results.signals import RUN, Signals, ending, final, output_names
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block, in_notebook, in_text, plot
-
-if TYPE_CHECKING:
-    pass
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Run:
     """Signals of one run, one row per sample.
 
-    A signal is None where the method does not estimate it or the plant does not have it.
+    Each signal is an attribute, None where the method does not estimate it or the plant does not
+    have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
+
+    Args:
+        info: what is known besides the signals.
+        signals: by name; None: those that are given alone.
+        given: signals in their place, or besides them.
 
     Attributes:
         t: time (N) [s].
@@ -56,6 +49,7 @@ class Run:
         r: reference of the tracked outputs (N x tracked).
         V: storage function (N), where a certificate exists.
         info: what is known besides the signals.
+        signals: all of them by name.
         x_std: standard deviation of x_hat (N x n).
         d_std: standard deviation of d_hat (N x 2p) [z].
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
@@ -78,40 +72,23 @@ class Run:
             (F x K x 3) [m]; in `.npz` files only.
     """
 
-    t: Floats
-    x: Floats
-    z: Floats
-    y: Floats
-    side: Floats
-    x_hat: Floats
-    z_hat: Floats
-    d_hat: Floats
-    z_inverse: Floats
-    innovation: Floats
-    u: Floats
-    r: Floats
-    V: Floats | None
+    signals: Signals
     info: Info
-    x_std: Floats | None = None
-    d_std: Floats | None = None
-    width_std: Floats | None = None
-    innovation_std: Floats | None = None
-    w_hat: Floats | None = None
-    theta_hat: Floats | None = None
-    theta_std: Floats | None = None
-    consistent: Floats | None = None
-    refused: Floats | None = None
-    restarts: Floats | None = None
-    b_hat: Floats | None = None
-    b_std: Floats | None = None
-    c_hat: Floats | None = None
-    c_std: Floats | None = None
-    gap_std: Floats | None = None
-    level: Floats | None = None
-    tip: Floats | None = None
-    tip_hat: Floats | None = None
-    tip_r: Floats | None = None
-    poses: Floats | None = None
+
+    def __init__(self, info: Info, signals: Signals | None = None, **given: Floats | None) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        if name not in RUN.names:
+            raise AttributeError(f"a run has no attribute {name!r}")
+        return self.signals.arrays.get(name)
+
+    def __dir__(self) -> list[str]:
+        """The attributes, signals among them."""
+        return [*object.__dir__(self), *RUN.names]
 
     @property
     def last(self) -> slice:
@@ -241,9 +218,7 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
-        right, left = (one_or_list(column) for column in self.widths.T)
-        d_std, width_std = self.d_std, self.width_std
-        verdicts, listens = self.info.identifiable, self.info.listens
+        verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
@@ -253,15 +228,12 @@ class Run:
             "rms_estimation": self.rms_estimation,
             **({} if self.level is None else {"rms_behind_play": self.rms_behind_play}),
             **({} if self.tip is None else {"rms_tip": self.rms_tip}),
-            "d_right": right,
-            "d_left": left,
-            "d_right_std": None if d_std is None else one_or_list(d_std[-1, 0::2]),
-            "d_left_std": None if d_std is None else one_or_list(d_std[-1, 1::2]),
+            **final(ends, "d_hat"),
+            **({"d_right_std": None, "d_left_std": None} | final(ends, "d_std")),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
-            **actuator_widths(self.b_hat, self.b_std),
-            **gap_numbers(self.c_hat, self.c_std, self.gap_std),
-            "width_std": None if width_std is None else one_or_list(width_std[-1]),
-            **judgement(self.consistent, self.refused, self.restarts),
+            **final(ends, *ending(float, but=("d_hat", "d_std", "width_std"))),
+            **({"width_std": None} | final(ends, "width_std")),
+            **final(ends, *ending(bool), *ending(int)),
             "listens": one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
@@ -295,38 +267,11 @@ class Run:
     plot = plot
     """Draw it."""
 
-    def columns(self) -> dict[str, Floats]:
-        """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
-        return to_columns(signals_of(self))
-
-    def unit(self, name: str) -> str:
-        """The unit of a signal or of one of its columns.
-
-        Args:
-            name: of the signal, `x`, or of the column, `x[0]`.
-        """
-        return unit_of(name, self.info.units)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the run to a file.
-
-        Args:
-            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
-                first line after #).
-
-        Returns:
-            The path.
-
-        Raises:
-            FileError: it cannot be written.
-            InputError: the name ends otherwise.
-        """
-        return write(Path(path), self.info, signals_of(self))
-
-    @property
-    def table_size(self) -> float:
-        """About how many bytes its `.csv` has."""
-        return table_size(signals_of(self))
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
@@ -338,11 +283,7 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(**read(Path(path), *arrays_of(cls)))
-
-    def to_pandas(self) -> Any:
-        """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        return to_pandas(self)
+        return cls(*files.read(Path(path), RUN, Info))
 
 
 def last_samples(t: Floats) -> slice:
