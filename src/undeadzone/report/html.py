@@ -12,6 +12,7 @@ from html import escape
 from typing import Any, Final, NamedTuple
 
 from undeadzone import __version__
+from undeadzone.results.sheet import Row
 from undeadzone.support.text import printable
 
 _CSS: Final = """
@@ -142,6 +143,45 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     body = join(_row(row, numeric) for row in cells)
     inner = f"<thead>{names.text}</thead><tbody>{body.text}</tbody>"
     return Html(f'<div class="wide"><table>{inner}</table></div>')
+
+
+def estimates(
+    what: str,
+    names: Iterable[str],
+    sheets: Sequence[Sequence[Row]],
+    heads: Sequence[str] = (),
+    cells: Sequence[Sequence[Any]] = (),
+) -> Html:
+    """A table of estimates, a sheet in each line, beside the truth where it is known.
+
+    Args:
+        what: has these estimates, such as an output.
+        names: of these.
+        sheets: rows of each, the same ones.
+        heads: of further columns.
+        cells: of these, for each.
+    """
+    shown = [what]
+    for row in sheets[0]:
+        shown += [row.head] if row.true is None else [row.head, "true"]
+    lines = []
+    for k, (name, rows) in enumerate(zip(names, sheets, strict=True)):
+        line: list[Any] = [name]
+        for row in rows:
+            line += [row.cell] if row.true is None else [row.cell, row.true]
+        lines.append([*line, *(cells[k] if cells else ())])
+    return table((*shown, *heads), lines)
+
+
+def verdict_line(*parts: tuple[str, str]) -> Html:
+    """One line of words, each with a class of the page's style sheet."""
+    spans = [tag("span", words, style).text for words, style in parts]
+    return Html("<p>" + "; ".join(spans) + ".</p>")
+
+
+def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
+    """Words and their class: what is said of something that is good, or is not."""
+    return (yes, "yes") if good else (no, "no")
 
 
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:

@@ -5,13 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from undeadzone.report.html import Origin, page, paragraph, picture, section, table, tag
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    estimates,
+    page,
+    paragraph,
+    picture,
+    section,
+    table,
+    tag,
+)
 from undeadzone.report.log_figures import log_overview
+from undeadzone.report.run_page import gap_tables
 from undeadzone.report.style import write as write_figure
 from undeadzone.results.estimation import Estimation
-from undeadzone.results.gap_words import SYMBOLS, gaps_with_deviations
+from undeadzone.results.log_sheet import gaps, widths
 from undeadzone.support.files import write_text
-from undeadzone.support.text import label, with_deviation
 
 _OVERVIEW = (
     "Reading and estimates over the estimated dead zone; missing readings are shaded. Below, the "
@@ -79,46 +89,19 @@ def estimation_page(result: Estimation, image: bytes, origin: Origin | None = No
         head,
         *reasons,
         section("Along the log", picture(image, _OVERVIEW), paragraph(_TEST, "note")),
-        section("Widths", table(_heads(info.units.output), _widths(result)), *_gaps(result)),
+        section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
         section("The log", table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,
     )
 
 
-def _heads(unit: str) -> tuple[str, ...]:
-    """The heads of the table of widths."""
-    return ("output", label("d_r^", unit), label("d_l^", unit), "readings right", "left", "silent")
-
-
-def _widths(result: Estimation) -> list[tuple[Any, ...]]:
-    """The rows of the table of widths."""
+def _widths(result: Estimation) -> Html:
+    """The final widths of each output, and how many readings lie on each side."""
     info = result.info
-    unknown: list[float | None] = [None] * len(info.d_right)
-    right_std, left_std = info.d_right_std or unknown, info.d_left_std or unknown
-    rows = []
-    for i, name in enumerate(result.outputs):
-        right, left = _width(info.d_right[i], right_std[i]), _width(info.d_left[i], left_std[i])
-        rows.append((name, right, left, info.right[i], info.left[i], info.silent[i]))
-    return rows
-
-
-def _gaps(result: Estimation) -> list[Any]:
-    """The table of the gaps ahead of dead zones; nothing where none are estimated."""
-    c, std, both = result.c_hat, result.c_std, result.gap_std
-    if c is None or std is None or both is None:
-        return []
-    rows = []
-    for i, name in enumerate(result.outputs):
-        pair = slice(2 * i, 2 * i + 2)
-        rows.append((name, *gaps_with_deviations(c[-1, pair], std[-1, pair], both[-1, i])))
-    unit = result.info.units.output
-    heads = [label(symbol, unit) for symbol in SYMBOLS]
-    return [table(("play ahead of the zone", *heads), rows)]
-
-
-def _width(value: float, std: float | None) -> float | str:
-    """A width, with its deviation where known."""
-    return value if std is None else with_deviation(value, std)
+    sheets = [widths(info, i) for i in range(len(result.outputs))]
+    counts = list(zip(info.right, info.left, info.silent, strict=True))
+    heads = ("readings right", "left", "silent")
+    return estimates("output", result.outputs, sheets, heads, counts)
 
 
 def _numbers(result: Estimation) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from undeadzone.results import files
 from undeadzone.results.info import LogInfo
-from undeadzone.results.log_words import in_words
+from undeadzone.results.log_sheet import in_words
 from undeadzone.results.signals import LOG, Signals, final, output_names
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite

@@ -11,8 +11,9 @@ import numpy as np
 
 from undeadzone.results import files
 from undeadzone.results.info import Info
-from undeadzone.results.run_words import Errors, in_words
+from undeadzone.results.run_sheet import errors, in_words
 from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.results.sheet import in_json
 from undeadzone.results.signals import RUN, Signals, ending, final, output_names
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block, in_notebook, in_text, plot
@@ -224,10 +225,7 @@ class Run:
             "method": self.info.method,
             "time": self.info.time,
             "step": self.info.step,
-            "rms_tracking": self.rms_tracking,
-            "rms_estimation": self.rms_estimation,
-            **({} if self.level is None else {"rms_behind_play": self.rms_behind_play}),
-            **({} if self.tip is None else {"rms_tip": self.rms_tip}),
+            **in_json(errors(self)),
             **final(ends, "d_hat"),
             **({"d_right_std": None, "d_left_std": None} | final(ends, "d_std")),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
@@ -248,17 +246,17 @@ class Run:
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone run` prints."""
-        return in_words(self.info, self.summary(), self._errors(), self.lasting)
+        return in_words(self, self._errors())
 
-    def _errors(self) -> dict[str, Errors]:
-        """The errors of each output over the last 2 s, by its name."""
+    def _errors(self) -> dict[str, tuple[float | None, float]]:
+        """The rms of z - r, where it is tracked, and of z - z^ of each output by its name."""
         tracked = self.info.tracked
-        errors = {}
+        errors: dict[str, tuple[float | None, float]] = {}
         for i, name in enumerate(self.outputs):
             tracking = None
             if i in tracked:
                 tracking = _rms((self.z[:, i] - self.r[:, tracked.index(i)])[self.last])
-            errors[name] = Errors(tracking, _rms((self.z - self.z_hat)[self.last, i]))
+            errors[name] = tracking, _rms((self.z - self.z_hat)[self.last, i])
         return errors
 
     __repr__ = in_text

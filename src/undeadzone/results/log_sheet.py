@@ -1,16 +1,19 @@
-"""A log that an observer followed, in words: widths, what was missing, the verdict."""
+"""The sheet of a log that an observer followed: widths, what was missing, the verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from undeadzone.logs.samples import counted_lines
-from undeadzone.results.gap_words import in_words as gaps_in_words
+from undeadzone.results import sheet
 from undeadzone.results.info import LogInfo
+from undeadzone.results.sheet import Row
 from undeadzone.results.signals import output_names
 from undeadzone.support.shown import Block, Rows
-from undeadzone.support.text import label, with_deviation, with_unit
+from undeadzone.support.text import label
 
 
 def in_words(info: LogInfo) -> list[Block]:
@@ -28,11 +31,9 @@ def in_words(info: LogInfo) -> list[Block]:
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     if single:
         estimated = "" if info.adapts else " (not estimated)"
-        unit = info.units.output
-        shown["d_right"] = with_unit(_width(info.d_right, info.d_right_std, 0), unit) + estimated
-        shown["d_left"] = with_unit(_width(info.d_left, info.d_left_std, 0), unit) + estimated
-        if info.play:
-            shown |= gaps_in_words(info.play, unit)
+        shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info, 0))
+        for rows in gaps(info):
+            shown |= sheet.in_text(rows)
         shown["readings"] = _sides(info, 0)
     elif not info.adapts:
         shown["widths"] = "not estimated"
@@ -51,9 +52,7 @@ def _rows(info: LogInfo) -> Rows:
         (what, label("d_right", unit), label("d_left", unit), "readings"),
     ]
     for i, name in enumerate(names):
-        right = _width(info.d_right, info.d_right_std, i)
-        left = _width(info.d_left, info.d_left_std, i)
-        rows.append((name, right, left, _sides(info, i)))
+        rows.append((name, *(row.found for row in widths(info, i)), _sides(info, i)))
     return rows
 
 
@@ -67,9 +66,22 @@ def _samples(info: LogInfo) -> str:
     return text + f", {info.measured_step:g} s apart"
 
 
-def _width(values: Sequence[float], stds: Sequence[float] | None, i: int) -> str:
-    """The final width of one edge of output i, with its standard deviation where known."""
-    return f"{values[i]:.6g}" if stds is None else with_deviation(values[i], stds[i])
+def widths(info: LogInfo, i: int) -> list[Row]:
+    """The final widths of output i."""
+    values, stds = (info.d_right[i], info.d_left[i]), None
+    if info.d_right_std is not None and info.d_left_std is not None:
+        stds = (info.d_right_std[i], info.d_left_std[i])
+    return sheet.edges("d", "d", values, stds, info.units.output)
+
+
+def gaps(info: LogInfo) -> list[list[Row]]:
+    """The final gaps of the play ahead of each dead zone; nothing where none are estimated."""
+    names = ("gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std")
+    if not info.play:
+        return []
+    each = np.array([info.play[name] for name in names], float).reshape(len(names), -1)
+    unit = info.units.output
+    return [sheet.gaps(one[:2], one[2:4], one[4], unit) for one in each.T.tolist()]
 
 
 def _sides(info: LogInfo, i: int) -> str:
