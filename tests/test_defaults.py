@@ -16,7 +16,7 @@ from undeadzone.observers.parts.default_gains import default_adaptation, default
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.results.listening_words import in_words, on_trust
+from undeadzone.results.listening import in_words, on_trust
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
 from undeadzone.simulation.listening import listening

@@ -48,7 +48,7 @@ def watch(
     readings are what the observer claims. Exit code 1: they are not.
     """
     from undeadzone.logs.names import parse_columns
-    from undeadzone.results.log_sheet import in_words
+    from undeadzone.results.estimation import in_words
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.simulation.follow_text import TextLog
     from undeadzone.simulation.follower import Follower

@@ -6,8 +6,9 @@ from typing import Any, Final
 
 from undeadzone.ensemble.info import Info, unit_of_column
 from undeadzone.results.run import LAST
+from undeadzone.results.sheet import number, within
 from undeadzone.support.shown import Block
-from undeadzone.support.text import label
+from undeadzone.support.text import counted, label
 
 METRICS: Final = {
     "rms_tracking": "rms z - r, last {last} s",
@@ -33,7 +34,7 @@ def in_words(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
     """
     sampling = info.sampling.replace("_", " ")
     blocks: list[Block] = [
-        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, "
+        f"{info.title}: {counted(info.runs, 'run')} of {info.duration:g} s, "
         f"{sampling} sampling, seed {info.seed}",
         _shares(info, summary, diverged),
     ]
@@ -86,21 +87,16 @@ def _share(share: dict[str, Any]) -> str:
     """A share and its interval in percent; one end of which is left out at 0 % and at 100 %."""
     value, low, high = (f"{100 * share[key]:.3g} %" for key in ("value", "low", "high"))
     if share["value"] <= 0:
-        return _within(value, None, high if share["value"] < 1 else None)
-    return _within(value, low, high if share["value"] < 1 else None)
+        low = ""
+    return within(value, low, high if share["value"] < 1 else "")
 
 
 def _interval(metric: dict[str, Any]) -> str:
     """A metric and its interval; a settling time without a bound is one that is never over."""
-    low, high = _number(metric["low"]), _number(metric["high"])
+    low, high = (number(metric[end], none="") for end in ("low", "high"))
     if metric["value"] is not None:
-        return _within(f"{metric['value']:.4g}", low, high)
-    return "never settles" if low is None else f"never settles (or after {low})"
-
-
-def _number(value: float | None) -> str | None:
-    """A number to four digits; None where there is none."""
-    return None if value is None else f"{value:.4g}"
+        return within(number(metric["value"]), low, high)
+    return f"never settles (or after {low})" if low else "never settles"
 
 
 def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
@@ -113,15 +109,4 @@ def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
 
 def _in_hundredths(value: dict[str, float]) -> str:
     """A value and its interval, with two decimals."""
-    return _within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))
-
-
-def _within(value: str, low: str | None, high: str | None) -> str:
-    """A value and its interval, an end of which may be unknown."""
-    if low is None and high is None:
-        return value
-    if high is None:
-        return f"{value} ({low} or more)"
-    if low is None:
-        return f"{value} ({high} or less)"
-    return value if value == low == high else f"{value} ({low} to {high})"
+    return within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))

@@ -28,7 +28,7 @@ from undeadzone.report.proof_figures import courses, nyquist
 from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
 from undeadzone.support.files import write_text
-from undeadzone.support.text import label
+from undeadzone.support.text import counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks
 
 if TYPE_CHECKING:
@@ -144,7 +144,9 @@ def _asked(of: Assessment, design: Design | None) -> Html:
     """The plant, the sensor, the reference and what was wanted."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
-    sizes = f"{_count(model.n, 'state')}, {_count(model.m, 'input')}, {_count(model.p, 'output')}"
+    sizes = (
+        f"{counted(model.n, 'state')}, {counted(model.m, 'input')}, {counted(model.p, 'output')}"
+    )
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
     simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
@@ -184,9 +186,4 @@ def _schedule(of: Assessment) -> str:
     """How many spans the schedule of sides has, in what time."""
     schedule = of.schedule
     again = ", then the same again" if schedule.periodic else ""
-    return f"{_count(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
-
-
-def _count(number: int, what: str) -> str:
-    """A number of things: "1 state", "2 states"."""
-    return f"{number} {what}{'s' * (number != 1)}"
+    return f"{counted(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"

@@ -10,8 +10,18 @@ import numpy as np
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.html import Html, folded, join, paragraph, table, tag
-from undeadzone.results.listening_words import in_words, on_trust
+from undeadzone.report.html import (
+    Html,
+    folded,
+    join,
+    paragraph,
+    table,
+    tag,
+    verdict_line,
+    widths_known,
+    yes_no,
+)
+from undeadzone.results.listening import in_words, on_trust
 from undeadzone.support.text import label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
@@ -28,21 +38,10 @@ def verdict(of: Assessment) -> Html:
     parts = []
     if of.gains is not None:
         proof = of.gains.certificate
-        if proof.certified:
-            parts.append(_yes(True, f"certified, margin {proof.margin:.4g}"))
-        else:
-            parts.append(_yes(False, "not certified"))
-        parts.append(tag("span", f"rate {of.gains.rates.rate:.4g} 1/s"))
-    if all(known.right and known.left for known in of.known):
-        parts.append(_yes(True, "every width can be known"))
-    else:
-        parts.append(_yes(False, "not every width can be known"))
-    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
-
-
-def _yes(good: bool, words: str) -> Html:
-    """Words in the colour of a yes or of a no."""
-    return tag("span", words, "yes" if good else "no")
+        certified = f"certified, margin {proof.margin:.4g}"
+        parts.append(yes_no(proof.certified, certified, "not certified"))
+        parts.append((f"rate {of.gains.rates.rate:.4g} 1/s", ""))
+    return verdict_line(*parts, widths_known(all(one.right and one.left for one in of.known)))
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[Html]:
@@ -187,11 +186,8 @@ def knowledge_section(of: Assessment) -> list[Html]:
 
 def _known(known: Knowledge, name: str) -> Html:
     """Whether a direction can be known, with its deviation if that is."""
-    if not getattr(known, name):
-        return _yes(False, "no")
-    if name not in known.std:
-        return _yes(True, "yes")
-    return _yes(True, f"± {known.std[name]:.2g}")
+    yes = f"± {known.std[name]:.2g}" if name in known.std else "yes"
+    return tag("span", *yes_no(getattr(known, name), yes))
 
 
 def trade_section(design: Design) -> list[Html]:

@@ -184,6 +184,11 @@ def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
     return (yes, "yes") if good else (no, "no")
 
 
+def widths_known(all_of_them: bool) -> tuple[str, str]:
+    """Whether every width can be known, for a verdict."""
+    return yes_no(all_of_them, "every width can be known", "not every width can be known")
+
+
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
     """A row of a table; numeric: which columns hold numbers alone."""
     styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]

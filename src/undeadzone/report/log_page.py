@@ -19,8 +19,7 @@ from undeadzone.report.html import (
 from undeadzone.report.log_figures import log_overview
 from undeadzone.report.run_page import gap_tables
 from undeadzone.report.style import write as write_figure
-from undeadzone.results.estimation import Estimation
-from undeadzone.results.log_sheet import gaps, widths
+from undeadzone.results.estimation import Estimation, gaps, widths
 from undeadzone.support.files import write_text
 
 _OVERVIEW = (

@@ -18,10 +18,10 @@ from undeadzone.report.html import (
     table,
     tag,
     verdict_line,
+    widths_known,
     yes_no,
 )
-from undeadzone.results.run import Run
-from undeadzone.results.run_sheet import actuators, errors, gaps, parameters, widths
+from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
 from undeadzone.support.text import with_unit
 
@@ -76,10 +76,10 @@ def _verdict(run: Run) -> Html:
     if run.diverged_at is not None:
         return tag("p", tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
     rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", run.info.units.output)
-    known = yes_no(
-        run.fully_identifiable, "every width can be known", "not every width can be known"
-    )
-    parts = [(f"{rms} over the last {run.lasting:g} s", ""), known]
+    parts = [
+        (f"{rms} over the last {run.lasting:g} s", ""),
+        widths_known(run.fully_identifiable),
+    ]
     if run.inexact:
         parts.append(("the step is too large: these are no results", "no"))
     return verdict_line(*parts)

@@ -14,13 +14,15 @@ from undeadzone.report.html import (
     section,
     source,
     table,
-    tag,
+    verdict_line,
+    yes_no,
 )
 from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.tune_figures import around, history, slices
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.files import write_text
+from undeadzone.support.text import counted
 from undeadzone.tuning.result import HeldOut, Tuned
 
 CAPTIONS: Final = {
@@ -71,14 +73,12 @@ def tuned_page(result: Tuned, images: dict[str, bytes], origin: Origin | None = 
 
 def _verdict(result: Tuned) -> Html:
     """One line: better or not, certified or not."""
-    good = result.improved
-    words = "better on held-out runs" if good else "no improvement that chance could not explain"
-    parts = [tag("span", words, "yes" if good else "no")]
+    no_better = "no improvement that chance could not explain"
+    parts = [yes_no(result.improved, "better on held-out runs", no_better)]
     if result.margin is not None:
         certified = f"certified, margin {result.margin:.4g}"
-        words = certified if result.certified else "not certified"
-        parts.append(tag("span", words, "yes" if result.certified else "no"))
-    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
+        parts.append(yes_no(result.certified, certified, "not certified"))
+    return verdict_line(*parts)
 
 
 def _numbers(result: Tuned) -> Html:
@@ -109,7 +109,7 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
     """The row of a scenario's held-out runs."""
     before, after = held_out.before, held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
-    name = f"{title}: {held_out.runs} held-out run{'s' * (held_out.runs > 1)}"
+    name = f"{title}: {counted(held_out.runs, 'held-out run')}"
     return (name, _interval(before.value), _interval(after.value), *lost)
 
 

@@ -42,7 +42,7 @@ class Row(NamedTuple):
     def found(self) -> str:
         """The value, with its deviation where that is known; nan where there is none."""
         if self.std is None:
-            return number(self.value, self.form)
+            return number(_finite(self.value), self.form)
         return with_deviation(_finite(self.value), _finite(self.std))
 
     @property
@@ -68,19 +68,18 @@ def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
     Args:
         value: the number.
         form: as `format` takes it.
-        none: what stands where there is no finite one.
+        none: what stands where there is none.
     """
-    finite = _finite(value)
-    return none if finite is None else format(finite, form)
+    return none if value is None else format(value, form)
 
 
-def within(value: str, low: str | None, high: str | None) -> str:
-    """A value and its interval, an end of which may be unknown, as text."""
-    if low is None and high is None:
+def within(value: str, low: str, high: str) -> str:
+    """A value and its interval as text; an end that is not known is empty."""
+    if not low and not high:
         return value
-    if high is None:
+    if not high:
         return f"{value} ({low} or more)"
-    if low is None:
+    if not low:
         return f"{value} ({high} or less)"
     return value if value == low == high else f"{value} ({low} to {high})"
 

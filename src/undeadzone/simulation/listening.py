@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.plants.system import System
-from undeadzone.results.listening_words import LARGER
+from undeadzone.results.listening import LARGER
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario

@@ -8,7 +8,7 @@ from typing import Any, Final
 from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.analysis.identifiability.words import yes_no
-from undeadzone.results.listening_words import in_words as share_in_words
+from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label, with_unit

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from undeadzone.results.sheet import number
+
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
     """What tuning found, by what it is about.
@@ -38,8 +40,9 @@ def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
     before, after, runs = first["before"], first["after"], first["runs"]
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
     verdict = "better" if summary["improved"] else "NO improvement that chance could not explain"
+    costs = [number(tuning[name], none="?") for name in ("before", "after")]
     shown = {
-        "runs tuned on": f"{_number(tuning['before'])} -> {_number(tuning['after'])}",
+        "runs tuned on": " -> ".join(costs),
         "held-out runs": f"{_interval(before['value'])} -> {_interval(after['value'])}, {drawn}",
         "change": f"{_interval(held_out['change'])}: {verdict}",
     }
@@ -51,10 +54,5 @@ def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _interval(interval: Mapping[str, float | None]) -> str:
     """A value and its interval, an end of which may be unknown."""
-    value, low, high = (_number(interval[name]) for name in ("value", "low", "high"))
+    value, low, high = (number(interval[name], none="?") for name in ("value", "low", "high"))
     return f"{value} ({low} to {high})"
-
-
-def _number(value: float | None) -> str:
-    """A number to four digits; a question mark where there is none."""
-    return "?" if value is None else f"{value:.4g}"
