@@ -32,7 +32,7 @@ from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.unknown_actuator import Zones, entering
 from undeadzone.plants.system import sampled
-from undeadzone.report.figures import overview
+from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario

@@ -18,8 +18,8 @@ from scenes import scene, slopes
 from undeadzone.numerics.event_location import Crossing
 from undeadzone.results.run import Run
 from undeadzone.signals import noise
+from undeadzone.simulation.close import entered, exogenous_at
 from undeadzone.simulation.simulate import simulate
-from undeadzone.simulation.steps import entered, exogenous_at
 from undeadzone.simulation.wiring import Mode
 from undeadzone.support.arrays import Floats
 

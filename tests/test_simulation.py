@@ -20,8 +20,7 @@ from undeadzone.observers import Certified, Luenberger
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation import exogenous
-from undeadzone.simulation.compare import compare, labels
-from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.simulate import compare, labels, simulate
 
 IDLE: dict[str, Any] = {"method": "state_feedback", "K": [0.0, 0.0]}
 NO_REFERENCE: dict[str, Any] = {"kind": "step", "amplitude": 0.0}

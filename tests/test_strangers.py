@@ -26,8 +26,7 @@ from undeadzone.report.style import plain
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import confined, parse, read
 from undeadzone.signals.csv_file import read_csv
-from undeadzone.simulation.compare import compare
-from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.simulate import compare, simulate
 from undeadzone.support import files
 from undeadzone.support.files import read_bytes, require_folder
 from undeadzone.support.shown import text as text_of

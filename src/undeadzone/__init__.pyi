@@ -84,9 +84,9 @@ from .signals.exosystem import Trapezoid as Trapezoid
 from .signals.paths import Circle as Circle
 from .signals.paths import FigureEight as FigureEight
 from .signals.paths import Quintic as Quintic
-from .simulation.compare import compare as compare
 from .simulation.estimate import estimate as estimate
 from .simulation.online import Online as Online
+from .simulation.simulate import compare as compare
 from .simulation.simulate import simulate as simulate
 from .synthesis.check import Check as Check
 from .synthesis.check import check as check

@@ -14,8 +14,20 @@ import numpy as np
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.errors import InputError
 from undeadzone.report.ensemble_figures import distributions, over_time, words
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag, verdict_line
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    images_of,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    verdict_line,
+    write_figures,
+)
 from undeadzone.report.sensitivity_figures import influence, tornado
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number

@@ -7,13 +7,18 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any, Final, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
+from undeadzone.report.style import write
 from undeadzone.results.sheet import Row
 from undeadzone.support.text import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _CSS: Final = """
 :root { color-scheme: light dark; --text: #1d2129; --soft: #5c6370; --paper: #fdfdfc; \
@@ -307,3 +312,28 @@ _LEGEND: Final = section(
     table(("symbol", "meaning"), _SYMBOLS),
     paragraph("In figures: grey the dead zone, pale the truth.", "note"),
 )
+
+
+def write_figures(drawn: Mapping[str, Figure], folder: Path) -> dict[str, Path]:
+    """Write figures as SVG; their paths by name. Raises FileError.
+
+    Args:
+        drawn: figures by name.
+        folder: where the files go; created if needed.
+    """
+    return {name: write(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
+
+
+def pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
+    """Figures (SVG) by name, each with its caption."""
+    return {name: picture(image, captions[name]) for name, image in images.items()}
+
+
+def images_of(written: Mapping[str, Path]) -> dict[str, bytes]:
+    """What files hold, by name."""
+    return {name: path.read_bytes() for name, path in written.items()}
+
+
+def pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
+    """The pictures of these names that there are."""
+    return [shown[name] for name in names if name in shown]

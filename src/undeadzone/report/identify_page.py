@@ -8,9 +8,20 @@ from typing import TYPE_CHECKING
 from undeadzone.identification.orders import OrderFit, at_limit
 from undeadzone.identification.result import Identified
 from undeadzone.identification.words import HEADS, rivals_in_words
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    images_of,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    write_figures,
+)
 from undeadzone.report.identify_figures import figures
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from undeadzone.errors import InputError
-from undeadzone.report import figures
+from undeadzone.report import run_figures
 from undeadzone.report.style import plain, sheet, write
 from undeadzone.results.run import Run
 
@@ -101,18 +101,20 @@ def _drawing(result: Result) -> Drawing:
     if isinstance(result, Drawn):
         return result.drawing()
     if isinstance(result, Run):
-        return Drawing(lambda: figures.overview(result), lambda ax: figures.output(ax, result))
+        return Drawing(
+            lambda: run_figures.overview(result), lambda ax: run_figures.output(ax, result)
+        )
     # imported here, so that whoever draws runs alone does not wait for them
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.report import log_figures, proof_figures, tune_figures
+    from undeadzone.report import log_page, proof_figures, tune_page
     from undeadzone.results.estimation import Estimation
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
 
     if isinstance(result, Estimation):
         return Drawing(
-            lambda: log_figures.log_overview(result), lambda ax: log_figures.output(ax, result)
+            lambda: log_page.log_overview(result), lambda ax: log_page.output(ax, result)
         )
     if isinstance(result, Ensemble):
         return _of_ensemble(result)
@@ -126,7 +128,7 @@ def _drawing(result: Result) -> Drawing:
         )
     if isinstance(result, Tuned):
         return Drawing(
-            lambda: tune_figures.history(result), lambda ax: tune_figures.candidates(ax, result)
+            lambda: tune_page.history(result), lambda ax: tune_page.candidates(ax, result)
         )
     return _of_identified(result)
 
@@ -146,8 +148,8 @@ def _of_check(result: Check) -> Drawing:
     """
     import numpy as np
 
+    from undeadzone.report.gain_figures import deviations, ellipses
     from undeadzone.report.proof_figures import least_real_part, nyquist
-    from undeadzone.report.trade_figures import deviations, ellipses
 
     gains, of = result.assessment.gains, result.assessment
     if gains is not None and np.isfinite(gains.certificate.margin):

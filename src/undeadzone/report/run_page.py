@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.gains_sections import trust
+from undeadzone.report.gains_page import trust
 from undeadzone.report.html import (
     Html,
     Origin,
@@ -21,9 +22,15 @@ from undeadzone.report.html import (
     widths_known,
     yes_no,
 )
+from undeadzone.report.run_figures import overview
+from undeadzone.report.style import write as write_figure
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
+from undeadzone.support.files import write_text
 from undeadzone.support.text import with_unit
+
+if TYPE_CHECKING:
+    from undeadzone.results.run import Run
 
 _OVERVIEW: Final = (
     "Output, reading and estimate; errors; widths, in bands of two standard deviations, against "
@@ -45,7 +52,7 @@ def run_page(
 
     Args:
         run: what is shown.
-        figures: of the run, as SVG; see `figures.overview`.
+        figures: of the run, as SVG; see `run_figures.overview`.
         rival: a run beside whose numbers those of the run stand.
         first: pieces of HTML above the figures.
         origin: what it takes to get the same run; None: what the run itself knows of it.
@@ -166,3 +173,62 @@ def _output(name: str) -> str:
 def _rows(letter: str, matrix: list[list[float]]) -> list[tuple[Any, ...]]:
     """The rows of a matrix, each named by a letter and its number."""
     return [(f"{letter}[{i}]", *row) for i, row in enumerate(matrix)]
+
+
+TIP = "The tip against its path, its distance from it, and the torques."
+PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
+
+
+def write_run(
+    result: Run,
+    folder: Path,
+    figures: bool,
+    rival: Run | None = None,
+    tables: bool = True,
+    origin: Origin | None = None,
+) -> list[Path]:
+    """Write the files of a run.
+
+    Args:
+        result: the run.
+        folder: for the files; made if missing.
+        figures: whether figure and page are wanted beside the signals.
+        rival: a run to be shown beside it.
+        tables: whether the signals are wanted as `.csv` too.
+        origin: what it takes to get the same run; None: what the run itself knows of it.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    written = [result.save(folder / "run.npz")]
+    if tables:
+        written.append(result.save(folder / "run.csv"))
+    if not figures:
+        return written
+    drawn = write_figure(overview(result), folder / "figure.svg")
+    written.append(drawn)
+    first: list[Any] = []
+    if result.poses is not None:
+        files, first = _arm(result, folder, rival)
+        written += files
+    page = run_page(result, [drawn.read_bytes()], rival, first, origin)
+    written.append(write_text(page, folder / "report.html"))
+    return written
+
+
+def _arm(result: Run, folder: Path, rival: Run | None) -> tuple[list[Path], list[Any]]:
+    """The files of an arm's own figures, and what the page begins with."""
+    from undeadzone.report.animation import animated
+    from undeadzone.report.run_figures import phase, tip
+
+    written = [
+        write_figure(tip(result, rival), folder / "tip.svg"),
+        write_figure(phase(result), folder / "phase.svg"),
+    ]
+    pictures = [
+        picture(path.read_bytes(), words) for path, words in zip(written, (TIP, PHASE), strict=True)
+    ]
+    return written, [animated(result, rival), *pictures]

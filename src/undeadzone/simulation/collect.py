@@ -22,8 +22,6 @@ from undeadzone.results.scales import plant_scales
 from undeadzone.results.signals import RUN, Signals, of_estimate
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.arm_cure import with_cures
-from undeadzone.simulation.false_claims import with_false_claims
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.verdicts import (
     actuator_unknown,
@@ -32,6 +30,8 @@ from undeadzone.simulation.verdicts import (
     constant_inputs,
     linear_verdicts,
     told_at_both_ends,
+    with_cures,
+    with_false_claims,
     withdrawn,
 )
 from undeadzone.support import toml

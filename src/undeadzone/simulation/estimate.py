@@ -20,8 +20,7 @@ from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import LOG, Signals, of_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.follow_text import TextLog
-from undeadzone.simulation.follower import Follower, require_units
+from undeadzone.simulation.follower import Follower, TextLog, require_units
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
 from undeadzone.support.progress import in_notebook

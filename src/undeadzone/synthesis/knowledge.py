@@ -19,13 +19,13 @@ from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recor
 from undeadzone.controllers import StateFeedback
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.false_claims import with_false_claims
 from undeadzone.simulation.verdicts import (
     actuator_unknown,
     constant_inputs,
     gaps_known,
     linear_verdicts,
     readings_of_both,
+    with_false_claims,
 )
 from undeadzone.support.progress import silent
 

@@ -6,8 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from undeadzone.report.html import Html, Origin, folded, page, paragraph, section, table
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    folded,
+    images_of,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    write_figures,
+)
 from undeadzone.support.files import write_text
 from undeadzone.support.text import counted
 from undeadzone_arena.contest.contest import Contest
