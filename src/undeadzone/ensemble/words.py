@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from undeadzone.ensemble.info import Info, unit_of_column
 from undeadzone.results.run import LAST
@@ -10,16 +10,31 @@ from undeadzone.results.sheet import number, within
 from undeadzone.support.shown import Block
 from undeadzone.support.text import counted, label
 
+
+class Metric(NamedTuple):
+    """What a metric of a run is called.
+
+    Attributes:
+        label: in a terminal.
+        title: on a page.
+        late: whether it is taken over the end of a run.
+    """
+
+    label: str
+    title: str
+    late: bool = False
+
+
 METRICS: Final = {
-    "rms_tracking": "rms z - r, last {last} s",
-    "rms_estimation": "rms z - z^, last {last} s",
-    "rms_behind_play": "rms y/m - r, last {last} s",
-    "rms_tip": "rms distance of the tip from its path, last {last} s",
-    "d_error": "largest |d^ - d|, at the end",
-    "settling_time": "settling time",
-    "peak_tracking": "peak |z - r|",
-    "rms_input": "rms u",
-    "silent_fraction": "share of silent samples",
+    "rms_tracking": Metric("rms z - r", "rms of z − r", late=True),
+    "rms_estimation": Metric("rms z - z^", "rms of z − z^", late=True),
+    "rms_behind_play": Metric("rms y/m - r", "rms of y / m − r", late=True),
+    "rms_tip": Metric(*2 * ("rms distance of the tip from its path",), late=True),
+    "d_error": Metric("largest |d^ - d|, at the end", "largest |d^ − d| at the end"),
+    "settling_time": Metric("settling time", "settling time"),
+    "peak_tracking": Metric("peak |z - r|", "largest |z − r|"),
+    "rms_input": Metric("rms u", "rms of u"),
+    "silent_fraction": Metric("share of silent samples", "share of silent samples"),
 }
 SHOWN: Final = 5  # worst runs, and entries that decide
 
@@ -69,10 +84,11 @@ def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below")
     ]
-    for key, name in METRICS.items():
+    for key, metric in METRICS.items():
         if key in metrics:
             quantiles = [_interval(metrics[key][column]) for column in ("median", "p95", "p99")]
-            words = name.format(last=f"{min(LAST, info.duration):g}")
+            late = f", last {min(LAST, info.duration):g} s" if metric.late else ""
+            words = metric.label + late
             rows.append((label(words, unit_of_column(key, info.units)), *quantiles))
     return rows
 

@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
-from undeadzone.errors import InputError
 from undeadzone.report.ensemble_figures import distributions, over_time, words
 from undeadzone.report.html import (
     Html,
     Origin,
-    images_of,
     page,
     paragraph,
     pick,
@@ -26,12 +24,11 @@ from undeadzone.report.html import (
     table,
     tag,
     verdict_line,
-    write_figures,
+    write_page,
 )
 from undeadzone.report.sensitivity_figures import influence, tornado
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number
-from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_unit
 
 if TYPE_CHECKING:
@@ -64,16 +61,6 @@ def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def first_of_ensemble(result: Ensemble) -> Figure:
-    """The first of `figures`. Raises InputError where every run diverged and none was recorded."""
-    if not result.diverged[result.independent].all():
-        return distributions(result)
-    figure = over_time(result)
-    if figure is None:
-        raise InputError("plot: every run of this ensemble diverged, and none was recorded")
-    return figure
-
-
 def write_ensemble(
     result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: Origin | None = None
 ) -> list[Path]:
@@ -88,9 +75,11 @@ def write_ensemble(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(result, summary), folder)
-    text = ensemble_page(result, summary, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return ensemble_page(result, summary, images, origin)
+
+    return write_page(figures(result, summary), folder, text)
 
 
 def ensemble_page(

@@ -19,7 +19,6 @@ from undeadzone.report.html import (
     Html,
     Origin,
     folded,
-    images_of,
     join,
     page,
     paragraph,
@@ -30,13 +29,12 @@ from undeadzone.report.html import (
     tag,
     verdict_line,
     widths_known,
-    write_figures,
+    write_page,
     yes_no,
 )
 from undeadzone.report.proof_figures import courses, nyquist
 from undeadzone.results.listening import in_words, on_trust
 from undeadzone.support.arrays import listed
-from undeadzone.support.files import write_text
 from undeadzone.support.text import counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
@@ -101,9 +99,11 @@ def write_gains(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(of, tried, design), folder)
-    text = gains_page(of, tried, images_of(written), design, origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return gains_page(of, tried, images, design, origin)
+
+    return write_page(figures(of, tried, design), folder, text)
 
 
 def gains_page(

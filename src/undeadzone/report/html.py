@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from undeadzone import __version__
 from undeadzone.report.style import write
 from undeadzone.results.sheet import Row
+from undeadzone.support.files import write_text
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
@@ -314,24 +315,24 @@ _LEGEND: Final = section(
 )
 
 
-def write_figures(drawn: Mapping[str, Figure], folder: Path) -> dict[str, Path]:
-    """Write figures as SVG; their paths by name. Raises FileError.
+def write_page(
+    drawn: Mapping[str, Figure], folder: Path, text: Callable[[dict[str, bytes]], str]
+) -> list[Path]:
+    """Write figures as SVG and a page that shows them, report.html; their paths. Raises FileError.
 
     Args:
         drawn: figures by name.
         folder: where the files go; created if needed.
+        text: text(images) is the page, images the SVGs by name.
     """
-    return {name: write(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
+    files = {name: write(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
+    images = {name: path.read_bytes() for name, path in files.items()}
+    return [*files.values(), write_text(text(images), folder / "report.html")]
 
 
 def pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
     """Figures (SVG) by name, each with its caption."""
     return {name: picture(image, captions[name]) for name, image in images.items()}
-
-
-def images_of(written: Mapping[str, Path]) -> dict[str, bytes]:
-    """What files hold, by name."""
-    return {name: path.read_bytes() for name, path in written.items()}
 
 
 def pick(shown: Mapping[str, Html], *names: str) -> list[Html]:

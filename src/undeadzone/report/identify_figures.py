@@ -22,6 +22,7 @@ from undeadzone.report.style import (
     ZONE,
     finish,
     label,
+    plain,
     sheet,
 )
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undeadzone.identification.element import Element
+    from undeadzone.identification.outputs import IdentifiedOutputs
     from undeadzone.identification.result import Identified
     from undeadzone.support.arrays import Floats
 
@@ -110,6 +112,19 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
     finish(axes, title, label("z, y", _unit(found_log)), "")
+
+
+def of_outputs(result: IdentifiedOutputs) -> Figure:
+    """The log and the fit of each output, one below the other."""
+    figure, panels = sheet([[name] for name in result.names], "The log and its fits")
+    for name, one in zip(result.names, result.outputs, strict=True):
+        signals(panels[name], one, f" {plain(name)}")
+    return figure
+
+
+def first_output(axes: Axes, result: IdentifiedOutputs) -> None:
+    """The log and the fit of the first output."""
+    signals(axes, result.outputs[0])
 
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:

@@ -11,7 +11,6 @@ from undeadzone.identification.words import HEADS, rivals_in_words
 from undeadzone.report.html import (
     Html,
     Origin,
-    images_of,
     page,
     paragraph,
     pick,
@@ -19,10 +18,9 @@ from undeadzone.report.html import (
     section,
     table,
     tag,
-    write_figures,
+    write_page,
 )
 from undeadzone.report.identify_figures import figures
-from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 
 if TYPE_CHECKING:
@@ -65,9 +63,11 @@ def write_identified(
     Raises:
         FileError: a file cannot be written.
     """
-    written = write_figures(figures(found_log), folder)
-    text = identified_page(found_log, images_of(written), source, origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return identified_page(found_log, images, source, origin)
+
+    return write_page(figures(found_log), folder, text)
 
 
 def identified_page(

@@ -41,7 +41,7 @@ def overview(run: Run) -> Figure:
     whose gaps are. Many outputs have a row each. A run
     that diverged is drawn up to where it did.
     """
-    outputs = run.z.shape[1]
+    info, outputs = run.info, run.z.shape[1]
     actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
     gaps = 0 if run.c_hat is None else outputs
     if outputs > STACKED:
@@ -56,15 +56,16 @@ def overview(run: Run) -> Figure:
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         output(panels[f"output {i}"], run, i, of)
         _errors(panels[f"error {i}"], run, i, of)
-        _widths(panels[f"widths {i}"], run, i, of)
+        _edges(panels[f"widths {i}"], run, i, "d", info.widths, f"Widths{of}")
     for j in range(actuators):
         of = f" {j}" if actuators > 1 else ""
         _command(panels[f"command {j}"], run, j, of)
-        _actuator(panels[f"actuator {j}"], run, j, of)
+        what = f"Widths of the actuator{of}"
+        _edges(panels[f"actuator {j}"], run, j, "b", info.actuator, what)
     for i in range(gaps):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         _loop(panels[f"loop {i}"], run, i, of)
-        _gaps(panels[f"gaps {i}"], run, i, of)
+        _edges(panels[f"gaps {i}"], run, i, "c", info.gaps, f"Gaps of the play{of}")
     if run.V is not None:
         plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
@@ -137,30 +138,11 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
     finish(axes, f"Errors{of}", axis_label("error", run.unit("z")))
 
 
-def _widths(axes: Axes, run: Run, i: int, of: str) -> None:
-    """The estimated widths of output i over the true ones."""
-    columns = slice(2 * i, 2 * i + 2)
-    true = run.info.widths[columns]
-    std = None if run.d_std is None else run.d_std[run.shown, columns]
-    _over_truth(axes, run, run.d_hat[run.shown, columns], std, "d", true)
-    finish(axes, f"Widths{of}, truth pale", axis_label("d", run.unit("d_hat")))
-
-
 def _command(axes: Axes, run: Run, j: int, of: str) -> None:
     """Input j over the dead zone of its actuator."""
     shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
     axes.plot(run.t[run.shown], run.u[run.shown, j], color=TRUTH)
     finish(axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0)
-
-
-def _actuator(axes: Axes, run: Run, j: int, of: str) -> None:
-    """The estimated widths of actuator j over the true ones."""
-    assert run.b_hat is not None
-    columns = slice(2 * j, 2 * j + 2)
-    true = run.info.actuator[columns]
-    std = None if run.b_std is None else run.b_std[run.shown, columns]
-    _over_truth(axes, run, run.b_hat[run.shown, columns], std, "b", true)
-    finish(axes, f"Widths of the actuator{of}, truth pale", axis_label("b", run.unit("b_hat")))
 
 
 def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
@@ -173,22 +155,24 @@ def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
     finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
 
 
-def _gaps(axes: Axes, run: Run, i: int, of: str) -> None:
-    """The estimated gaps ahead of the dead zone of output i over the true ones."""
-    assert run.c_hat is not None
-    columns = slice(2 * i, 2 * i + 2)
-    std = None if run.c_std is None else run.c_std[run.shown, columns]
-    _over_truth(axes, run, run.c_hat[run.shown, columns], std, "c", run.info.gaps[columns])
-    finish(axes, f"Gaps of the play{of}, truth pale", axis_label("c", run.unit("c_hat")))
+def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], what: str) -> None:
+    """The estimated right and left edge of a zone or a play over the true ones.
 
-
-def _over_truth(
-    axes: Axes, run: Run, widths: Floats, std: Floats | None, letter: str, true: Sequence[float]
-) -> None:
-    """A right and a left width over the true ones."""
-    for value, colour in zip(true, (PRINTED, OTHER), strict=True):
+    Args:
+        axes: to draw on.
+        run: what is shown.
+        i: which sensor or actuator it is.
+        letter: of its widths.
+        true: of all of them.
+        what: it is.
+    """
+    columns, name = slice(2 * i, 2 * i + 2), f"{letter}_hat"
+    for value, colour in zip(true[columns], (PRINTED, OTHER), strict=True):
         axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
-    width_lines(axes, run.t[run.shown], widths, std, letter)
+    found, std = getattr(run, name), getattr(run, f"{letter}_std")
+    band = None if std is None else std[run.shown, columns]
+    width_lines(axes, run.t[run.shown], found[run.shown, columns], band, letter)
+    finish(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
 
 
 COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints

@@ -13,7 +13,6 @@ from undeadzone.report.html import (
     Html,
     Origin,
     folded,
-    images_of,
     page,
     paragraph,
     pick,
@@ -22,7 +21,7 @@ from undeadzone.report.html import (
     source,
     table,
     verdict_line,
-    write_figures,
+    write_page,
     yes_no,
 )
 from undeadzone.report.style import (
@@ -40,7 +39,6 @@ from undeadzone.report.style import (
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import write_text
 from undeadzone.support.text import counted
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
@@ -70,9 +68,7 @@ def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> li
         The paths of the files.
     """
     drawn = {"history": history(result), "around": around(result, slices(result))}
-    written = write_figures(drawn, folder)
-    text = tuned_page(result, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+    return write_page(drawn, folder, lambda images: tuned_page(result, images, origin))
 
 
 def tuned_page(result: Tuned, images: dict[str, bytes], origin: Origin | None = None) -> str:

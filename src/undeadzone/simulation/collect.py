@@ -193,21 +193,21 @@ def _true_actuator(problem: Problem) -> list[float]:
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
-    return [float(width) for width in np.stack([drive.right, drive.left], axis=1).ravel()]
+    return _in_turn(drive.right, drive.left)
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
     """True [c_r, c_l] of each output; nothing where they are known, or there is no play."""
     if not signal.estimate.gap_std.shape[1]:
         return []
-    play, none = problem.sensor.play, np.zeros(problem.plant.p)
-    gaps = (none, none) if play is None else (play.right, play.left)
-    return [float(gap) for gap in np.stack(gaps, axis=1).ravel()]
+    play = problem.sensor.play
+    return [0.0] * (2 * problem.plant.p) if play is None else _in_turn(play.right, play.left)
 
 
-def _true_widths(problem: Problem) -> Floats:
-    """The true [d_r, d_l] of each output (2p)."""
-    return np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
+def _in_turn(right: Floats, left: Floats) -> list[float]:
+    """Right and left of each output or actuator in turn."""
+    turns: list[float] = np.stack([right, left], axis=1).ravel().astype(float).tolist()
+    return turns
 
 
 def _storage(
@@ -221,8 +221,9 @@ def _storage(
     gamma = problem.observer.traits.gamma
     if proof is None or not proof.certified or gamma is None:
         return None
-    if problem.sensor.kind != "jump":
-        d_error = _true_widths(problem) - d_hat
+    sensor = problem.sensor
+    if sensor.kind != "jump":
+        d_error = np.array(_in_turn(sensor.right, sensor.left)) - d_hat
     else:
         d_error = np.zeros_like(d_hat)
     adapted = np.repeat(gamma > 0, 2)
@@ -247,7 +248,7 @@ def _info(
         time=scenario.simulation.time,
         step=scenario.simulation.step,
         tracked=problem.tracked,
-        widths=_true_widths(problem).tolist(),
+        widths=_in_turn(problem.sensor.right, problem.sensor.left),
         threshold=problem.sensor.threshold.tolist(),
         certified=None if proof is None else proof.certified,
         integration_error=None if error is None else error.largest,

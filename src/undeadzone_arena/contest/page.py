@@ -10,16 +10,14 @@ from undeadzone.report.html import (
     Html,
     Origin,
     folded,
-    images_of,
     page,
     paragraph,
     pick,
     pictures,
     section,
     table,
-    write_figures,
+    write_page,
 )
-from undeadzone.support.files import write_text
 from undeadzone.support.text import counted
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.figures import costs, heat, places, traces
@@ -95,9 +93,8 @@ def write_arena(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(contest, runs), folder)
-    text = arena_page(contest, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+    drawn = figures(contest, runs)
+    return write_page(drawn, folder, lambda images: arena_page(contest, images, origin))
 
 
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
