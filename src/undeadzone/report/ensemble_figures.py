@@ -78,7 +78,7 @@ def distributions(result: Ensemble) -> Figure:
 
 
 def first_of_ensemble(result: Ensemble) -> Figure:
-    """The first figure of an ensemble. Raises InputError where every run diverged and none was recorded."""
+    """Its first figure. Raises InputError where every run diverged and none was recorded."""
     if not result.diverged[result.independent].all():
         return distributions(result)
     figure = over_time(result)

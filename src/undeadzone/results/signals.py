@@ -119,7 +119,7 @@ class Signals:
 
     Args:
         layout: which there may be.
-        given: arrays by name; None and empty ones are left out.
+        given: arrays by name; what is None is left out.
 
     Attributes:
         layout: which there may be.
