@@ -383,7 +383,7 @@ def test_observers_in_python_take_a_limit_for_a_bound(build: Any) -> None:
     """Held at its limit the estimate rises beyond it, and is free to lie far above."""
     options = build(right=[0.2, 1.0], x_std=3.0)
     model = first_order()
-    observer = options.build(model, zone(right=0.6, left=0.6))
+    observer = options.build(model, zone(right=0.6, left=0.6)).python
     state = observer.start(0)
     for _ in range(200):
         reading = Reading(np.array([0.5]), np.array([2.0]))
