@@ -1,4 +1,4 @@
-"""Figures of how fast an error dies: its poles and its rate as gains are scaled."""
+"""Figures of gains: how fast an error dies as they are scaled, and what they trade for it."""
 
 from __future__ import annotations
 
@@ -36,6 +36,13 @@ FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
 CHOSEN: Final = 500  # where the factor is 1
 EVERY: Final = 25  # of the factors: where rates are shown
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
+NORMAL: Final = 1.959964  # standard deviations of a 95 % interval
+ELLIPSE: Final = 2.447747  # of a 95 % ellipse
+PRICES: Final = (("noise", "disturbance"), ("disturbance", "noise"))
+LABELS: Final = {
+    "noise": "error per rms noise at every sample",
+    "disturbance": "error per white disturbance [$\\sqrt{s}$]",
+}
 
 
 def root_locus(of: Assessment, gains: Gains) -> Figure:
@@ -171,15 +178,6 @@ def _proved(proof: Certificate, name: str, factor: float) -> bool:
     if not proof.margin > -np.inf:
         return False
     return margin(_scaled(proof.dynamics, name, factor), proof.W)[0] > 0
-
-
-NORMAL: Final = 1.959964  # standard deviations of a 95 % interval
-ELLIPSE: Final = 2.447747  # of a 95 % ellipse
-PRICES: Final = (("noise", "disturbance"), ("disturbance", "noise"))
-LABELS: Final = {
-    "noise": "error per rms noise at every sample",
-    "disturbance": "error per white disturbance [$\\sqrt{s}$]",
-}
 
 
 def front(design: Design) -> Figure:

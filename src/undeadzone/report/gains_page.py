@@ -5,7 +5,7 @@ It says what was asked, what is guaranteed, how fast, what can be known, and wha
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,13 +27,13 @@ from undeadzone.report.html import (
     section,
     table,
     tag,
+    trust,
     verdict_line,
     widths_known,
     write_page,
     yes_no,
 )
 from undeadzone.report.proof_figures import courses, nyquist
-from undeadzone.results.listening import in_words, on_trust
 from undeadzone.support.arrays import listed
 from undeadzone.support.text import counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
@@ -54,6 +54,12 @@ CAPTIONS: Final = {
     "ellipse": "Where 95 % of the estimates of an optimal estimator lie at the end of the "
     "scenario; a strip where a direction cannot be known.",
     "front": "Gains none of which is better than another one in everything; all are certified.",
+}
+SCORES: Final = {
+    "rate": "rate along the reference [1/s]",
+    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
+    "mismatch": "rms error per relative error in the entries of A and B",
+    "noise": "rms error per rms noise on z at every sample",
 }
 
 
@@ -198,14 +204,6 @@ def _schedule(of: Assessment) -> str:
     return f"{counted(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
 
 
-SCORES: Final = {
-    "rate": "rate along the reference [1/s]",
-    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
-    "mismatch": "rms error per relative error in the entries of A and B",
-    "noise": "rms error per rms noise on z at every sample",
-}
-
-
 def verdict(of: Assessment) -> Html:
     """One line: certified or not, the rate, and whether every width can be known."""
     parts = []
@@ -327,13 +325,6 @@ def speed_section(gains: Gains) -> list[Html]:
         stays = "These errors stay along this reference, whatever the gains"
         parts.append(paragraph(f"{stays}: {errors}."))
     return parts
-
-
-def trust(listens: Sequence[float | None]) -> Html | None:
-    """How strongly readings move each z^, marked where the model is taken on trust."""
-    if not listens:
-        return None
-    return tag("span", in_words(listens), "mid" if on_trust(listens) else "")
 
 
 def knowledge_section(of: Assessment) -> list[Html]:

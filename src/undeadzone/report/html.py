@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import write
+from undeadzone.results.listening import in_words, on_trust
 from undeadzone.results.sheet import Row
 from undeadzone.support.files import write_text
 from undeadzone.support.text import printable
@@ -193,6 +194,13 @@ def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
 def widths_known(all_of_them: bool) -> tuple[str, str]:
     """Whether every width can be known, for a verdict."""
     return yes_no(all_of_them, "every width can be known", "not every width can be known")
+
+
+def trust(listens: Sequence[float | None]) -> Html | None:
+    """How strongly readings move each z^, marked where the model is taken on trust."""
+    if not listens:
+        return None
+    return tag("span", in_words(listens), "mid" if on_trust(listens) else "")
 
 
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:

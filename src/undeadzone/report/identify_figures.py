@@ -1,4 +1,4 @@
-"""Figures of an identified log."""
+"""Figures of an identified log: with a zone of the sensor, or with another element."""
 
 from __future__ import annotations
 
@@ -39,6 +39,9 @@ MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
 POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
+MOST_OF_ELEMENT = 600  # samples of a figure over time: the last ones
+NAMES = {"play": "the play", "both": "play and dead zone", "input_zone": "the plant"}
+SIDES = {"input_zone": "Side of the input"}
 
 
 def figures(found_log: Identified) -> dict[str, Figure]:
@@ -259,11 +262,6 @@ def _profiles(found_log: Identified) -> Figure:
         finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
                label(f"$d_{name[0]}$", _unit(found_log)), legend=0)  # fmt: skip
     return figure
-
-
-MOST_OF_ELEMENT = 600  # samples of a figure over time: the last ones
-NAMES = {"play": "the play", "both": "play and dead zone", "input_zone": "the plant"}
-SIDES = {"input_zone": "Side of the input"}
 
 
 def _of_element(found_log: Identified, element: Element) -> dict[str, Figure]:

@@ -1,4 +1,4 @@
-"""The page and the files of a log that an observer followed."""
+"""The figure, the page and the files of a log that an observer followed."""
 
 from __future__ import annotations
 
@@ -60,6 +60,7 @@ VERDICTS: Final = {
     False: ("no", "no"),
     None: ("that cannot be tested", "mid"),
 }
+POINTS = 20_000  # samples that a line shows at most
 
 
 def write_estimation(
@@ -146,9 +147,6 @@ def _numbers(result: Estimation) -> dict[str, Any]:
         "silent far outside the zone": info.silent_outside,
         "smoothed with the whole log": result.z_smooth is not None,
     }
-
-
-POINTS = 20_000  # samples that a line shows at most
 
 
 def log_overview(result: Estimation) -> Figure:

@@ -1,4 +1,4 @@
-"""The figure of a run: what the sensor read, what the observer made of it, how far off it was."""
+"""The figures of a run: what was read, what the observer made of it, how far off; an arm's tip."""
 
 from __future__ import annotations
 
@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
+COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
+COLUMNS = 3  # joints in a row
+LEGEND: Any = {"frameon": False, "fontsize": 8.5}
+BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
+PLANAR = [["x-y", "error"], ["x-y", "torque"]]
+SPATIAL = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
+PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
 
 
 def overview(run: Run) -> Figure:
@@ -173,16 +180,6 @@ def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], wha
     band = None if std is None else std[run.shown, columns]
     width_lines(axes, run.t[run.shown], found[run.shown, columns], band, letter)
     finish(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
-
-
-COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
-COLUMNS = 3  # joints in a row
-LEGEND: Any = {"frameon": False, "fontsize": 8.5}
-BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
-
-PLANAR = [["x-y", "error"], ["x-y", "torque"]]
-SPATIAL = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
-PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
 
 
 def tip(run: Run, rival: Run | None = None) -> Figure:

@@ -1,4 +1,4 @@
-"""The page of one run: its figures, its numbers, its gains, and what its readings can tell."""
+"""The page and the files of one run: figures, numbers, gains, what its readings can tell."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.gains_page import trust
 from undeadzone.report.html import (
     Html,
     Origin,
@@ -18,11 +17,12 @@ from undeadzone.report.html import (
     section,
     table,
     tag,
+    trust,
     verdict_line,
     widths_known,
     yes_no,
 )
-from undeadzone.report.run_figures import overview
+from undeadzone.report.run_figures import overview, phase, tip
 from undeadzone.report.style import write as write_figure
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
@@ -39,6 +39,8 @@ _OVERVIEW: Final = (
     "the Lyapunov function where there is one."
 )
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
+TIP = "The tip against its path, its distance from it, and the torques."
+PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
 
 
 def run_page(
@@ -175,10 +177,6 @@ def _rows(letter: str, matrix: list[list[float]]) -> list[tuple[Any, ...]]:
     return [(f"{letter}[{i}]", *row) for i, row in enumerate(matrix)]
 
 
-TIP = "The tip against its path, its distance from it, and the torques."
-PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
-
-
 def write_run(
     result: Run,
     folder: Path,
@@ -222,7 +220,6 @@ def write_run(
 def _arm(result: Run, folder: Path, rival: Run | None) -> tuple[list[Path], list[Any]]:
     """The files of an arm's own figures, and what the page begins with."""
     from undeadzone.report.animation import animated
-    from undeadzone.report.run_figures import phase, tip
 
     written = [
         write_figure(tip(result, rival), folder / "tip.svg"),

@@ -64,6 +64,7 @@ _STYLE: Final[Any] = {
     "figure.titlesize": 11.0,
     "figure.titleweight": "bold",
 }
+BAND = 2  # standard deviations on either side
 
 
 def sheet(
@@ -203,9 +204,6 @@ def image(figure: Figure, kind: str) -> bytes:
     with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
         figure.savefig(buffer, format=kind, dpi=FINE if kind == "svg" else DPI, **undated)
     return buffer.getvalue()
-
-
-BAND = 2  # standard deviations on either side
 
 
 def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, letter: str) -> None:

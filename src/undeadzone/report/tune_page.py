@@ -1,4 +1,4 @@
-"""The page of a tuning: the numbers found, what they are worth on other runs, and the search."""
+"""The page of a tuning: the numbers found, their worth on other runs, the search; its figures."""
 
 from __future__ import annotations
 
@@ -54,6 +54,10 @@ CAPTIONS: Final = {
     "around": "The metric on held-out runs as one number moves and the others stay. A flat curve "
     "is a number that hardly matters.",
 }
+COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "local": OTHER}
+POINTS: Final = 25  # of a curve around the tuned numbers
+COLUMNS: Final = 3
+STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
 def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> list[Path]:
@@ -138,12 +142,6 @@ def _interval(interval: Interval) -> str:
     """A value with its interval."""
     value, low, high = interval
     return f"{value:.4g}" if low == high else f"{value:.4g} ({low:.4g} to {high:.4g})"
-
-
-COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "local": OTHER}
-POINTS: Final = 25  # of a curve around the tuned numbers
-COLUMNS: Final = 3
-STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:

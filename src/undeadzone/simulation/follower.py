@@ -1,4 +1,4 @@
-"""An observer that follows a log, and what the log comes to."""
+"""An observer that follows a log, from bytes or samples, and what the log comes to."""
 
 from __future__ import annotations
 

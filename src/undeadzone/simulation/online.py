@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from undeadzone.engine.live import CompiledStepper
 
 PATIENCE: Final = 20_000  # samples in blocks (`lanes.WORTH`), after which the step is compiled
+FEW = 8  # samples in a block from which on it is run at once
 
 
 class Out(NamedTuple):
@@ -140,9 +141,6 @@ class BlockRunner:
         every, finals = lanes.run(self._kernel, state, w, self._params)
         state[:] = finals[0]
         return np.asarray(every[0])
-
-
-FEW = 8  # samples in a block from which on it is run at once
 
 
 class Online:

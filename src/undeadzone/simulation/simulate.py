@@ -1,4 +1,4 @@
-"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out."""
+"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out; two, to compare."""
 
 from __future__ import annotations
 

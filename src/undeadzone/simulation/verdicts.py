@@ -1,4 +1,7 @@
-"""What readings along a schedule of sides tell of a linear plant's widths, and how well."""
+"""What readings along a schedule of sides tell of a linear plant's widths, and how well.
+
+A simulation knows besides which claimed ranges are false, and what would help an arm.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,7 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.support.arrays import Floats
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
+ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
 
 
 def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
@@ -212,9 +216,6 @@ def _colour(model: System, disturbance: object) -> Colour | None:
     if not acts.any():
         return None
     return Colour(model.linear.B[:, acts], rms[acts], disturbance.correlation_time)
-
-
-ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
 
 
 def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:

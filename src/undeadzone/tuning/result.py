@@ -20,6 +20,7 @@ from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
 from undeadzone.tuning.objective import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.search import SimulatedCandidate
@@ -119,13 +120,12 @@ class Tuned:
                 names.append(parameter.name)
         return names
 
-    def __repr__(self) -> str:
+    def blocks(self) -> list[Block]:
         """The table that `undeadzone tune` prints."""
-        return shown.text([in_words(self.summary())])
+        return [in_words(self.summary())]
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, [in_words(self.summary())])
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
     plot = shown.plot
     """Draw it."""
