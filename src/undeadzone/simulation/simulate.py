@@ -1,4 +1,4 @@
-"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out; two, to compare."""
+"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out; or two."""
 
 from __future__ import annotations
 

@@ -148,12 +148,17 @@ class Contest(NamedTuple):
             )
         return flat
 
+    def __repr__(self) -> str:
+        """The leaderboard that `undeadzone arena` prints."""
+        return shown.text(self.blocks())
+
+    def _repr_html_(self) -> str:
+        """The same and a figure, for a notebook."""
+        return shown.display(self, self.blocks())
+
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone arena` prints."""
         return in_words(self.rows, len(self.scenarios), len(self.seeds))
-
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
 
     def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
         """Draw it.
