@@ -16,6 +16,7 @@ from undeadzone.numerics.dense_output import DenseStep, runge_kutta, taylor
 from undeadzone.numerics.event_location import Crossing, Levels, StepAttempt, located_step, met
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.system import System
+from undeadzone.scenario.problem import Problem
 from undeadzone.sensor import Zone
 from undeadzone.simulation.loop import (
     HELD,
@@ -95,6 +96,23 @@ def close(
     shapes = tree.rebuild(outputs, sizes)
     whole = _function("step", inputs, next=following, out=out)
     return Loop(whole, state, params, shapes, instant, parts)
+
+
+def loop_of(problem: Problem) -> Loop:
+    """The closed loop of a problem; the estimate of an observer in Python is written into it."""
+    simulation = problem.scenario.simulation
+    return close(
+        problem.plant,
+        problem.sensor,
+        problem.observer,
+        problem.controller,
+        len(problem.tracked),
+        simulation.step,
+        simulation.switching == "located",
+        simulation.order,
+        problem.compensator,
+        problem.actuator,
+    )
 
 
 def numbers(

@@ -17,8 +17,8 @@ from undeadzone.interfaces import Controller, Estimate, InPython, Reading
 from undeadzone.limits import beyond
 from undeadzone.scenario.problem import Problem
 from undeadzone.sensor import Zone, side
-from undeadzone.simulation.close import close
-from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.simulation.close import loop_of
+from undeadzone.simulation.loop import Outputs
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, vector
 
@@ -44,7 +44,7 @@ def run_sample_by_sample(
         InputError: the law gives no finite input of m entries.
     """
     numeric = problem.observer.python
-    loop = _loop_around(problem)
+    loop = loop_of(problem)
     initial = tree.pack(loop.state._replace(plant=problem.x0))
     stepper = Stepper(loop.step, initial, tree.pack(loop.params))
     where: Outputs = tree.slices(loop.outputs)
@@ -104,22 +104,6 @@ def _input(u: Any, m: int, t: float) -> Floats:
         return vector("controller", u, m, "one per input")
     except InputError as error:
         raise type(error)(f"{error}, from the control law at t = {t:g} s") from None
-
-
-def _loop_around(problem: Problem) -> Loop:
-    """The loop of a problem, with the estimate of an observer in Python left to be written in."""
-    outputs_tracked = len(problem.tracked)
-    step = problem.scenario.simulation.step
-    return close(
-        problem.plant,
-        problem.sensor,
-        problem.observer,
-        problem.controller,
-        outputs_tracked,
-        step,
-        compensator=problem.compensator,
-        actuator=problem.actuator,
-    )
 
 
 def numeric_along(

@@ -23,7 +23,7 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.close import close
+from undeadzone.simulation.close import loop_of
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.support import tree
@@ -221,20 +221,7 @@ def prepare(problem: Problem) -> Start:
 
 def closed(problem: Problem) -> Loop:
     """The closed loop of a problem. Raises InputError for an observer that is no graph."""
-    simulation = problem.scenario.simulation
-    located = simulation.switching == "located"
-    return close(
-        problem.plant,
-        problem.sensor,
-        graph_of(problem.observer),
-        problem.controller,
-        len(problem.tracked),
-        simulation.step,
-        located,
-        simulation.order,
-        problem.compensator,
-        problem.actuator,
-    )
+    return loop_of(problem._replace(observer=graph_of(problem.observer)))
 
 
 def run_loop(
