@@ -67,6 +67,8 @@ def test_a_signal_holds_its_fields_in_turn_and_only_what_is_estimated() -> None:
     np.testing.assert_array_equal(found["c_hat"][0], [right, left, right, left])
     without = of_estimate(Estimate(**parts)._replace(gap_right=np.zeros((N, 0))))
     assert ESTIMATED.keys() - without.keys() == {"c_hat"}
+    known = of_estimate(Estimate(**parts)._replace(gap_right_std=np.zeros((N, 0))))
+    assert ESTIMATED.keys() - known.keys() == {"c_hat", "c_std"}
 
 
 def test_final_rows_by_their_kind() -> None:

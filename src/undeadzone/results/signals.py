@@ -216,10 +216,16 @@ def of_estimate(estimate: Estimate) -> dict[str, Floats]:
     """
     found = {}
     for name, signal in ESTIMATED.items():
-        parts = [getattr(estimate, field) for field in signal.fields]
-        if all(part.size for part in parts):
+        if all(getattr(estimate, field).size for field in _telling(signal)):
+            parts = [getattr(estimate, field) for field in signal.fields]
             found[name] = np.stack(parts, axis=2).reshape(len(parts[0]), -1)
     return found
+
+
+def _telling(signal: Signal) -> list[str]:
+    """The fields that tell whether a signal is estimated: gaps without a deviation are known."""
+    deviations = [f"{field}_std" for field in signal.fields if field in Estimate._field_defaults]
+    return [*signal.fields, *(name for name in deviations if name in QUANTITIES)]
 
 
 def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Floats]:
